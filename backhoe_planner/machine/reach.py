@@ -1,0 +1,74 @@
+"""How far any point of the machine can travel when its joints move.
+
+`travel_bounds` gives, for every collision piece and joint, the farthest that a point
+of the piece can ever be from that joint's axis. A motion dq then moves no point of
+the piece further than sum_j |dq_j| r_j: the bound on which the certificate and the
+broad phase rest (DESIGN section 7).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import Robot
+
+__all__ = ["tip_travel_bound", "travel_bounds"]
+
+Matrix = NDArray[np.float64]
+
+
+def travel_bounds(robot: Robot) -> Matrix:
+    """(pieces, n) radii r [m/rad, or 1 for a prismatic joint]; 0 for joints further out."""
+    bounds = np.zeros((len(robot.pieces), robot.n))
+    for row, piece in enumerate(robot.pieces):
+        bounds[row] = _bounds_of_points(robot, piece.joint, piece.piece.hull, piece.piece.radius)
+    return bounds
+
+
+def tip_travel_bound(robot: Robot) -> NDArray[np.float64]:
+    """(n,) the same for the tip."""
+    frame = robot.model.frames[robot.tip_frame]
+    return _bounds_of_points(robot, int(frame.parentJoint), frame.placement.translation[None, :], 0.0)
+
+
+def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float) -> NDArray[np.float64]:
+    """(n,) for points (k, 3) fixed in the frame of `joint`, fattened by `radius`."""
+    model = robot.model
+    found = np.zeros(robot.n)
+    if joint == 0:
+        return found
+    from_origin = float(np.max(np.linalg.norm(points, axis=1))) + radius
+    found[joint - 1] = 1.0 if robot.prismatic[joint - 1] else _off_axis(points, _axis(model, joint)) + radius
+    outer = joint
+    inner = int(model.parents[joint])
+    while inner > 0:
+        step = model.jointPlacements[outer].translation
+        from_origin += _slide(robot, outer)
+        off = _off_axis(step[None, :], _axis(model, inner))
+        found[inner - 1] = 1.0 if robot.prismatic[inner - 1] else off + from_origin
+        from_origin += float(np.linalg.norm(step))
+        outer, inner = inner, int(model.parents[inner])
+    return found
+
+
+def _slide(robot: Robot, joint: int) -> float:
+    """The longest slide of a prismatic joint away from its zero [m]; 0 for a hinge."""
+    if not robot.prismatic[joint - 1]:
+        return 0.0
+    return float(max(abs(robot.limits.lower[joint - 1]), abs(robot.limits.upper[joint - 1])))
+
+
+def _axis(model: pin.Model, joint: int) -> NDArray[np.float64]:
+    """(3,) the joint's axis in its own frame."""
+    data = model.joints[joint].createData()
+    model.joints[joint].calc(data, np.zeros(1))
+    subspace = np.asarray(data.S).reshape(6)
+    return subspace[3:] if np.any(subspace[3:]) else subspace[:3]
+
+
+def _off_axis(points: Matrix, axis: NDArray[np.float64]) -> float:
+    """The largest distance of (k, 3) points from the line through 0 along `axis`."""
+    along = points @ axis
+    return float(np.max(np.linalg.norm(points - along[:, None] * axis, axis=1)))
