@@ -1,0 +1,329 @@
+"""Signed distances, critical points and their gradients, for all that may touch.
+
+Every pair (piece of a link, piece of an obstacle), and every pair of the machine's own
+pieces that may meet, has one row. The gradient of the signed distance is
+
+    dd/dq = n . (J_2 - J_1)
+
+with coal's own normal n (from the link to the obstacle, inside too) and the Jacobians
+J_1, J_2 of the two witness points. A normal made from the witness points would flip
+its sign inside.
+
+Broad phase: a pair that was d apart is at least d - sum_j |dq_j| r_j apart after the
+joints moved by dq (DESIGN section 7), so pairs that are still provably out of reach
+are not measured again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.collision_model import geometry_model, self_pairs
+from backhoe_planner.machine.reach import travel_bounds
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.obstacles import Obstacle
+
+__all__ = ["Nearby", "Pair", "Proximity"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_NONSENSE = -1e3  # m: no pair is this deep inside each other
+_TOLERANCE = 1e-12  # of coal's iterations [m]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two convex pieces that must keep apart.
+
+    Attributes
+    ----------
+    link: name of the link.
+    obstacle: name of the obstacle; for the machine itself, ``self: LINK``.
+    piece: index into the robot's pieces.
+    clearance: signed distance to be kept [m].
+    """
+
+    link: str
+    obstacle: str
+    piece: int
+    clearance: float
+
+
+@dataclass(frozen=True)
+class Nearby:
+    """Pairs within the asked distance, one row each, in the order of the pairs.
+
+    Attributes
+    ----------
+    pair: (K,) indices into `Proximity.pairs`.
+    distance: (K,) signed distance [m], negative inside.
+    margin: (K,) distance minus the clearance to be kept [m].
+    normal: (K, 3) unit normal from the link to the obstacle, world.
+    point_link, point_obstacle: (K, 3) critical point and its witness [m], world.
+    gradient: (K, n) derivative of the distance [m/rad].
+    drift: (K,) rate at which the obstacle's own motion changes the distance [m/s].
+    moves: (K, n) which joints move the link.
+    """
+
+    pair: Indices
+    distance: Vector
+    margin: Vector
+    normal: Matrix
+    point_link: Matrix
+    point_obstacle: Matrix
+    gradient: Matrix
+    drift: Vector
+    moves: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.pair)
+
+    def only(self, rows: NDArray[np.bool_]) -> Nearby:
+        """The rows for which `rows` (K,) is true."""
+        return Nearby(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+class Proximity:
+    """All distances between one machine, itself, and a set of obstacles.
+
+    It owns its working memory: do not share one between threads.
+
+    Attributes
+    ----------
+    pairs: what is measured; indices into it appear in the results.
+    clearance: (P,) of every pair [m].
+    travel: (P, n) r of every pair: |dq| @ travel bounds how much the distance changes.
+    speed: (P,) of the obstacle [m/s].
+    """
+
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle] = (), *, self_collision: bool = True) -> None:
+        self.robot = robot
+        self.obstacles = tuple(obstacles)
+        self._model = geometry_model(robot)
+        self._data = robot.model.createData()
+        radii = travel_bounds(robot)
+        pairs: list[Pair] = []
+        travel: list[Vector] = []
+        owner: list[int] = []  # index of the obstacle, -1 for the machine itself
+        other: list[int] = []  # joint of the second body
+        first_of: list[int] = []  # index of the obstacle's first geometry
+        for index, obstacle in enumerate(self.obstacles):
+            first_of.append(int(self._model.ngeoms))
+            for part, piece in enumerate(obstacle.pieces):
+                geometry = self._model.addGeometryObject(
+                    pin.GeometryObject(f"obstacle {index}/{part}", 0, 0, piece.placement, piece.shape)
+                )
+                for row, link_piece in enumerate(robot.pieces):
+                    if link_piece.joint == 0 or not _counts(obstacle, link_piece.link):
+                        continue
+                    self._model.addCollisionPair(pin.CollisionPair(row, geometry))
+                    pairs.append(Pair(link_piece.link, obstacle.name, row, obstacle.clearance))
+                    travel.append(radii[row])
+                    owner.append(index)
+                    other.append(0)
+        for a, b in self_pairs(robot) if self_collision else ():
+            # the one further out is the link, the other what it must not touch
+            outer, inner = (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
+            self._model.addCollisionPair(pin.CollisionPair(outer, inner))
+            pairs.append(Pair(robot.pieces[outer].link, f"self: {robot.pieces[inner].link}", outer, 0.0))
+            shared = np.array(_support(robot, robot.pieces[inner].joint) > 0.0)
+            travel.append(np.where(shared, 0.0, radii[outer]))
+            owner.append(-1)
+            other.append(robot.pieces[inner].joint)
+        self.pairs = tuple(pairs)
+        count = len(pairs)
+        self.travel = np.array(travel).reshape(count, robot.n)
+        self.clearance = np.array([pair.clearance for pair in pairs])
+        self.owner = np.array(owner, dtype=int)
+        self._other_joint = np.array(other, dtype=int)
+        self._first_geometry = first_of
+        self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
+        joint_of = np.array([robot.pieces[pair.piece].joint for pair in pairs], dtype=int)
+        self._mask_link = self._support[joint_of] if count else np.zeros((0, robot.n))
+        self._moves = self._mask_link > 0.0
+        self._mask_other = self._support[self._other_joint] if count else np.zeros((0, robot.n))
+        velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
+        self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
+        self.speed = np.linalg.norm(self._velocity, axis=1)
+        appears = np.array([obstacle.appears_at for obstacle in self.obstacles] + [-np.inf])
+        self.appears_at = appears[self.owner]
+        self._some_appear = bool(np.any(self.appears_at > 0.0))
+        self._moving = [index for index, obstacle in enumerate(self.obstacles) if obstacle.moves]
+        self._geometry = self._model.createData()
+        for request in self._geometry.distanceRequests:
+            request.gjk_tolerance = _TOLERANCE
+            request.epa_tolerance = _TOLERANCE
+            request.gjk_max_iterations = 256
+            request.epa_max_iterations = 256
+        self._time = 0.0
+        self._bound = np.full(count, -np.inf)
+        self._q_bound = np.zeros(robot.n)
+        self.measured = 0
+
+    def at(self, q: Vector, *, time: float = 0.0, within: float = np.inf) -> Nearby:
+        """Everything nearer than `within` [m] at configuration `q` (n,) and `time` [s].
+
+        Obstacles that have not appeared by `time` are left out.
+        """
+        self._place(q, time)
+        lower = self._bound - self.travel @ np.abs(q - self._q_bound)
+        if self._moving:
+            lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
+        found = []
+        distances = []
+        for index in np.flatnonzero(lower <= within):
+            result = self._measure(int(index))
+            distance = result.min_distance
+            lower[index] = distance
+            if distance <= within:
+                found.append(index)
+                distances.append((distance, result.normal, result.getNearestPoint1(), result.getNearestPoint2()))
+            self.measured += 1
+        self._bound, self._q_bound, self._bound_time = lower, np.array(q), time
+        if self._some_appear:
+            kept = [k for k, index in enumerate(found) if self.appears_at[index] <= time]
+            found = [found[k] for k in kept]
+            distances = [distances[k] for k in kept]
+        return self._rows(np.array(found, dtype=int), distances)
+
+    _bound_time = 0.0
+
+    def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
+        """(P,) signed distance of every pair [m]; infinite before an obstacle appears."""
+        self._place(q, time)
+        pin.computeDistances(self._model, self._geometry)
+        found = np.array([result.min_distance for result in self._geometry.distanceResults])
+        for index in np.flatnonzero(~(found > _NONSENSE)):
+            found[index] = self._measure(int(index)).min_distance
+        if self._some_appear:
+            found[self.appears_at > time] = np.inf
+        return found
+
+    def lower_bounds(self, q: Vector, *, time: float, floor: Vector) -> tuple[Vector, Vector]:
+        """Signed distances, measured only where they may be below `floor`.
+
+        Parameters
+        ----------
+        floor: (P,) above which a lower bound is good enough [m].
+
+        Returns
+        -------
+        (P,) lower bound of each distance, equal to it where it was measured; and (P,)
+        whether it was measured.
+        """
+        self._place(q, time)
+        lower = self._bound - self.travel @ np.abs(q - self._q_bound)
+        if self._moving:
+            lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
+        needed = lower < floor
+        for index in np.flatnonzero(needed):
+            lower[index] = self._measure(int(index)).min_distance
+        self._bound, self._q_bound, self._bound_time = lower, np.array(q), time
+        return lower.copy(), needed
+
+    def distance_of(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
+        """Signed distance of one pair [m]."""
+        self._place(q, time)
+        return float(self._measure(pair).min_distance)
+
+    def obstacle_offset(self, index: int, time: float) -> Vector:
+        """(3,) how far obstacle `index` has moved by `time` [m]."""
+        obstacle = self.obstacles[index]
+        return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
+
+    def _measure(self, index: int) -> Any:
+        """coal's result for one pair at the present placements.
+
+        Where the shapes just touch, its iterations can end without a depth and say
+        minus infinity; with a looser tolerance they end. If not even then, the pair is
+        in contact to within rounding, and 0 is said.
+        """
+        result = pin.computeDistance(self._model, self._geometry, index)
+        if result.min_distance > _NONSENSE:
+            return result
+        request = self._geometry.distanceRequests[index]
+        try:
+            for tolerance in (1e-9, 1e-6):
+                request.gjk_tolerance = request.epa_tolerance = tolerance
+                result = pin.computeDistance(self._model, self._geometry, index)
+                if result.min_distance > _NONSENSE:
+                    return result
+        finally:
+            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+        result.min_distance = 0.0
+        return result
+
+    def _place(self, q: Vector, time: float) -> None:
+        if self._moving and time != self._time:
+            for index in self._moving:
+                shift = self.obstacle_offset(index, time)
+                first = self._first_geometry[index]
+                for part, piece in enumerate(self.obstacles[index].pieces):
+                    moved = pin.SE3(piece.placement.rotation, piece.placement.translation + shift)
+                    self._model.geometryObjects[first + part].placement = moved
+            self._time = time
+        pin.computeJointJacobians(self.robot.model, self._data, q)
+        pin.updateGeometryPlacements(self.robot.model, self._data, self._model, self._geometry)
+
+    def _rows(self, found: Indices, results: list[tuple[float, Vector, Vector, Vector]]) -> Nearby:
+        count = len(found)
+        if count == 0:
+            none = np.zeros((0, 3))
+            return Nearby(found, np.zeros(0), np.zeros(0), none, none, none, np.zeros((0, self.robot.n)), np.zeros(0), np.zeros((0, self.robot.n), dtype=bool))
+        distance = np.array([result[0] for result in results])
+        normal = np.array([result[1] for result in results])
+        point_1 = np.array([result[2] for result in results])
+        point_2 = np.array([result[3] for result in results])
+        J = self._data.J
+        gradient = -(_point_rows(normal, point_1) @ J) * self._mask_link[found]
+        if np.any(self._other_joint[found]):
+            gradient += (_point_rows(normal, point_2) @ J) * self._mask_other[found]
+        drift = np.einsum("ki,ki->k", normal, self._velocity[found]) if self._moving else np.zeros(count)
+        return Nearby(
+            pair=found,
+            distance=distance,
+            margin=distance - self.clearance[found],
+            normal=normal,
+            point_link=point_1,
+            point_obstacle=point_2,
+            gradient=gradient,
+            drift=drift,
+            moves=self._moves[found],
+        )
+
+
+def _age(time: float, appears_at: Vector) -> Vector:
+    return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)
+
+
+def _counts(obstacle: Obstacle, link: str) -> bool:
+    return obstacle.links is None or link in obstacle.links
+
+
+def _support(robot: Robot, joint: int) -> Vector:
+    """(n,) 1 for every joint that moves the body of `joint`."""
+    mask = np.zeros(robot.n)
+    while joint > 0:
+        mask[robot.model.joints[joint].idx_v] = 1.0
+        joint = int(robot.model.parents[joint])
+    return mask
+
+
+def _point_rows(normal: Matrix, point: Matrix) -> Matrix:
+    """(K, 6) so that row @ J_world is the speed of the point along the normal."""
+    rows = np.empty((len(normal), 6))
+    rows[:, :3] = normal
+    nx, ny, nz = normal[:, 0], normal[:, 1], normal[:, 2]
+    px, py, pz = point[:, 0], point[:, 1], point[:, 2]
+    rows[:, 3] = py * nz - pz * ny
+    rows[:, 4] = pz * nx - px * nz
+    rows[:, 5] = px * ny - py * nx
+    return rows

@@ -1,0 +1,648 @@
+"""The scene file: what the machine is to do, and what stands around it.
+
+The models below are the schema; `scene_schema` prints it, `load_scene` checks a file
+against it. What exists as a `Scene` is valid in itself; whether it fits a machine is
+checked when the two meet.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
+
+from backhoe_planner.errors import SceneError, nearest_name
+from backhoe_planner.machine.urdf import shipped
+from backhoe_planner.site.yaml_text import KeyPath, read_yaml
+
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "Gains",
+    "Goal",
+    "HalfSpace",
+    "HeightMap",
+    "Limits",
+    "Mesh",
+    "ObstacleSpec",
+    "PathTask",
+    "PointCloud",
+    "Pose",
+    "Scene",
+    "Soil",
+    "Sphere",
+    "Start",
+    "Task",
+    "Waypoint",
+    "load_scene",
+    "scene_from_dict",
+    "scene_schema",
+]
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+Quaternion = tuple[Finite, Finite, Finite, Finite]
+PitchRange = tuple[Finite, Finite]
+
+
+class _Record(BaseModel):
+    """Keys that are not in the contract are refused; nothing changes after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True)
+
+
+def _unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
+    if quaternion is None:
+        return None
+    norm = math.sqrt(sum(part * part for part in quaternion))
+    if abs(norm - 1.0) > 1e-3:
+        raise ValueError(f"a quaternion [w, x, y, z] has length 1, this one {norm:.4g}")
+    w, x, y, z = (part / norm for part in quaternion)
+    return (w, x, y, z)
+
+
+def _rotation(rpy: Vector3 | None, quaternion: Quaternion | None) -> NDArray[np.float64] | None:
+    if quaternion is not None:
+        w, x, y, z = quaternion
+        return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
+    if rpy is not None:
+        return np.asarray(pin.rpy.rpyToMatrix(*rpy))
+    return None
+
+
+class Pose(_Record):
+    """A pose of the tip, as much of it as is specified."""
+
+    position: Vector3
+    """x, y, z of the tip [m], world."""
+    pitch: Finite | PitchRange | None = None
+    """Angle of the line bucket pin to tip above the horizontal [rad]: a number, or [low, high]."""
+    rpy: Vector3 | None = None
+    """Full orientation as roll, pitch, yaw about the fixed x, y, z axes [rad]."""
+    quaternion: Quaternion | None = None
+    """Full orientation [w, x, y, z]."""
+
+    _check_quaternion = field_validator("quaternion")(_unit_quaternion)
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Pose:
+        given = [key for key in ("pitch", "rpy", "quaternion") if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise ValueError(f"only one of pitch, rpy, quaternion may be given, here are {' and '.join(given)}")
+        if isinstance(self.pitch, tuple) and self.pitch[0] > self.pitch[1]:
+            raise ValueError(f"pitch range [low, high] is reversed: {list(self.pitch)}")
+        return self
+
+    @property
+    def pitch_range(self) -> tuple[float, float] | None:
+        """(low, high) [rad], equal for a single angle; None where free."""
+        if self.pitch is None:
+            return None
+        return self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
+
+    @property
+    def rotation(self) -> NDArray[np.float64] | None:
+        """(3, 3) R_world_tip, or None where free."""
+        return _rotation(self.rpy, self.quaternion)
+
+
+class Goal(Pose):
+    """Where the tip is to arrive."""
+
+
+class Waypoint(Pose):
+    """A point of the bucket's path."""
+
+
+class Start(_Record):
+    """Where the machine stands at time 0: by its joints, or by its tip."""
+
+    joints: dict[str, Finite] | None = None
+    """Position of every joint by name [rad or m]."""
+    tip: Pose | None = None
+    """Pose of the tip; the joints are found by inverse kinematics."""
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Start:
+        if (self.joints is None) == (self.tip is None):
+            raise ValueError("exactly one of joints, tip must be given")
+        return self
+
+
+class PathTask(_Record):
+    """A path that the tip is to follow, straight from waypoint to waypoint."""
+
+    waypoints: tuple[Waypoint, ...] | None = None
+    """At least two."""
+    file: str | None = None
+    """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz. Relative to the scene file."""
+    speed: Positive | None = None
+    """Of the tip [m/s]; left out: as fast as the limits allow."""
+    tolerance: Positive = 0.005
+    """How far the tip may be off the path where nothing is in the way [m]."""
+    detour: bool = True
+    """May the tip leave the path to get around an obstacle?"""
+
+    @model_validator(mode="after")
+    def _waypoints_or_file(self) -> PathTask:
+        if (self.waypoints is None) == (self.file is None):
+            raise ValueError("exactly one of waypoints, file must be given")
+        if self.waypoints is not None:
+            if len(self.waypoints) < 2:
+                raise ValueError(f"a path needs at least 2 waypoints, this one has {len(self.waypoints)}")
+            kinds = {_orientation_kind(waypoint) for waypoint in self.waypoints} - {"position"}
+            if len(kinds) > 1:
+                raise ValueError("one path mixes pitch and full orientation")
+            length = sum(
+                math.dist(a.position, b.position) for a, b in zip(self.waypoints, self.waypoints[1:], strict=False)
+            )
+            if length == 0.0 and not kinds:
+                raise ValueError("the waypoints all lie in one point")
+        return self
+
+
+def _orientation_kind(pose: Pose) -> str:
+    if pose.pitch is not None:
+        return "pitch"
+    return "position" if pose.rotation is None else "orientation"
+
+
+class Task(_Record):
+    """What is to be done: exactly one of goal, path."""
+
+    goal: Goal | None = None
+    path: PathTask | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Task:
+        if (self.goal is None) == (self.path is None):
+            raise ValueError("exactly one of goal, path must be given")
+        return self
+
+
+class _Obstacle(_Record):
+    name: Annotated[str, Field(min_length=1)]
+    """Unique; appears in reports and in the viewer."""
+    clearance: NonNegative | None = None
+    """Distance to be kept [m]; the scene's clearance by default."""
+    links: tuple[str, ...] | None = None
+    """The only links for which it is an obstacle; all of them by default."""
+    appears_at: NonNegative = 0.0
+    """Time before which nobody knows of it [s]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the obstacle, from its appearance on [m/s], world."""
+
+
+class _Placed(_Obstacle):
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """Of the shape's centre or, for files, their origin [m]."""
+    rpy: Vector3 | None = None
+    """Roll, pitch, yaw about the fixed axes [rad]."""
+    quaternion: Quaternion | None = None
+    """[w, x, y, z]."""
+
+    _check_quaternion = field_validator("quaternion")(_unit_quaternion)
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> _Placed:
+        if self.rpy is not None and self.quaternion is not None:
+            raise ValueError("only one of rpy, quaternion may be given")
+        return self
+
+    @property
+    def placement(self) -> pin.SE3:
+        """T_world_shape."""
+        rotation = _rotation(self.rpy, self.quaternion)
+        return pin.SE3(np.eye(3) if rotation is None else rotation, np.array(self.position))
+
+
+class Sphere(_Placed):
+    """A ball."""
+
+    shape: Literal["sphere"]
+    radius: Positive
+    """[m]"""
+
+
+class Box(_Placed):
+    """A block."""
+
+    shape: Literal["box"]
+    size: tuple[Positive, Positive, Positive]
+    """Edge lengths along x, y, z [m]."""
+
+
+class Cylinder(_Placed):
+    """A cylinder along its z axis."""
+
+    shape: Literal["cylinder"]
+    radius: Positive
+    """[m]"""
+    length: Positive
+    """[m]"""
+
+
+class Capsule(_Obstacle):
+    """All points within `radius` of the segment from `from` to `to`."""
+
+    shape: Literal["capsule"]
+    start: Vector3 = Field(alias="from")
+    """One end of the axis [m]."""
+    end: Vector3 = Field(alias="to")
+    """The other end [m]."""
+    radius: Positive
+    """[m]"""
+
+
+class HalfSpace(_Obstacle):
+    """Everything behind a plane: solid where (x - point) . normal < 0."""
+
+    shape: Literal["halfspace"]
+    point: Vector3
+    """On the plane [m]."""
+    normal: Vector3
+    """Away from the solid; any length but 0."""
+
+    @field_validator("normal")
+    @classmethod
+    def _unit(cls, normal: Vector3) -> Vector3:
+        norm = math.sqrt(sum(part * part for part in normal))
+        if norm < 1e-12:
+            raise ValueError("a normal of length 0 has no direction")
+        x, y, z = (part / norm for part in normal)
+        return (x, y, z)
+
+
+class Mesh(_Placed):
+    """A triangle mesh from a file, taken as solid."""
+
+    shape: Literal["mesh"]
+    file: str
+    """STL, OBJ, PLY, ...; relative to the scene file."""
+    scale: Positive | tuple[Positive, Positive, Positive] = 1.0
+    """Of the file's units to metres."""
+
+
+class HeightMap(_Placed):
+    """Ground given by heights on a grid; solid below."""
+
+    shape: Literal["heightmap"]
+    file: str
+    """CSV of heights [m] without header; rows along y, columns along x, both ascending."""
+    size: tuple[Positive, Positive]
+    """Extent in x and y [m], centred on `position`."""
+
+
+class PointCloud(_Placed):
+    """Points from a scan; every voxel that holds one is solid."""
+
+    shape: Literal["pointcloud"]
+    file: str
+    """PLY, or CSV or XYZ with x, y, z in the first three columns."""
+    resolution: Positive
+    """Edge of a voxel [m]."""
+
+
+ObstacleSpec = Annotated[
+    Sphere | Box | Cylinder | Capsule | HalfSpace | Mesh | HeightMap | PointCloud, Field(discriminator="shape")
+]
+
+
+class Gains(_Record):
+    """Gains of equation (12), set by hand."""
+
+    s_e: NonNegative = 1.0
+    """Of the primary task."""
+    s_o: NonNegative = 0.0
+    """Of the obstacle term."""
+    s_k: dict[str, NonNegative] = Field(default_factory=dict)
+    """Of the directionality term, by joint name."""
+
+
+class Limits(_Record):
+    """What of the machine's limits is to be used."""
+
+    velocity_scale: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    """Part of each joint's rate that may be used."""
+    acceleration: dict[str, Positive] = Field(default_factory=dict)
+    """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
+
+
+class Soil(_Record):
+    """What the bucket digs in (fundamental earthmoving equation)."""
+
+    density: Positive = 1700.0
+    """[kg/m^3]"""
+    cohesion: NonNegative = 5000.0
+    """[Pa]"""
+    friction: Annotated[float, Field(gt=0.0, lt=math.pi / 2.0)] = 0.55
+    """Internal friction angle [rad]."""
+    adhesion: NonNegative = 0.0
+    """Between soil and blade [Pa]."""
+    tool_friction: Annotated[float, Field(ge=0.0, lt=math.pi / 2.0)] | None = None
+    """Between soil and blade [rad]; 2/3 of `friction` by default."""
+    surface: Finite = 0.0
+    """Height of the ground [m]."""
+    surcharge: NonNegative = 0.0
+    """Load on the ground beside the blade [Pa]."""
+    width: Positive | None = None
+    """Of the blade [m]; the bucket's by default."""
+
+
+class Scene(_Record):
+    """A task, and the site in which it is to be done."""
+
+    version: Literal[1]
+    name: str = ""
+    tip: str | None = None
+    """The link that is moved; bucket_tip, else the only leaf frame."""
+    start: Start | None = None
+    """Where the machine stands; left out with a path: the planner chooses."""
+    task: Task
+    clearance: NonNegative = 0.05
+    """Distance to be kept from every obstacle that has none of its own [m]."""
+    influence: Positive = 0.6
+    """Within this distance an obstacle acts on the motion [m]."""
+    obstacles: tuple[ObstacleSpec, ...] = ()
+    gains: Literal["auto"] | Gains = "auto"
+    limits: Limits = Limits()
+    objective: Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"] = "work"
+    """What a plan along a path is to make small."""
+    payload: NonNegative = 0.0
+    """Mass in the bucket [kg]."""
+    soil: Soil | None = None
+
+    _folder: Path = PrivateAttr(default=Path())
+    _file: Path | None = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scene:
+        names = [obstacle.name for obstacle in self.obstacles]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise ValueError(f"two obstacles are named {name!r}")
+        if self.task.goal is not None and self.start is None:
+            raise ValueError("start is needed with a goal: where the machine stands")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """Where files named in the scene are looked for."""
+        return self._folder
+
+    @property
+    def file(self) -> Path | None:
+        """The file from which it was read, if any."""
+        return self._file
+
+    def waypoints(self) -> tuple[Waypoint, ...]:
+        """The path's waypoints, from the scene or from its path file.
+
+        Raises
+        ------
+        SceneError: the path file is missing, empty, or malformed.
+        """
+        path = self.task.path
+        if path is None:
+            return ()
+        if path.waypoints is not None:
+            return path.waypoints
+        assert path.file is not None
+        return tuple(_read_path_file(self.folder / path.file))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The scene as plain data that `scene_from_dict` reads again."""
+        return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read and check a scene file.
+
+    Raises
+    ------
+    SceneError: names the file, the key's path, what was found, and what is allowed.
+    """
+    file = Path(path)
+    if not file.exists() and file.parent in (Path("scenes"), Path()) and (shipped("scenes") / file.name).is_file():
+        file = shipped("scenes") / file.name
+    content, lines = read_yaml(file)
+    return scene_from_dict(content, folder=file.parent, file=file, lines=lines)
+
+
+def scene_from_dict(
+    content: Mapping[str, Any],
+    *,
+    folder: str | Path = ".",
+    file: Path | None = None,
+    lines: Mapping[KeyPath, int] | None = None,
+) -> Scene:
+    """Check a scene given as plain data.
+
+    Parameters
+    ----------
+    content: keys and values as in a scene file.
+    folder: where files that the scene names are looked for.
+    file, lines: for messages, the file it came from and the line of every key.
+    """
+    try:
+        scene = Scene.model_validate(content)
+    except ValidationError as error:
+        raise SceneError(_explain(error, content, lines or {}), file=file) from None
+    scene._folder = Path(folder)
+    scene._file = file
+    return scene
+
+
+def scene_schema() -> dict[str, Any]:
+    """The scene file's JSON Schema."""
+    schema = Scene.model_json_schema(by_alias=True)
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "backhoe_planner scene"
+    return schema
+
+
+# --- saying what is wrong -----------------------------------------------------
+
+
+def _explain(error: ValidationError, content: Mapping[str, Any], lines: Mapping[KeyPath, int]) -> str:
+    problems = []
+    for detail in error.errors(include_url=False):
+        place = _place_in_file(detail["loc"], content)
+        line = next((lines[place[:k]] for k in range(len(place), 0, -1) if place[:k] in lines), None)
+        where = _spell(place) + (f" (line {line})" if line is not None else "")
+        problems.append(": ".join(part for part in (where, _say(detail, place)) if part))
+    unique = list(dict.fromkeys(problems))
+    if len(unique) == 1:
+        return unique[0]
+    return f"{len(unique)} problems\n" + "\n".join(f"  - {problem}" for problem in unique)
+
+
+def _place_in_file(loc: tuple[str | int, ...], content: Any) -> KeyPath:
+    """The key path without the names that pydantic adds for union members."""
+    place: list[str | int] = []
+    node = content
+    for position, part in enumerate(loc):
+        last = position == len(loc) - 1
+        if isinstance(node, Mapping) and part in node:
+            node = node[part]
+        elif isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node):
+            node = node[part]
+        elif isinstance(node, Mapping) and isinstance(part, str) and last:
+            pass  # a key that is missing
+        elif isinstance(node, (list, tuple)) and isinstance(part, int):
+            pass
+        else:
+            continue
+        place.append(part)
+    return tuple(place)
+
+
+def _spell(place: KeyPath) -> str:
+    text = ""
+    for part in place:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _say(detail: Any, place: KeyPath) -> str:
+    kind, found = detail["type"], detail.get("input")
+    if kind == "extra_forbidden":
+        allowed = _keys_at(detail["loc"])
+        near = nearest_name(str(place[-1]), allowed)
+        hint = f"; did you mean {near!r}?" if near else ""
+        return f"there is no such key{hint} Allowed: {', '.join(sorted(allowed))}"
+    if kind == "missing":
+        return "is missing"
+    if kind == "union_tag_not_found":
+        return f"shape is missing; allowed: {_shapes()}"
+    if kind == "union_tag_invalid":
+        tag = found.get("shape") if isinstance(found, Mapping) else found
+        near = nearest_name(str(tag), _SHAPES)
+        return f"there is no shape {tag!r}{f'; did you mean {near!r}?' if near else ''} Allowed: {_shapes()}"
+    if kind == "value_error":
+        return str(detail["ctx"]["error"])
+    shown = f"; found {found!r}" if not isinstance(found, (Mapping, list)) or len(str(found)) < 80 else ""
+    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
+
+
+_SHAPES: dict[str, type[_Obstacle]] = {
+    "box": Box,
+    "capsule": Capsule,
+    "cylinder": Cylinder,
+    "halfspace": HalfSpace,
+    "heightmap": HeightMap,
+    "mesh": Mesh,
+    "pointcloud": PointCloud,
+    "sphere": Sphere,
+}
+
+
+def _shapes() -> str:
+    return ", ".join(_SHAPES)
+
+
+def _keys_at(loc: tuple[str | int, ...]) -> list[str]:
+    """The keys that may stand where `loc` points, from the schema itself."""
+    node: Any = Scene
+    for part in loc[:-1]:
+        if isinstance(part, int):
+            continue
+        if part in _SHAPES and node is not None and not _field(node, part):
+            node = _SHAPES[part]
+            continue
+        field = _field(node, part)
+        if field is not None:
+            models = list(_models_in(field.annotation))
+            node = models[0] if models else node
+    return [field.alias or name for name, field in node.model_fields.items()]
+
+
+def _field(model: type[BaseModel], key: str) -> Any:
+    for name, field in model.model_fields.items():
+        if key in (name, field.alias):
+            return field
+    return None
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in getattr(annotation, "__args__", ()):
+        yield from _models_in(argument)
+
+
+# --- the path file ------------------------------------------------------------
+
+
+def _read_path_file(path: Path) -> Iterator[Waypoint]:
+    for number, row in read_csv_table(path, required=("x", "y", "z"), optional=("pitch", "qw", "qx", "qy", "qz")):
+        orientation: dict[str, Any] = {}
+        if "pitch" in row:
+            orientation["pitch"] = row["pitch"]
+        elif "qw" in row:
+            missing = [key for key in ("qx", "qy", "qz") if key not in row]
+            if missing:
+                raise SceneError(f"a column is missing: {', '.join(missing)}", file=path, key="header")
+            orientation["quaternion"] = (row["qw"], row["qx"], row["qy"], row["qz"])
+        try:
+            yield Waypoint(position=(row["x"], row["y"], row["z"]), **orientation)
+        except ValidationError as error:
+            raise SceneError(_say(error.errors()[0], ()), file=path, key=f"line {number}") from None
+
+
+def read_csv_table(
+    path: Path, *, required: tuple[str, ...], optional: tuple[str, ...]
+) -> list[tuple[int, dict[str, float]]]:
+    """(line number, values by column) of every row of a CSV with a header.
+
+    Raises
+    ------
+    SceneError: no such file, no header, unknown column, a cell that is not a finite
+        number, fewer than two rows.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(map(str.strip, row))]
+    except FileNotFoundError:
+        raise SceneError("no such path file", file=path) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SceneError(f"cannot be read: {error}", file=path) from error
+    if not rows:
+        raise SceneError("the path file is empty", file=path)
+    header = [cell.strip() for cell in rows[0][1]]
+    allowed = (*required, *optional)
+    for column in header:
+        if column not in allowed:
+            raise SceneError("unknown column", file=path, key="header", found=column, allowed=", ".join(allowed))
+    for column in required:
+        if column not in header:
+            raise SceneError("a column is missing", file=path, key="header", found=",".join(header), allowed=column)
+    table = []
+    for number, row in rows[1:]:
+        if len(row) != len(header):
+            raise SceneError(
+                f"has {len(row)} cells, the header {len(header)}", file=path, key=f"line {number}"
+            )
+        values = {}
+        for column, cell in zip(header, row, strict=True):
+            try:
+                value = float(cell)
+            except ValueError:
+                raise SceneError("is not a number", file=path, key=f"line {number}, {column}", found=repr(cell)) from None
+            if not math.isfinite(value):
+                raise SceneError("is not finite", file=path, key=f"line {number}, {column}", found=cell)
+            values[column] = value
+        table.append((number, values))
+    if len(table) < 2:
+        raise SceneError("a path needs at least 2 waypoints", file=path, found=f"{len(table)}")
+    return table

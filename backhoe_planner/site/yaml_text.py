@@ -1,0 +1,110 @@
+"""YAML as a person means it: no key twice, no tabs, numbers as in YAML 1.2.
+
+PyYAML's own loader keeps the last of two equal keys, reads ``1e-3`` as text and
+``no`` as false; this one does not, and it knows the line on which each key stands.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from backhoe_planner.errors import SceneError
+
+__all__ = ["KeyPath", "read_yaml"]
+
+KeyPath = tuple[str | int, ...]
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader with the scalars of YAML 1.2's core schema."""
+
+
+_Loader.yaml_implicit_resolvers = {}
+for _tag, _pattern, _first in (
+    ("bool", r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF"),
+    ("null", r"^(?:~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("int", r"^[-+]?[0-9]+$", "-+0123456789"),
+    ("float", r"^[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?$", "-+.0123456789"),
+    ("float", r"^(?:[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$", "-+."),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
+
+
+def _plain_int(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
+    return int(node.value)
+
+
+def _plain_float(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> float:
+    return float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan"))
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _plain_int)
+_Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
+
+
+def read_yaml(path: Path) -> tuple[dict[str, Any], dict[KeyPath, int]]:
+    """The mapping in a YAML file, and the line (from 1) of every key in it.
+
+    Raises
+    ------
+    SceneError: the file cannot be read, is empty, is not YAML, or names a key twice.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise SceneError("no such scene file", file=path) from None
+    except IsADirectoryError:
+        raise SceneError("is a folder, not a scene file", file=path) from None
+    except UnicodeDecodeError as error:
+        raise SceneError(f"is not UTF-8 text: {error.reason} at byte {error.start}", file=path) from error
+    except OSError as error:
+        raise SceneError(f"cannot be read: {error.strerror}", file=path) from error
+    if not text.strip():
+        raise SceneError("the file is empty", file=path, allowed="a scene")
+    loader = _Loader(text)
+    try:
+        node = loader.get_single_node()
+        if not isinstance(node, yaml.MappingNode):
+            raise SceneError("does not hold keys and values", file=path, allowed="a scene: version, task, ...")
+        lines: dict[KeyPath, int] = {}
+        _note_lines(node, (), lines, path)
+        content = loader.construct_document(node)
+    except yaml.YAMLError as error:
+        raise SceneError(_say(error), file=path) from error
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"cannot be understood: {error}", file=path) from error
+    finally:
+        loader.dispose()
+    return content, lines
+
+
+def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: Path) -> None:
+    if isinstance(node, yaml.MappingNode):
+        for key, value in node.value:
+            place = (*at, str(key.value))
+            if place in lines:
+                raise SceneError(
+                    "the key stands twice",
+                    file=path,
+                    key=".".join(map(str, place)),
+                    found=f"line {lines[place]} and line {key.start_mark.line + 1}",
+                )
+            lines[place] = key.start_mark.line + 1
+            _note_lines(value, place, lines, path)
+    elif isinstance(node, yaml.SequenceNode):
+        for index, value in enumerate(node.value):
+            lines[(*at, index)] = value.start_mark.line + 1
+            _note_lines(value, (*at, index), lines, path)
+
+
+def _say(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    problem = getattr(error, "problem", None) or str(error)
+    where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
+    if "'\\t'" in problem:
+        return f"{where}a tab is used for indentation; YAML allows only spaces"
+    return f"{where}is not YAML: {problem}"
