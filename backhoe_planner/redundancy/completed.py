@@ -1,0 +1,142 @@
+"""The completed law: equation (12) with terms that stay bounded and gains that need no hand.
+
+    v = J_e^+ xdot_e + H,    H = argmin over the null space of
+        sum_i w_i (g_i (v_e + H) - c_i)^2 + sum_k s_k |J_k (v_e + H) - xdot_k|^2 + eps |H|^2
+
+One scalar row g_i per critical point (the gradient of its distance) instead of its
+three velocities, and one problem for all terms instead of a sum of pseudo-inverses:
+where the null space cannot serve a row, eps lets it fade out instead of blowing up.
+The weights are the criterion for the gains that the paper leaves open:
+
+- w_i is 0 at the influence distance and 1 at the unity distance, a cosine between
+  (Maciejewski and Klein 1985), so that no row enters or leaves with a jump;
+- c_i is a push away within the unity distance, ((d_u / d)^2 - 1) times nominal;
+- s_k is small while a link turns as predicted (D = +1); as joint k nears a limit
+  towards which it is moving, D goes to -1 (hold) and s_k to 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import eigenpy
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics import Configuration
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.redundancy.directionality import all_link_jacobians, all_link_velocities
+from backhoe_planner.redundancy.projector import Resolved, resolve
+from backhoe_planner.site.proximity import Nearby
+
+__all__ = ["CompletedLaw", "Wish", "activation", "push_factor"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_EPSILON = 2e-2  # (m/rad)^2: rows weaker than its root fade out
+_LARGEST_PUSH = 3.0  # times nominal
+_NEAR_LIMIT = 0.15  # of a joint's range: within this it counts as near its limit
+_TURN_GAIN = 0.01  # the paper's s_k, for D = +1
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the law asks for, before the shield.
+
+    Attributes
+    ----------
+    v: (n,) joint velocity.
+    primary: (n,) J_e^+ xdot_e.
+    null: (n,) H, the obstacle and directionality terms; J_e @ null is 0.
+    resolved: the tip Jacobian taken apart.
+    """
+
+    v: Vector
+    primary: Vector
+    null: Vector
+    resolved: Resolved
+
+
+def activation(distance: Vector, unity: float, influence: float) -> Vector:
+    """(K,) alpha_h of Maciejewski and Klein: 1 up to `unity`, a cosine to 0 at `influence`."""
+    part = np.clip((distance - unity) / (influence - unity), 0.0, 1.0)
+    return np.asarray(0.5 * (1.0 + np.cos(np.pi * part)))
+
+
+def push_factor(distance: Vector, unity: float) -> Vector:
+    """(K,) alpha_o of Maciejewski and Klein: (unity / d)^2 - 1 within `unity`, else 0, bounded."""
+    nearest = unity / np.sqrt(1.0 + _LARGEST_PUSH)
+    return np.asarray(np.maximum((unity / np.maximum(distance, nearest)) ** 2 - 1.0, 0.0))
+
+
+class CompletedLaw:
+    """The law for one machine.
+
+    Parameters
+    ----------
+    influence: margin (distance minus clearance) within which an obstacle acts [m].
+    nominal: speed of the push away from an obstacle at twice its unity factor [m/s].
+    directionality: whether the directionality terms take part.
+    """
+
+    def __init__(
+        self, robot: Robot, *, influence: float, nominal: float = 0.1, directionality: bool = True
+    ) -> None:
+        self.robot = robot
+        self.influence = influence
+        self.unity = influence / 3.0
+        self.nominal = nominal
+        self.directionality = directionality
+        self._range = robot.limits.upper - robot.limits.lower
+
+    def wish(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby) -> Wish:
+        """The joint velocity that serves the tip first, and the rest in the null space.
+
+        Parameters
+        ----------
+        J_e: (m, n) task Jacobian; rows that no joint can move are to be left out.
+        xdot_e: (m,) task velocity, [m/s] and [rad/s].
+        nearby: critical points within clearance + influence.
+        """
+        resolved = resolve(J_e)
+        primary = resolved.inverse @ xdot_e
+        N = resolved.projector
+        A = np.zeros((self.robot.n, self.robot.n))
+        b = np.zeros(self.robot.n)
+        busy = False
+        if len(nearby):
+            weight = activation(nearby.margin, self.unity, self.influence)
+            away = self.nominal * push_factor(nearby.margin, self.unity) - nearby.drift
+            missing = np.maximum(away - nearby.gradient @ primary, 0.0)
+            G = nearby.gradient @ N
+            A += G.T @ (weight[:, None] * G)
+            b += G.T @ (weight * missing)
+            busy = True
+        if self.directionality and self.robot.n > len(xdot_e):
+            self._add_directionality(at, primary, at.jacobian[:3] @ primary, N, A, b)
+            busy = True
+        null = np.zeros(self.robot.n)
+        if busy:
+            A[np.diag_indices_from(A)] += _EPSILON
+            null = N @ eigenpy.LDLT(A).solve(b)
+        return Wish(v=primary + null, primary=primary, null=null, resolved=resolved)
+
+    def near_limit(self, q: Vector, v: Vector) -> Vector:
+        """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
+        ahead = np.where(v > 0.0, self.robot.limits.upper - q, q - self.robot.limits.lower)
+        zone = np.where(np.isfinite(self._range), _NEAR_LIMIT * self._range, 1.0)
+        return np.asarray(np.clip(1.0 - ahead / zone, 0.0, 1.0) * (np.abs(v) > 1e-9))
+
+    def _add_directionality(
+        self, at: Configuration, primary: Vector, tip_velocity: Vector, N: Matrix, A: Matrix, b: Vector
+    ) -> None:
+        """Add the rows s_k |J_k (v_e + H) - xdot_k|^2 to the normal equations A H = b."""
+        near = self.near_limit(at.q, primary)[:-1]
+        gain = np.repeat(_TURN_GAIN + (1.0 - _TURN_GAIN) * near**2, 3)
+        J = all_link_jacobians(at)
+        turns = all_link_velocities(at, tip_velocity, D=1.0 - 2.0 * near).ravel()
+        row = J @ N
+        weighted = row.T * gain
+        A += weighted @ row
+        b += weighted @ (turns - J @ primary)

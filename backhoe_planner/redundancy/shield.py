@@ -1,0 +1,176 @@
+"""The shield: the nearest joint velocity that is safe.
+
+    min_v  (v - v_w)^T W (v - v_w)
+    s.t.   g_i v + drift_i >= -gamma margin_i         every nearby pair       (soft)
+           v within velocity, acceleration and braking limits of each joint   (hard)
+
+W weighs what the tip would notice: leaving the wished direction costs most, going
+slower along it less, motion in the null space least.
+
+gamma is 1.6 / T with T the time in which all joints together can be braked to rest, so
+that braking in proportion, which keeps the joints' direction, stops within 80 % of
+each margin. From a velocity that satisfies the rows, braking satisfies them again: the
+problem stays solvable without slack as long as the obstacles hold still. Outside a
+limit, or closer than the clearance, the bounds ask for the way back. A row that cannot
+be met costs a price instead of an error, and the missing speed is reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.site.proximity import Nearby
+
+__all__ = ["Shield", "Shielded"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W
+_STOPPING_PART = 1.6  # gamma T: 2 would stop exactly at the clearance
+_RECOVERY = 1.0  # 1/s, rate at which a violated clearance or limit is to be left
+_FASTEST_RECOVERY = 0.25  # m/s or rad/s
+_SOFT, _HARD = 8, 0  # daqp's senses
+_UNBOUNDED = -1e30
+
+
+@dataclass(frozen=True)
+class Shielded:
+    """What the shield let through.
+
+    Attributes
+    ----------
+    v: (n,) joint velocity.
+    slack: how much of a row was not met [m/s]; 0 where all were.
+    binding: rows of the nearby pairs that hold the motion back.
+    """
+
+    v: Vector
+    slack: float
+    binding: NDArray[np.intp]
+
+
+class Shield:
+    """The filter for one machine's limits at one time step.
+
+    Parameters
+    ----------
+    limits: of the joints, already scaled.
+    """
+
+    def __init__(self, limits: JointLimits) -> None:
+        self.limits = limits
+        n = len(limits.velocity)
+        self._eye = _FREE * np.eye(n)
+
+    def velocity_bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
+        """(n,), (n,) the joint velocities that keep every joint limit, with room to brake.
+
+        A joint at distance `gap` from a limit may move towards it at the speed from
+        which it stops within the gap, this step included. Beyond a limit it must come
+        back. What the acceleration limit allows has the last word.
+        """
+        limits = self.limits
+        a = limits.acceleration
+        upper = np.minimum(limits.velocity, _stoppable(limits.upper - q, a, dt))
+        lower = -np.minimum(limits.velocity, _stoppable(q - limits.lower, a, dt))
+        fastest, slowest = v_before + a * dt, v_before - a * dt
+        high = np.clip(upper, slowest, fastest)
+        low = np.clip(lower, slowest, fastest)
+        return low, np.maximum(high, low)
+
+    def braking_time(self, v: Vector) -> float:
+        """Time in which all joints, slowing in proportion, come to rest [s]."""
+        return float(np.max(np.abs(v) / self.limits.acceleration))
+
+    def filter(
+        self,
+        wish: Vector,
+        *,
+        q: Vector,
+        v_before: Vector,
+        dt: float,
+        nearby: Nearby,
+        J_tip: Matrix,
+        extra_margin: Vector | float = 0.0,
+    ) -> Shielded:
+        """The safe velocity nearest to `wish` (n,).
+
+        Parameters
+        ----------
+        q, v_before: (n,) where the joints are, and their velocity in the last step.
+        dt: length of the step [s].
+        nearby: the pairs to keep clear of.
+        J_tip: (3, n) position Jacobian of the tip.
+        extra_margin: (K,) or one number, distance to be kept on top of the clearance [m].
+        """
+        low, high = self.velocity_bounds(q, v_before, dt)
+        bound, rows = self._distance_rows(nearby, np.maximum(np.abs(v_before), np.abs(wish)), dt, extra_margin)
+        if len(rows) == 0 and np.all(wish >= low) and np.all(wish <= high):
+            return Shielded(v=wish, slack=0.0, binding=rows)
+        H = self._weight(wish, J_tip)
+        A = np.ascontiguousarray(-nearby.gradient[rows])
+        n, count = len(wish), len(rows)
+        sense = np.full(n + count, _SOFT, dtype=np.int32)
+        sense[:n] = _HARD
+        x, _, flag, _ = daqp.solve(
+            H,
+            -H @ wish,
+            A,
+            np.concatenate((high, bound)),
+            np.concatenate((low, np.full(count, _UNBOUNDED))),
+            sense,
+        )
+        if flag < 1 or not np.all(np.isfinite(x)):
+            x = self._braked(v_before, dt)
+        v = np.clip(x, low, high)
+        over = A @ v - bound
+        slack = float(np.max(over, initial=0.0))
+        return Shielded(v=v, slack=slack if slack > 1e-5 else 0.0, binding=rows[over > -1e-5])
+
+    def _braked(self, v: Vector, dt: float) -> Vector:
+        time = self.braking_time(v)
+        return v * max(1.0 - dt / time, 0.0) if time > 0.0 else v
+
+    def _weight(self, wish: Vector, J_tip: Matrix) -> Matrix:
+        """(n, n) W."""
+        tip = J_tip @ wish
+        speed2 = float(tip @ tip)
+        H = self._eye + _ACROSS * (J_tip.T @ J_tip)
+        if speed2 > 1e-12:
+            along = tip @ J_tip
+            H -= (_ACROSS - _ALONG) / speed2 * np.outer(along, along)
+        return np.asarray(H)
+
+    def _distance_rows(
+        self, nearby: Nearby, fastest: Vector, dt: float, extra_margin: Vector | float
+    ) -> tuple[Vector, NDArray[np.intp]]:
+        """Right-hand sides of -g v <= bound, and the rows that can bind at all."""
+        if len(nearby) == 0:
+            return np.zeros(0), np.zeros(0, dtype=int)
+        gamma = _STOPPING_PART / max(self.braking_time(fastest), _STOPPING_PART * 2.0 * dt)
+        margin = nearby.margin - extra_margin
+        allowed = np.where(
+            margin >= 0.0, gamma * margin, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY)
+        )
+        bound = allowed + nearby.drift
+        reachable = np.abs(nearby.gradient) @ self.limits.velocity
+        rows = np.flatnonzero(bound < reachable)
+        return bound[rows], rows
+
+
+def _stoppable(gap: Vector, a: Vector, dt: float) -> Vector:
+    """(n,) speed towards a limit from which braking at `a` stops within `gap`.
+
+    The step itself and half of the next are driven before braking counts. Negative
+    beyond the limit: the speed of the way back.
+    """
+    lead = 1.5 * dt
+    inside = a * (np.sqrt(lead**2 + 2.0 * np.maximum(gap, 0.0) / a) - lead)
+    back = -np.minimum(-_RECOVERY * gap, _FASTEST_RECOVERY)
+    return np.where(gap >= 0.0, inside, back)
