@@ -1,0 +1,339 @@
+"""The certificate: a proof about a whole continuous motion, made after the fact.
+
+On a segment from q_a to q_b no point of a link moves further than
+B = sum_j |dq_j| r_j relative to an obstacle (its own travel added), so the distance
+anywhere between is at least (d_a + d_b - B) / 2. Where that bound does not decide, the
+segment is halved. The result is the least distance over the whole motion, proven to
+within `RESOLUTION` (or 2 % of the margin, where that is more), never above the true one. It rests on nothing but the URDF,
+the scene and the samples: not on how the motion was found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics import Kinematics
+from backhoe_planner.machine.reach import tip_travel_bound
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.tracking import Detour, Tracking, track_goal, track_path
+from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.scene import Scene
+
+__all__ = ["Certificate", "Clearance", "LimitUse", "certify", "certify_problem", "segment_is_clear"]
+
+Vector = NDArray[np.float64]
+
+RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance
+_RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
+KEPT_WITHIN = RESOLUTION + 1e-6  # m: a motion at exactly its clearance counts as keeping it
+_LIMIT_TOLERANCE = 1e-6  # relative, for rounding
+_NEVER = 10.0  # m: clearances above this are not told apart
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """The least distance to one obstacle over the whole motion.
+
+    Attributes
+    ----------
+    value: proven lower bound of the signed distance [m].
+    margin: `value` minus the clearance that must be kept [m].
+    obstacle, link: between which it was found.
+    time: when [s].
+    """
+
+    value: float
+    margin: float
+    obstacle: str
+    link: str
+    time: float
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """How much of a joint limit the motion uses, where it uses most.
+
+    Attributes
+    ----------
+    ratio: 1 at the limit. For position: 1 plus the excess [rad or m] where outside.
+    joint: name of the joint.
+    time: when [s].
+    """
+
+    ratio: float
+    joint: str
+    time: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit holds."""
+        return self.ratio <= 1.0 + _LIMIT_TOLERANCE
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was proven of a motion.
+
+    Attributes
+    ----------
+    min_clearance: the tightest, by margin; None where nothing can be touched.
+    clearances: of every obstacle that comes near, tightest margin first.
+    position, velocity, acceleration: use of the joint limits.
+    tracking: how the tip keeps to its task.
+    problems: what is not as it must be, in words; empty where verified.
+    """
+
+    min_clearance: Clearance | None
+    clearances: tuple[Clearance, ...]
+    position: LimitUse
+    velocity: LimitUse
+    acceleration: LimitUse
+    tracking: Tracking
+    problems: tuple[str, ...]
+
+    @property
+    def verified(self) -> bool:
+        """Whether every clearance and limit holds and the task is done."""
+        return not self.problems
+
+    @property
+    def safe(self) -> bool:
+        """Whether every clearance and limit holds, be the task done or not."""
+        tightest = self.min_clearance
+        return (
+            (tightest is None or tightest.margin >= -KEPT_WITHIN)
+            and self.position.kept
+            and self.velocity.kept
+            and self.acceleration.kept
+        )
+
+    @property
+    def detours(self) -> tuple[Detour, ...]:
+        """The parts of the motion that leave the specified path."""
+        return self.tracking.detours
+
+
+def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
+    """Prove what holds over the whole of a motion.
+
+    Raises
+    ------
+    SceneError, RobotError: the scene does not fit the machine.
+    InputError: the trajectory has another number of joints.
+    """
+    return certify_problem(build_problem(robot, scene), trajectory)
+
+
+def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
+    """The same, where machine and scene have already been brought together."""
+    problem.robot.check_q(trajectory.q[0], what="trajectory.q")
+    clearances = _clearances(problem, trajectory)
+    position, velocity, acceleration = _limit_use(problem, trajectory)
+    kinematics = Kinematics(problem.robot)
+    reach = tip_travel_bound(problem.robot)
+    if problem.path is not None:
+        assert problem.scene.task.path is not None
+        tracking = track_path(problem.path, problem.scene.task.path.tolerance, trajectory, kinematics, reach)
+    else:
+        assert problem.goal is not None
+        tracking = track_goal(problem.goal, trajectory, kinematics)
+    tightest = clearances[0] if clearances else None
+    return Certificate(
+        min_clearance=tightest,
+        clearances=clearances,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        tracking=tracking,
+        problems=tuple(_problems(problem, trajectory, tightest, (position, velocity, acceleration), tracking)),
+    )
+
+
+def _problems(
+    problem: Problem,
+    trajectory: Trajectory,
+    tightest: Clearance | None,
+    limits: tuple[LimitUse, LimitUse, LimitUse],
+    tracking: Tracking,
+) -> list[str]:
+    found = []
+    if tightest is not None and tightest.margin < -KEPT_WITHIN:
+        found.append(
+            f"{tightest.link} comes to {tightest.value:.3f} m of {tightest.obstacle} at {tightest.time:.2f} s, "
+            f"{-tightest.margin:.3f} m closer than allowed"
+        )
+    for kind, use in zip(("position", "velocity", "acceleration"), limits, strict=True):
+        if not use.kept:
+            found.append(f"{use.joint} exceeds its {kind} limit at {use.time:.2f} s ({use.ratio:.3f} of it)")
+    if problem.start_q is not None and np.max(np.abs(trajectory.q[0] - problem.start_q)) > 1e-9:
+        found.append("the motion does not begin at the asked start")
+    path = problem.scene.task.path
+    if not tracking.done:
+        found.append(tracking.shortfall)
+    elif tracking.detours and path is not None and not path.detour:
+        longest = max(tracking.detours, key=lambda detour: detour.length)
+        found.append(
+            f"the tip leaves the path from {longest.path_from:.2f} m to {longest.path_to:.2f} m, "
+            f"by up to {longest.max_deviation:.3f} m, and detours are not allowed"
+        )
+    return found
+
+
+# --- distances ------------------------------------------------------------------
+
+
+def _clearances(problem: Problem, trajectory: Trajectory) -> tuple[Clearance, ...]:
+    proximity = Proximity(problem.robot, problem.obstacles)
+    if not proximity.pairs:
+        return ()
+    time, q = _with_appearances(trajectory, proximity)
+    count, pairs = len(time), len(proximity.pairs)
+    owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
+    least = np.full(len(proximity.obstacles) + 1, _NEVER)  # least measured margin of each obstacle
+    where = np.zeros((len(least), 2), dtype=int)  # its sample and pair
+    lower = np.empty((count, pairs))
+    for row in range(count):
+        floor = np.where(proximity.appears_at <= time[row], least[owners] + proximity.clearance, -np.inf)
+        lower[row], measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor)
+        lower[row, proximity.appears_at > time[row]] = np.inf
+        for pair in np.flatnonzero(measured):
+            margin = lower[row, pair] - proximity.clearance[pair]
+            if margin < least[owners[pair]]:
+                least[owners[pair]] = margin
+                where[owners[pair]] = row, pair
+    found_at = [(float(time[row]), int(pair)) for row, pair in where]
+    steps = np.abs(np.diff(q, axis=0)) @ proximity.travel.T + np.diff(time)[:, None] * proximity.speed
+    bounds = 0.5 * (lower[:-1] + lower[1:] - steps) - proximity.clearance
+    open_rows, open_pairs = np.nonzero(bounds < _proven(least)[owners])
+    order = np.argsort(bounds[open_rows, open_pairs], kind="stable")
+    for row, pair in zip(open_rows[order], open_pairs[order], strict=True):
+        if proximity.appears_at[pair] <= time[row]:
+            segment = _Segment(proximity, int(pair), time[row : row + 2], q[row : row + 2])
+            _refine(segment, owners[pair], least, found_at)
+    return _sorted_clearances(proximity, least, found_at)
+
+
+def _proven(least: Any) -> Any:
+    """The margins that are proven where `least` are the least that were measured [m]."""
+    return least - np.maximum(RESOLUTION, _RESOLUTION_OF_MARGIN * least)
+
+
+class _Segment:
+    """One pair on one straight piece of a motion."""
+
+    def __init__(self, proximity: Proximity, pair: int, time: Vector, q: NDArray[np.float64]) -> None:
+        self.pair = pair
+        self._proximity, self._time, self._q = proximity, time, q
+        self.travel = float(np.abs(q[1] - q[0]) @ proximity.travel[pair])
+        self.travel += float(proximity.speed[pair] * (time[1] - time[0]))
+
+    def moment(self, part: float) -> float:
+        """Time at `part` 0..1 of the segment [s]."""
+        return float((1.0 - part) * self._time[0] + part * self._time[1])
+
+    def margin(self, part: float) -> float:
+        """Distance minus clearance at `part` 0..1 of the segment [m]."""
+        q = (1.0 - part) * self._q[0] + part * self._q[1]
+        distance = self._proximity.distance_of(self.pair, q, time=self.moment(part))
+        return distance - float(self._proximity.clearance[self.pair])
+
+
+def _refine(segment: _Segment, owner: np.intp, least: Vector, found_at: list[tuple[float, int]]) -> None:
+    """Halve a segment until nothing on it can lie below what is to be proven."""
+
+    def measured(part: float) -> float:
+        margin = segment.margin(part)
+        if margin < least[owner]:
+            least[owner] = margin
+            found_at[owner] = (segment.moment(part), segment.pair)
+        return margin
+
+    stack = [(0.0, measured(0.0), 1.0, measured(1.0))]
+    while stack:
+        a, m_a, b, m_b = stack.pop()
+        if 0.5 * (m_a + m_b - segment.travel * (b - a)) >= _proven(least[owner]):
+            continue
+        middle = 0.5 * (a + b)
+        m_m = measured(middle)
+        stack += [(middle, m_m, b, m_b), (a, m_a, middle, m_m)]
+
+
+def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vector, NDArray[np.float64]]:
+    """Samples of the motion, and one more at every moment at which an obstacle appears."""
+    moments = {float(t) for t in proximity.appears_at if trajectory.time[0] < t < trajectory.time[-1]}
+    time = np.unique(np.concatenate((trajectory.time, sorted(moments))))
+    if len(time) == len(trajectory.time):
+        return trajectory.time, trajectory.q
+    q = np.column_stack([np.interp(time, trajectory.time, column) for column in trajectory.q.T])
+    return time, q
+
+
+def _sorted_clearances(
+    proximity: Proximity, least: Vector, found_at: list[tuple[float, int]]
+) -> tuple[Clearance, ...]:
+    found = []
+    for owner, (time, index) in enumerate(found_at):
+        if least[owner] >= _NEVER:
+            continue
+        pair = proximity.pairs[index]
+        margin = float(_proven(least[owner]))
+        found.append(Clearance(margin + pair.clearance, margin, pair.obstacle, pair.link, time))
+    return tuple(sorted(found, key=lambda clearance: clearance.margin))
+
+
+def segment_is_clear(
+    proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0, dt: float = 0.0, depth: int = 6
+) -> bool:
+    """Whether every clearance provably holds on one segment.
+
+    Parameters
+    ----------
+    q_a, q_b: (n,) its ends; the joints move linearly between them.
+    time, dt: when it begins, and how long it takes [s].
+    depth: how often it may be halved.
+    """
+    travel = np.abs(q_b - q_a) @ proximity.travel.T + dt * proximity.speed
+    floor = proximity.clearance + travel
+    present = proximity.appears_at <= time + dt
+    d_a, _ = proximity.lower_bounds(q_a, time=time, floor=floor)
+    d_b, _ = proximity.lower_bounds(q_b, time=time + dt, floor=floor)
+    bound = 0.5 * (d_a + d_b - travel)
+    undecided = present & (bound < proximity.clearance)
+    if not np.any(undecided):
+        return True
+    if np.any(present & ((d_a < proximity.clearance) | (d_b < proximity.clearance))) or depth == 0:
+        return False
+    middle = 0.5 * (q_a + q_b)
+    return segment_is_clear(
+        proximity, q_a, middle, time=time, dt=0.5 * dt, depth=depth - 1
+    ) and segment_is_clear(proximity, middle, q_b, time=time + 0.5 * dt, dt=0.5 * dt, depth=depth - 1)
+
+
+# --- joint limits -----------------------------------------------------------------
+
+
+def _limit_use(problem: Problem, trajectory: Trajectory) -> tuple[LimitUse, LimitUse, LimitUse]:
+    limits = problem.limits
+    names = problem.robot.joint_names
+    middle = 0.5 * (limits.lower + limits.upper)
+    half = 0.5 * (limits.upper - limits.lower)
+    with np.errstate(invalid="ignore"):
+        used = np.where(np.isfinite(half), np.abs(trajectory.q - middle) / half, 0.0)
+    excess = np.maximum(trajectory.q - limits.upper, limits.lower - trajectory.q)
+    used = np.where(excess > 0.0, 1.0 + excess, np.minimum(used, 1.0))
+    velocity = np.abs(trajectory.segment_velocities()) / limits.velocity
+    acceleration = np.abs(trajectory.accelerations()) / limits.acceleration
+
+    def worst(ratios: NDArray[np.float64]) -> LimitUse:
+        if ratios.size == 0:
+            return LimitUse(0.0, names[0], 0.0)
+        row, joint = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
+        return LimitUse(float(ratios[row, joint]), names[int(joint)], float(trajectory.time[row]))
+
+    return worst(used), worst(velocity), worst(acceleration)

@@ -1,0 +1,199 @@
+"""How well the tip keeps to its task, from the samples of a motion alone.
+
+Between two samples the tip leaves the straight line between its two positions by at
+most 1/8 (sum_j |dq_j|) (sum_j |dq_j| r_j): its acceleration under constant joint rates
+is at most that product. This sagitta is added to what the samples show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics import Kinematics
+from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.trajectory import Trajectory
+
+__all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "track_goal", "track_path"]
+
+Vector = NDArray[np.float64]
+
+GOAL_TOLERANCE = 1e-3  # m
+ANGLE_TOLERANCE = 1e-2  # rad
+_BEGINNING = 0.1  # of the path: while less is done, the tip may still be approaching
+_LOOK_AHEAD = 0.5  # m of path in which the tip is looked for while it follows
+
+
+@dataclass(frozen=True)
+class Detour:
+    """A part of the motion that leaves the specified path and comes back to it.
+
+    Attributes
+    ----------
+    time_from, time_to: when [s].
+    path_from, path_to: where the tip leaves the path and where it rejoins it [m].
+    length: way of the tip in between [m].
+    max_deviation: largest distance from the path [m].
+    """
+
+    time_from: float
+    time_to: float
+    path_from: float
+    path_to: float
+    length: float
+    max_deviation: float
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """What the tip made of its task.
+
+    Attributes
+    ----------
+    done: goal reached, or path followed to its end.
+    shortfall: in words, what is missing where not done.
+    max_error, mean_error: of the tip's position [m]: at the goal, or over the followed
+        parts of the path with what may happen between the samples.
+    max_angle_error: [rad]
+    path_length: of the specified path [m]; 0 for a goal.
+    followed: part of it that was followed [m].
+    approach_time: when the tip first is on the path [s].
+    detours: where it left the path.
+    """
+
+    done: bool
+    shortfall: str
+    max_error: float
+    mean_error: float
+    max_angle_error: float
+    path_length: float = 0.0
+    followed: float = 0.0
+    approach_time: float = 0.0
+    detours: tuple[Detour, ...] = ()
+
+
+def track_goal(goal: TipTarget, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
+    """How close the last sample is to `goal`."""
+    position, angle = goal.distances(kinematics.at(trajectory.q[-1]))
+    missing = []
+    if position > GOAL_TOLERANCE:
+        missing.append(f"the tip ends {position:.3f} m from the goal")
+    if angle > ANGLE_TOLERANCE:
+        missing.append(f"the bucket ends {np.degrees(angle):.1f} deg from the asked angle")
+    return Tracking(not missing, " and ".join(missing), position, position, angle)
+
+
+def track_path(
+    path: BucketPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics, reach: Vector
+) -> Tracking:
+    """How the samples keep to `path`, with a bound for what lies between them.
+
+    Parameters
+    ----------
+    tolerance: within which the tip counts as on the path [m].
+    reach: (n,) bound on the tip's travel per joint, as by `tip_travel_bound`.
+    """
+    station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
+    step = np.abs(np.diff(trajectory.q, axis=0))
+    sagitta = 0.125 * step.sum(axis=1) * (step @ reach)
+    between = np.zeros(len(trajectory))
+    between[:-1] = sagitta
+    between[1:] = np.maximum(between[1:], sagitta)
+    on = (error + between <= tolerance) & (angle <= ANGLE_TOLERANCE)
+    if not on.any():
+        nearest = int(np.argmin(error))
+        return Tracking(
+            False, f"the tip never comes onto the path; nearest {error[nearest]:.3f} m", float(error[nearest]),
+            float(error[nearest]), float(angle[nearest]), path.length,
+        )  # fmt: skip
+    # the approach ends where the tip comes nearest to the path's beginning
+    at_begin = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
+    begins = np.flatnonzero(on & at_begin & (station <= _BEGINNING * path.length))
+    if not len(begins):
+        begins = np.flatnonzero(on)[:1]
+    first, last = int(begins[np.argmin(error[begins])]), len(on) - 1 - int(np.argmax(on[::-1]))
+    detours = _detours(on, first, last, station, error, tips, trajectory.time)
+    skipped = sum(detour.path_to - detour.path_from for detour in detours)
+    missing = []
+    if station[first] > tolerance:
+        missing.append(f"the path is joined at {station[first]:.2f} m instead of at its start")
+    if station[last] < path.length - tolerance or last < len(on) - 1:
+        missing.append(f"the path is followed to {station[last]:.2f} m of {path.length:.2f} m")
+    return Tracking(
+        done=not missing,
+        shortfall=" and ".join(missing),
+        max_error=float(np.max((error + between)[on])),
+        mean_error=float(np.mean(error[on])),
+        max_angle_error=float(np.max(angle[on])),
+        path_length=path.length,
+        followed=float(station[last] - station[first] - skipped),
+        approach_time=float(trajectory.time[first]),
+        detours=tuple(detours),
+    )
+
+
+def _follow(
+    path: BucketPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics
+) -> tuple[Vector, Vector, Vector, NDArray[np.float64]]:
+    """Per sample: arc length, distance from the path, angle error, and tip position."""
+    count = len(trajectory)
+    station, error, angle = np.zeros(count), np.zeros(count), np.zeros(count)
+    tips = np.zeros((count, 3))
+    reached = 0.0
+    joined = False
+    for row in range(count):
+        at = kinematics.at(trajectory.q[row])
+        tips[row] = at.tip_position
+        from_begin = float(np.linalg.norm(at.tip_position - path.points[0]))
+        if from_begin <= tolerance and reached <= _BEGINNING * path.length:
+            # an approach may brush along the path before it settles on its beginning
+            reached, joined = 0.0, True
+        if not joined:
+            s, distance = 0.0, from_begin
+        else:
+            s, distance = path.nearest(at.tip_position, low=reached, high=min(reached + _LOOK_AHEAD, path.length))
+            if distance > tolerance:  # it may rejoin further on
+                further, nearer = path.nearest(at.tip_position, low=reached)
+                if nearer <= tolerance:
+                    s, distance = further, nearer
+            if distance <= tolerance:
+                reached = s
+        station[row], error[row] = s, distance
+        angle[row] = path.target(s).distances(at)[1] if path.asks_orientation else 0.0
+    return station, error, angle, tips
+
+
+def _detours(
+    on: NDArray[np.bool_],
+    first: int,
+    last: int,
+    station: Vector,
+    error: Vector,
+    tips: NDArray[np.float64],
+    time: Vector,
+) -> list[Detour]:
+    found = []
+    row = first
+    while row <= last:
+        if on[row]:
+            row += 1
+            continue
+        end = row
+        while not on[end]:
+            end += 1
+        way = np.diff(tips[row - 1 : end + 1], axis=0)
+        found.append(
+            Detour(
+                time_from=float(time[row - 1]),
+                time_to=float(time[end]),
+                path_from=float(station[row - 1]),
+                path_to=float(station[end]),
+                length=float(np.sum(np.linalg.norm(way, axis=1))),
+                max_deviation=float(np.max(error[row:end])),
+            )
+        )
+        row = end
+    return found
