@@ -1,0 +1,372 @@
+"""The command line: `backhoe-planner COMMAND ...`.
+
+Exit status: 0 verified (or done), 1 no verified plan, 2 bad input, 130 interrupted.
+What a command computes is one call of the library; here it is only asked for and told.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import time as clock
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+import backhoe_planner as bp
+from backhoe_planner.planning.plan import Plan
+from backhoe_planner.planning.plan_file import check_writable, plan_to_dict
+from backhoe_planner.planning.planner import DEFAULT_BUDGET
+
+__all__ = ["app", "main"]
+
+VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+app = typer.Typer(
+    help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+_out = Console(highlight=False, markup=False, soft_wrap=True)
+_err = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+
+Urdf = Annotated[str, typer.Argument(metavar="URDF", help="A URDF file, or example:NAME.", show_default=False)]
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).", show_default=False)]
+PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file (JSON).", show_default=False)]
+PlanUrdf = Annotated[
+    str | None, typer.Option("--urdf", metavar="URDF", help="Where the URDF lies now, if not where the plan says.")
+]
+
+
+def main() -> NoReturn:
+    """Entry point of `backhoe-planner`."""
+    try:
+        status = app(standalone_mode=False)
+    except bp.InputError as error:
+        _err.print(Text("error: ", style="bold red") + Text(str(error)))
+        sys.exit(BAD_INPUT)
+    except (KeyboardInterrupt, typer.Abort):
+        _err.print("interrupted")
+        sys.exit(INTERRUPTED)
+    except typer.Exit as done:
+        sys.exit(done.exit_code)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(FAILED)
+    except Exception as error:
+        if not _is_usage_error(error):
+            raise
+        _err.print(Text("error: ", style="bold red") + Text(error.format_message()))  # type: ignore[attr-defined]
+        sys.exit(BAD_INPUT)
+    sys.exit(status if isinstance(status, int) else VERIFIED)
+
+
+def _is_usage_error(error: Exception) -> bool:
+    """Whether it is click's own complaint about the command line."""
+    return hasattr(error, "format_message") and hasattr(error, "exit_code")
+
+
+@app.command()
+def plan(
+    urdf: Urdf,
+    scene: SceneFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to write.")] = Path(
+        "plan.json"
+    ),
+    method: Annotated[str, typer.Option(help="auto, reactive or paper.")] = "auto",
+    seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
+    budget: Annotated[float, typer.Option(metavar="S", help="Time to plan in [s].")] = DEFAULT_BUDGET,
+    view: Annotated[bool, typer.Option("--view", help="Show the steps in the browser, then play the plan.")] = False,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the plan offline.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as JSON (all of the plan file but the trajectory).")
+    ] = False,
+) -> int:
+    """Plan the task of a scene, and write the plan."""
+    check_writable(output)
+    if html is not None:
+        check_writable(html)
+    loaded = bp.load_scene(scene)
+    robot = bp.load_robot(urdf, tip=loaded.tip)
+    if view:
+        found = _plan_in_viewer(robot, loaded, method, seed, budget, output, as_json)
+    else:
+        with _working(not as_json):
+            found = bp.plan(robot, loaded, method=method, seed=seed, budget=budget)
+        found.save(output)
+        _tell(found, output, as_json)
+    if html is not None:
+        _write_html(found, html, tell=not as_json)
+    return VERIFIED if found.verified else FAILED
+
+
+@app.command(name="view")
+def view_plan(
+    plan_file: PlanFile,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write one page that works offline instead.")
+    ] = None,
+    urdf: PlanUrdf = None,
+) -> int:
+    """Play a plan in the browser, or write it as one page."""
+    if html is not None:
+        check_writable(html)
+    loaded = bp.load_plan(plan_file, urdf=urdf)
+    if html is not None:
+        _write_html(loaded, html)
+        return VERIFIED
+    from backhoe_planner.show.viewer import Viewer
+
+    with Viewer() as viewer:
+        _play(viewer, loaded)
+    return VERIFIED
+
+
+@app.command()
+def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
+    """Compute the certificate of a plan anew."""
+    begun = clock.monotonic()
+    loaded = bp.load_plan(plan_file, urdf=urdf)
+    certificate = loaded.certificate
+    if certificate.verified:
+        _out.print(Text("verified", style="bold green"))
+    else:
+        _out.print(Text("not verified", style="bold red"))
+        for problem in certificate.problems:
+            _out.print(f"  {problem}")
+    table = Table("obstacle", "link", "distance [m]", "margin [m]", "at [s]", box=None, pad_edge=False)
+    for row in certificate.clearances:
+        table.add_row(row.obstacle, row.link, f">= {row.value:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}")
+    if certificate.clearances:
+        _out.print(table)
+    for kind in ("position", "velocity", "acceleration"):
+        use = getattr(certificate, kind)
+        _out.print(f"{kind:<13}{100.0 * use.ratio:5.1f} % of its limit at most ({use.joint}, {use.time:.2f} s)")
+    _out.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
+    _out.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
+    return VERIFIED if certificate.verified else FAILED
+
+
+@app.command()
+def inspect(
+    urdf: Urdf,
+    tip: Annotated[str | None, typer.Option(metavar="LINK", help="The link that is moved.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the working envelope.")] = None,
+) -> int:
+    """Show joints, limits, frames, Denavit-Hartenberg table and working envelope."""
+    if plot is not None:
+        check_writable(plot)
+    robot = bp.load_robot(urdf, tip=tip)
+    _tell_joints(robot)
+    _tell_dh(robot)
+    _tell_envelope(robot)
+    if plot is not None:
+        from backhoe_planner.show.plots import plot_envelope
+
+        plot_envelope(robot, plot)
+        _out.print(f"\nwrote {plot}")
+    return VERIFIED
+
+
+@app.command(name="plot")
+def plot_command(
+    plan_file: PlanFile,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help=".png, .svg or .pdf", show_default=False)],
+    urdf: PlanUrdf = None,
+) -> int:
+    """Plot joints, rates, clearances, power and energy of a plan over time."""
+    from backhoe_planner.show.plots import plot_plan
+
+    check_writable(file)
+    plot_plan(bp.load_plan(plan_file, urdf=urdf), file)
+    _out.print(f"wrote {file}")
+    return VERIFIED
+
+
+@app.command()
+def export(
+    plan_file: PlanFile,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help=".csv, .npz, or .yaml (ROS 2 JointTrajectory)", show_default=False)
+    ],
+    urdf: PlanUrdf = None,
+) -> int:
+    """Write a plan's motion for other tools."""
+    from backhoe_planner.planning.export import export_plan
+
+    check_writable(file)
+    export_plan(bp.load_plan(plan_file, urdf=urdf), file)
+    _out.print(f"wrote {file}")
+    return VERIFIED
+
+
+@app.command()
+def schema() -> int:
+    """Print the scene file's JSON Schema."""
+    sys.stdout.write(json.dumps(bp.scene_schema(), indent=2) + "\n")
+    return VERIFIED
+
+
+# --- planning and viewing ---------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _working(shown: bool) -> Iterator[None]:
+    if shown and _err.is_terminal:
+        with _err.status("planning ..."):
+            yield
+    else:
+        yield
+
+
+def _plan_in_viewer(
+    robot: bp.Robot, scene: bp.Scene, method: str, seed: int, budget: float, output: Path, as_json: bool
+) -> Plan:
+    from backhoe_planner.planning.problem import build_problem
+    from backhoe_planner.show.viewer import Viewer
+
+    with Viewer() as viewer:
+        viewer.show_problem(build_problem(robot, scene))
+        _announce(viewer)
+        found = bp.plan(
+            robot, scene, method=method, seed=seed, budget=budget,
+            watch=lambda step: viewer.show_step(step.q, step.time),
+        )  # fmt: skip
+        found.save(output)
+        _tell(found, output, as_json)
+        _play(viewer, found, announced=True)
+    return found
+
+
+def _announce(viewer: Any) -> None:
+    _err.print(f"open {viewer.url} in a browser (Ctrl-C ends)")
+    viewer.wait_for_browser()
+
+
+def _play(viewer: Any, found: Plan, *, announced: bool = False) -> None:
+    """Show a plan until Ctrl-C."""
+    viewer.play(found)
+    if not announced:
+        _announce(viewer)
+    _err.print("playing; the panel in the page has speed and position; Ctrl-C ends")
+    with contextlib.suppress(KeyboardInterrupt):
+        while viewer.alive():
+            clock.sleep(0.2)
+
+
+def _write_html(found: Plan, html: Path, *, tell: bool = True) -> None:
+    from backhoe_planner.show.page import write_page
+
+    write_page(found, html)
+    if tell:
+        _out.print(f"page          {html}")
+
+
+# --- telling ----------------------------------------------------------------------
+
+
+def _tell(found: Plan, output: Path, as_json: bool) -> None:
+    if as_json:
+        content = plan_to_dict(found)
+        content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
+        sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
+        return
+    _out.print(_verdict(found))
+    if found.message:
+        _out.print(f"  {found.message}")
+    certificate = found.certificate
+    tightest = certificate.min_clearance
+    if tightest is not None:
+        _out.print(
+            f"clearance     {tightest.value:.3f} m at least between {tightest.link} and {tightest.obstacle} "
+            f"(margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
+        )
+    tracking = certificate.tracking
+    _out.print(f"tip error     {1e3 * tracking.max_error:.2f} mm at most")
+    for detour in tracking.detours:
+        _out.print(
+            f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
+            f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off"
+        )
+    metrics = found.metrics
+    _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
+    _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ (gravity, inertia and payload)")
+    _out.print(f"planned in    {metrics['planning_time']:.2f} s")
+    _out.print(f"plan          {output}")
+
+
+def _verdict(found: Plan) -> Text:
+    if found.verified:
+        return Text("verified", style="bold green")
+    return Text(f"failed: {found.reason}", style="bold red")
+
+
+def _tell_joints(robot: bp.Robot) -> None:
+    limits = robot.limits
+    _out.print(f"{robot.name}: {robot.n} joints move {robot.tip}; {len(robot.pieces)} collision pieces\n")
+    table = Table("joint", "lower", "upper", "rate", "acceleration", "effort", box=None, pad_edge=False)
+    for j, name in enumerate(robot.joint_names):
+        slides = bool(robot.prismatic[j])
+        unit, scale = ("m", 1.0) if slides else ("deg", 180.0 / 3.141592653589793)
+        table.add_row(
+            name,
+            f"{scale * limits.lower[j]:.1f} {unit}",
+            f"{scale * limits.upper[j]:.1f} {unit}",
+            f"{limits.velocity[j]:.3g} {'m' if slides else 'rad'}/s",
+            f"{limits.acceleration[j]:.3g} {'m' if slides else 'rad'}/s2",
+            f"{limits.effort[j]:,.0f} {'N' if slides else 'N m'}",
+        )
+    _out.print(table)
+    _out.print(f"\nlinks         {', '.join(robot.all_link_names)}")
+
+
+def _tell_dh(robot: bp.Robot) -> None:
+    from backhoe_planner.machine.denavit_hartenberg import dh_table
+
+    table = Table("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]", box=None, pad_edge=False)
+    degrees = 180.0 / 3.141592653589793
+    for row in dh_table(robot).rows:
+        theta, d = f"{degrees * row.theta:.2f}", f"{row.d + 0.0:.4f}"
+        table.add_row(
+            row.joint,
+            theta if row.prismatic else f"q + {theta}",
+            f"q + {d}" if row.prismatic else d,
+            f"{row.a + 0.0:.4f}",
+            f"{degrees * row.alpha:.2f}",
+        )
+    _out.print("\nDenavit-Hartenberg (classic)")
+    _out.print(table)
+
+
+def _tell_envelope(robot: bp.Robot) -> None:
+    from backhoe_planner.machine.envelope import working_envelope
+
+    envelope = working_envelope(robot)
+    if envelope is None:
+        return
+    degrees = 180.0 / 3.141592653589793
+    rows = [
+        ("digging depth", envelope.digging_depth, "m"),
+        ("reach at ground level", envelope.reach_at_ground, "m from the swing axis"),
+        ("largest reach", envelope.largest_reach, "m"),
+        ("loading height", envelope.loading_height, "m, bucket tipped to -80 deg"),
+        ("loading reach", envelope.loading_reach, "m"),
+        ("largest height of the teeth", envelope.largest_height, "m"),
+        ("bucket rotation", degrees * envelope.bucket_rotation, "deg"),
+        ("swing arc", None if envelope.swing_arc is None else degrees * envelope.swing_arc, "deg"),
+    ]
+    _out.print("\nworking envelope")
+    for name, value, unit in rows:
+        if value is not None:
+            _out.print(f"  {name:<28}{value:.2f} {unit}")
+
