@@ -23,6 +23,7 @@ __all__ = ["convex_cover", "load_mesh", "terrain_columns", "voxel_boxes"]
 Points = NDArray[np.float64]
 
 _RESOLUTION = 60_000
+_THICKNESS = 1e-3  # m given to a mesh that has no volume
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
@@ -66,8 +67,8 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
     faces = np.asarray(mesh.faces)
     used = np.unique(faces)
     hull = _hull(vertices[used])
-    if hull is None:  # flat: a hull of no volume is its own cover
-        return [vertices[used]]
+    if hull is None:
+        return [_thickened(vertices[used])]
     if hull.volume <= excess * abs(mesh.volume):
         return [hull.points[hull.vertices]]
     padded = np.column_stack((np.full(len(faces), 3), faces)).ravel().astype(np.uint32)
@@ -88,6 +89,15 @@ def _hull(points: Points) -> ConvexHull | None:
         return ConvexHull(points)
     except QhullError:
         return None
+
+
+def _thickened(points: Points) -> Points:
+    """Flat points, moved apart by `_THICKNESS` across each direction in which they are flat."""
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=len(points) < 3)[2]
+    for axis in axes:
+        if np.ptp(points @ axis) < _THICKNESS:
+            points = np.vstack((points - 0.5 * _THICKNESS * axis, points + 0.5 * _THICKNESS * axis))
+    return points
 
 
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Points) -> list[Points]:

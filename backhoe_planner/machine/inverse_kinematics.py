@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 
 from backhoe_planner.machine.kinematics import Configuration, Kinematics
 from backhoe_planner.machine.robot import Robot
@@ -80,8 +81,32 @@ def solve_inverse_kinematics(
             best = (cost, q)
         guess = robot.random_q(rng)
     assert best is not None  # attempts >= 1
-    position, angle = target.distances(kinematics.at(best[1]))
-    return InverseKinematics(False, best[1], position, angle, attempts)
+    q = _nearest(robot, target, best[1], kinematics)
+    position, angle = target.distances(kinematics.at(q))
+    return InverseKinematics(position <= tolerance and angle <= tolerance, q, position, angle, attempts)
+
+
+def _nearest(robot: Robot, target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector:
+    """(n,) where the squared error is least near `start`.
+
+    Newton-Raphson crawls there: with an error that stays large, its J^T J is far from
+    the second derivative of the squared error.
+    """
+
+    def cost(q: Vector) -> tuple[float, Vector]:
+        at = kinematics.at(q)
+        error = target.error(at)
+        return 0.5 * float(error @ error), -target.jacobian(at).T @ error
+
+    found = minimize(
+        cost,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.column_stack((robot.limits.lower, robot.limits.upper)),
+        options={"ftol": 1e-16, "gtol": 1e-12, "maxiter": 500},
+    )
+    return np.clip(found.x, robot.limits.lower, robot.limits.upper)
 
 
 def _descend(

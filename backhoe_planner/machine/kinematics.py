@@ -78,7 +78,7 @@ class Configuration:
                 found=self.robot.name,
                 allowed="rpy or quaternion",
             )
-        axis = self.J_world[3:, -1]
+        axis = self.robot.pitch_sense * self.J_world[3:, -1]
         line = self.tip_position - self.points[-2]
         # horizontal direction in the plane: z x axis
         forward = line[1] * axis[0] - line[0] * axis[1]
@@ -87,7 +87,7 @@ class Configuration:
     @property
     def pitch_row(self) -> Vector:
         """(n,) derivative of `pitch` [rad/rad]."""
-        return np.asarray(self.J_world[3:, -1] @ self.J_world[3:, :])
+        return np.asarray(self.robot.pitch_sense * self.J_world[3:, -1] @ self.J_world[3:, :])
 
 
 class Kinematics:
@@ -107,8 +107,10 @@ class Kinematics:
         pin.computeJointJacobians(robot.model, data, q)
         T_world_tip = pin.updateFramePlacement(robot.model, data, robot.tip_frame).copy()
         jacobian = pin.getFrameJacobian(robot.model, data, robot.tip_frame, pin.LOCAL_WORLD_ALIGNED)
+        if robot.n == 1:  # comes back 1-D
+            jacobian = jacobian.reshape(6, 1)
         points = [data.oMi[joint].translation for joint in self._joints]
         points.append(T_world_tip.translation)
         own_q = np.array(q, dtype=float)
         own_q.setflags(write=False)
-        return Configuration(robot, own_q, T_world_tip, jacobian, data.J.copy(), np.array(points))
+        return Configuration(robot, own_q, T_world_tip, jacobian, data.J.reshape(6, robot.n).copy(), np.array(points))

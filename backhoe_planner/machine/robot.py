@@ -151,7 +151,7 @@ class Robot:
         """(n,) the middle of each joint's range, 0 where there is no range [rad or m]."""
         finite = np.isfinite(self.limits.lower) & np.isfinite(self.limits.upper)
         centre = np.zeros(self.n)
-        centre[finite] = 0.5 * (self.limits.lower + self.limits.upper)[finite]
+        centre[finite] = 0.5 * (self.limits.lower[finite] + self.limits.upper[finite])
         return centre
 
     @cached_property
@@ -162,10 +162,30 @@ class Robot:
         for _ in range(8):
             q = self.random_q(rng)
             pin.computeJointJacobians(self.model, data, q)
-            axis = data.J[3:, self.n - 1]
+            axis = data.J.reshape(6, self.n)[3:, -1]  # of one joint alone it is 1-D
             if np.linalg.norm(axis) < 0.5 or abs(axis[2]) > 1e-9:
                 return False
         return True
+
+    @cached_property
+    def pitch_sense(self) -> float:
+        """1 where turning the last joint forward lifts the tip, -1 where it lowers it.
+
+        Forward is where the tip lies when the arm reaches out furthest, over 64 seeded
+        postures; the axis of the last joint may point to either side of the arm.
+        """
+        data = self.model.createData()
+        rng = np.random.default_rng(0)
+        furthest, sense = 0.0, 1.0
+        for _ in range(64):
+            pin.computeJointJacobians(self.model, data, self.random_q(rng))
+            tip = pin.updateFramePlacement(self.model, data, self.tip_frame).translation
+            out = tip - data.oMi[1].translation
+            axis = data.J.reshape(6, self.n)[3:, -1]
+            reach = float(out[1] * axis[0] - out[0] * axis[1])
+            if abs(reach) > furthest:
+                furthest, sense = abs(reach), float(np.sign(reach))
+        return sense
 
     def random_q(self, rng: np.random.Generator) -> Vector:
         """(n,) uniform within the limits; a turn either way for continuous joints."""
@@ -285,12 +305,18 @@ def _chain_model(urdf: Urdf, moving: set[str]) -> pin.Model:
     The others are made fixed where they are held: at 0, or the limit nearest to it.
     """
     root = etree.fromstring(urdf.xml)
+    for element in root.findall("link"):
+        for unread in (*element.findall("visual"), *element.findall("collision")):
+            element.remove(unread)
     joints = {joint.name: joint for joint in urdf.robot.joints}
     for element in root.findall("joint"):
         joint = joints[element.get("name")]
         if joint.type != "fixed" and joint.name not in moving:
             _hold(element, joint)
             continue
+        for unread in ("dynamics", "safety_controller", "calibration"):
+            for node in element.findall(unread):
+                element.remove(node)
         limit = element.find("limit")
         if joint.type == "continuous":
             element.set("type", "revolute")
@@ -372,7 +398,10 @@ def _link_pieces(urdf: Urdf, model: pin.Model) -> tuple[LinkPiece, ...]:
         joint, T_joint_link = _body(model, link.name)
         pieces: list[shapes.Piece] = []
         for collision in link.collisions:
-            pieces += _pieces_of(urdf, collision.geometry, T_joint_link * _se3(collision.origin))
+            try:
+                pieces += _pieces_of(urdf, collision.geometry, T_joint_link * _se3(collision.origin))
+            except InputError as error:
+                raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > collision") from error
         for index, piece in enumerate(pieces):
             found.append(LinkPiece(name=f"{link.name}/{index}", link=link.name, joint=joint, piece=piece))
     return tuple(found)
@@ -387,7 +416,7 @@ def _pieces_of(urdf: Urdf, geometry: yourdfpy.Geometry, placement: pin.SE3) -> l
         return [shapes.cylinder(geometry.cylinder.radius, geometry.cylinder.length, placement)]
     path = urdf.mesh_path(geometry.mesh.filename)
     if path is None:
-        raise RobotError("mesh file not found", file=urdf.path, found=geometry.mesh.filename)
+        raise InputError("mesh file not found", found=geometry.mesh.filename)
     mesh = load_mesh(path)
     mesh.apply_scale(_mesh_scale(geometry.mesh))
     cover = convex_cover(mesh, pieces=_PIECES_PER_LINK_MESH, excess=_LINK_HULL_EXCESS)

@@ -141,6 +141,7 @@ def read_urdf(source: str | os.PathLike[str]) -> Urdf:
         raise RobotError(f"cannot be read: {error.strerror}", file=path) from error
     root = _parse_xml(data, path)
     _check_numbers(root, path)
+    _check_complete(root, path)
     parsed = _parse_robot(root, path)
     _check_tree(parsed.robot, path)
     for joint in parsed.robot.joints:
@@ -250,6 +251,8 @@ def _parse_xml(data: bytes, path: Path) -> etree._Element:
         raise RobotError(f"is not well-formed XML: {error.msg}", file=path) from error
     if root.tag != "robot":
         raise RobotError("the outermost element is not a robot", file=path, found=f"<{root.tag}>", allowed="<robot>")
+    if not root.get("name"):
+        raise RobotError("the robot has no name", file=path, key="robot @name")
     return root
 
 
@@ -277,7 +280,7 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
         if top not in inside:
             continue
         for attribute, text in element.attrib.items():
-            if attribute not in numeric:
+            if attribute not in numeric or (attribute == "value" and element.tag != "mass"):
                 continue
             key = f"{_element_key(element)} @{attribute}"
             try:
@@ -286,11 +289,49 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
                 raise RobotError("is not a number", file=path, key=key, found=repr(text)) from None
             if not numbers or not all(math.isfinite(number) for number in numbers):
                 raise RobotError("is not a finite number", file=path, key=key, found=repr(text))
-            wanted = {"xyz": 3, "rpy": 3, "size": 3}.get(str(attribute), None)
-            if wanted is not None and len(numbers) != wanted:
-                raise RobotError(f"has {len(numbers)} numbers", file=path, key=key, found=repr(text), allowed=str(wanted))
+            wanted = {"xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3)}.get(str(attribute), (1,))
+            if len(numbers) not in wanted:
+                allowed = " or ".join(map(str, wanted))
+                raise RobotError(f"has {len(numbers)} numbers", file=path, key=key, found=repr(text), allowed=allowed)
             if attribute in ("radius", "length", "size") and min(numbers) <= 0.0:
                 raise RobotError("must be greater than 0", file=path, key=key, found=repr(text))
+            if attribute == "scale" and 0.0 in numbers:
+                raise RobotError("must not be 0", file=path, key=key, found=repr(text))
+            if (attribute == "effort" or element.tag == "mass") and min(numbers) < 0.0:
+                raise RobotError("is negative", file=path, key=key, found=repr(text))
+
+
+_GEOMETRY = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("filename",)}
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def _check_complete(root: etree._Element, path: Path) -> None:
+    """That shapes and inertias have all their parts; a half one would be dropped silently."""
+    for link in root.findall("link"):
+        for shape in (*link.findall("collision"), *link.findall("visual")):
+            geometry = shape.find("geometry")
+            kinds = [] if geometry is None else [child for child in geometry if isinstance(child.tag, str)]
+            if len(kinds) != 1 or kinds[0].tag not in _GEOMETRY:
+                raise RobotError(
+                    "needs one shape in its <geometry>",
+                    file=path,
+                    key=_element_key(shape),
+                    found=", ".join(f"<{kind.tag}>" for kind in kinds) or "none",
+                    allowed=", ".join(_GEOMETRY),
+                )
+            _need(kinds[0], _GEOMETRY[kinds[0].tag], path)
+        for inertial in link.findall("inertial"):
+            for tag, attributes in (("mass", ("value",)), ("inertia", _INERTIA)):
+                element = inertial.find(tag)
+                if element is None:
+                    raise RobotError(f"has no <{tag}>", file=path, key=_element_key(inertial))
+                _need(element, attributes, path)
+
+
+def _need(element: etree._Element, attributes: tuple[str, ...], path: Path) -> None:
+    for attribute in attributes:
+        if not element.get(attribute):
+            raise RobotError(f"has no {attribute}", file=path, key=_element_key(element))
 
 
 def _parse_robot(root: etree._Element, path: Path) -> yourdfpy.URDF:
@@ -379,7 +420,10 @@ def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
             raise RobotError(
                 "lower limit is not below upper", file=path, key=key, found=f"lower {limit.lower}, upper {limit.upper}"
             )
-    if limit is not None and limit.velocity is not None and limit.velocity < 0.0:
+    if limit is not None and (limit.velocity is None or limit.effort is None):
+        missing = [name for name in ("velocity", "effort") if getattr(limit, name) is None]
+        raise RobotError(f"the <limit> has no {' and no '.join(missing)}", file=path, key=key)
+    if limit is not None and limit.velocity < 0.0:
         raise RobotError("velocity limit is negative", file=path, key=key, found=limit.velocity)
 
 

@@ -27,7 +27,7 @@ from backhoe_planner.redundancy.law import joint_velocity
 from backhoe_planner.site.proximity import Nearby, Proximity
 from backhoe_planner.site.scene import Gains
 
-__all__ = ["ITERATIONS", "paper_gains", "paper_step", "run_iteration"]
+__all__ = ["ITERATIONS", "Push", "paper_gains", "paper_step", "run_iteration"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -94,20 +94,19 @@ def run_iteration(
     found = [np.array(start, dtype=float)]
     for _ in range(ITERATIONS):
         at = kinematics.at(found[-1])
-        nearby = proximity.at(at.q, within=problem.scene.influence + float(np.max(proximity.clearance, initial=0.0)))
-        step = paper_step(at, goal, _push(at, nearby, problem.scene.influence), gains)
+        nearby = proximity.at(at.q, within=problem.scene.influence)
+        obstacles = nearby.only(proximity.owner[nearby.pair] >= 0)  # the paper knows no self-contact
+        step = paper_step(at, goal, _push(at, obstacles), gains)
         if not np.all(np.isfinite(step)) or float(np.max(np.abs(step))) > 1e6:
             break
         found.append(found[-1] + step)
     return np.array(found)
 
 
-def _push(at: Configuration, nearby: Nearby, influence: float) -> Push | None:
-    """The nearest critical point within the influence distance, pushed straight away."""
+def _push(at: Configuration, nearby: Nearby) -> Push | None:
+    """The nearest critical point of those `nearby`, pushed straight away."""
     if len(nearby) == 0:
         return None
     row = int(np.argmin(nearby.distance))
-    if nearby.distance[row] > influence:
-        return None
     J_o = at.J_world[:3] + np.cross(at.J_world[3:].T, nearby.point_link[row]).T
     return Push(J_o=np.where(nearby.moves[row], J_o, 0.0), xdot_o=-_PUSH * nearby.normal[row])

@@ -298,6 +298,8 @@ def segment_is_clear(
     time, dt: when it begins, and how long it takes [s].
     depth: how often it may be halved.
     """
+    if proximity.is_at(q_a, time=time) and proximity.stays_clear(q_b, time=time + dt):
+        return True
     travel = np.abs(q_b - q_a) @ proximity.travel.T + dt * proximity.speed
     floor = proximity.clearance + travel
     present = proximity.appears_at <= time + dt

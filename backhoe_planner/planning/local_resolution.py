@@ -85,10 +85,9 @@ def resolve_along(
     law = CompletedLaw(problem.robot, influence=problem.scene.influence)
     stations = sample_stations(path, s)
     found = [np.array(q, dtype=float)]
-    within = float(np.max(proximity.clearance, initial=0.0)) + problem.scene.influence
     for station in stations[1:]:
         at = kinematics.at(found[-1])
-        nearby = proximity.at(at.q, time=time, within=within)
+        nearby = proximity.at(at.q, time=time, margin=problem.scene.influence)
         span = _TIME_PER_METRE * float(station - stations[len(found) - 1])
         after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):

@@ -1,9 +1,9 @@
 """Planning with the completed law: step by step, with nothing but what is near.
 
-A goal is first approached with the tip straight for it. Where the tip's own way is
-blocked, it circulates along the surface of what blocks it, in each sense in turn.
-Where that does not arrive either, the joints are sent towards configurations that put
-the tip on the goal. The first attempt that arrives ends the search.
+A goal is first approached with the tip straight for it. Where that does not arrive, the
+joints are sent towards configurations that put the tip on the goal; and where the tip's
+own way is blocked, it circulates along the surface of what blocks it, in each sense in
+turn. The first attempt that arrives ends the search.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,13 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _ARRIVED = 2e-5  # m and rad
-_LONGEST = 60.0  # s of motion per attempt
+_LONGEST = 40.0  # s of motion per attempt
 _PATIENCE = 1.5  # s without progress after which an attempt counts as stuck
-_PROGRESS = 0.002  # m (or rad) that counts as progress
+_PROGRESS = 0.002  # m (or rad) that counts as progress,
+_NOTICEABLE = 0.02  # or this part of what is left, where that is more
+_POSTURES_FIRST = 3  # quick to try, and quick motions where they arrive
+_STILL = 0.03  # m that the tip must get on within the patience while it circulates
+_LONGEST_TURN = 12.0  # s
 _BRAKING_PART = 0.6  # of the acceleration is planned with while slowing down
 _SETTLE = 4.0  # 1/s, slowest mode at the end of a motion
 
@@ -56,7 +60,16 @@ class Attempt:
     way: str
 
 
-Sense = tuple[float, float, float]
+class Sense(Enum):
+    """Which way to go round: the direction of the circulation along a surface."""
+
+    UP = "over the top"
+    LEFT = "round the left"
+    RIGHT = "round the right"
+    DOWN = "underneath"
+
+
+_Way = tuple[str, Vector | None, Sense | None]
 
 
 def approach_goal(
@@ -77,9 +90,10 @@ def approach_goal(
     all_ways: go on after an attempt that arrives, for whoever wants another one.
     """
     at, _ = stepper.look()
-    ways: list[tuple[str, Vector | None, Sense | None]] = [("straight", None, None)]
-    ways += [(f"circulating about {sense}", None, sense) for sense in _senses(at)]
-    ways += [(f"to posture {index}", q, None) for index, q in enumerate(configurations, start=1)]
+    postures: list[_Way] = [(f"to posture {index}", q, None) for index, q in enumerate(configurations, start=1)]
+    turns: list[_Way] = [(sense.value, None, sense) for sense in _senses(at)]
+    straight: _Way = ("straight", None, None)
+    ways = [straight, *postures[:_POSTURES_FIRST], *turns, *postures[_POSTURES_FIRST:]]
     for number, (name, posture, sense) in enumerate(ways, start=1):
         branch = stepper.branch(attempt=number)
         if posture is None:
@@ -92,11 +106,10 @@ def approach_goal(
 
 
 def _senses(at: Configuration) -> list[Sense]:
-    """Axes about which the tip may circulate: the plane's normal, else three of space."""
-    rows = movable_rows(at.jacobian[:3])
-    if not rows[2]:
-        return [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
-    return [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0)]
+    """Left and right for an arm that stays in a level plane, else all four."""
+    if not movable_rows(at.jacobian[:3])[2]:
+        return [Sense.LEFT, Sense.RIGHT]
+    return list(Sense)
 
 
 # --- moving the tip ---------------------------------------------------------------
@@ -117,16 +130,18 @@ def _drive_tip(stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str,
             stepper.stop()
             arrived = True
             break
-        wished = turning.direction(error, nearby, stepper, left)
-        xdot = wished * _pace(problem.limits, law, J, wished)
+        wished = turning.direction(error, at, nearby, stepper, left)
+        xdot = wished * _pace(problem.limits, J, wished)
         wish = law.wish(at, J, xdot, nearby)
         fade = min(1.0, left / 0.05)
         if not stepper.advance(_within_rates(wish.primary + fade * wish.null, problem.limits), nearby, at.jacobian[:3]):
             break
-        if progress.stuck(left, stepper.time, patience=turning.patience):
-            if not turning.begin(error, nearby, stepper, left):
+        if turning.active:
+            if turning.stuck(at.tip_position, stepper.time):
                 break
             progress = _Progress()
+        elif progress.stuck(left, stepper.time) and not turning.begin(nearby, stepper, left):
+            break
     return _attempt(stepper, goal, arrived, way)
 
 
@@ -139,7 +154,7 @@ def _task(goal: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
     return error[rows], J[rows]
 
 
-def _pace(limits: JointLimits, law: CompletedLaw, J: Matrix, error: Vector) -> float:
+def _pace(limits: JointLimits, J: Matrix, error: Vector) -> float:
     """1/s by which `error` is to shrink: as fast as every joint can, and can still brake."""
     dq = np.abs(J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(len(J)), error)) + 1e-9
     rate = limits.velocity / dq
@@ -160,66 +175,103 @@ class _Progress:
         self._best = np.inf
         self._since = 0.0
 
-    def stuck(self, left: float, time: float, *, patience: float = _PATIENCE) -> bool:
-        if left < self._best - _PROGRESS:
+    def stuck(self, left: float, time: float) -> bool:
+        """Whether `left` has not fallen by a noticeable part for longer than the patience."""
+        if left < self._best - max(_PROGRESS, _NOTICEABLE * left):
             self._best, self._since = left, time
-        return time - self._since > patience
+        return time - self._since > _PATIENCE
+
+
+class _Stillness:
+    """Notices when the tip has stopped moving, whatever its direction, or went on for too long."""
+
+    def __init__(self, time: float) -> None:
+        self._begun = self._since = time
+        self._place: Vector | None = None
+
+    def stuck(self, tip: Vector, time: float) -> bool:
+        """Whether the tip is where it was `_PATIENCE` ago."""
+        if self._place is None or float(np.linalg.norm(tip - self._place)) > _STILL:
+            self._place, self._since = tip, time
+        return time - self._since > _PATIENCE or time - self._begun > _LONGEST_TURN
 
 
 class _Turning:
     """The circulation term: along the surface of what blocks the way.
 
-    It begins where the straight way is stuck, and ends where the tip is nearer to the
-    goal than it was there and the way to the goal points away from the surface.
+    It begins where the straight way is stuck. Where the surface itself leads towards the
+    goal it is followed that way, else in the sense that was asked for. It ends where the
+    tip is nearer to the goal than it was at the beginning and the way to the goal points
+    away from the surface.
     """
 
     _HOLD = 0.4  # s: a surface just left still counts
+    _LEADS = 0.6  # part of the way to the goal that must lie along the surface
 
     def __init__(self, sense: Sense | None) -> None:
-        self._sense = None if sense is None else np.array(sense)
+        self._sense = sense
         self._hit: float | None = None
-        self._normal: Vector | None = None
+        self._normal = np.zeros(3)
         self._touched = 0.0
-        self.patience = _PATIENCE
+        self._stillness = _Stillness(0.0)
 
-    def begin(self, error: Vector, nearby: Nearby, stepper: Stepper, left: float) -> bool:
-        """Start to circulate; False where there is no sense, or it was tried in vain."""
+    @property
+    def active(self) -> bool:
+        """Whether the tip is circulating now."""
+        return self._hit is not None
+
+    def begin(self, nearby: Nearby, stepper: Stepper, left: float) -> bool:
+        """Start to circulate; False where there is no sense, or nothing to go round."""
         if self._sense is None or self._hit is not None:
             return False
         normal = _blocking_normal(nearby, stepper)
         if normal is None:
             return False
-        self._hit, self._normal = left, normal
-        self._touched = stepper.time
-        self.patience = 8.0
+        self._hit, self._normal, self._touched = left, normal, stepper.time
+        self._stillness = _Stillness(stepper.time)
         return True
 
-    def direction(self, error: Vector, nearby: Nearby, stepper: Stepper, left: float) -> Vector:
+    def stuck(self, tip: Vector, time: float) -> bool:
+        """Whether circulating leads nowhere."""
+        return self._stillness.stuck(tip, time)
+
+    def direction(self, error: Vector, at: Configuration, nearby: Nearby, stepper: Stepper, left: float) -> Vector:
         """(m,) where to go: the error itself, or along the surface while circulating."""
         if self._hit is None or self._sense is None:
             return error
         normal = _blocking_normal(nearby, stepper)
         if normal is not None:
             self._normal, self._touched = normal, stepper.time
-        assert self._normal is not None
-        toward = error[:3] if len(error) >= 3 else np.array([*error, 0.0])
-        leaving = left < self._hit - 0.02 and (
-            normal is None or float(toward @ normal) <= 0.0 or stepper.time - self._touched > self._HOLD
-        )
-        if leaving:
-            self._hit, self._normal = None, None
-            self.patience = _PATIENCE
+        rows = min(len(error), 3)
+        toward = np.zeros(3)
+        toward[:rows] = error[:rows]
+        into = float(toward @ self._normal)
+        off_surface = normal is None and stepper.time - self._touched > self._HOLD
+        if left < self._hit - 0.02 and (into <= 0.0 or off_surface):
+            self._hit = None
             return error
-        along = np.cross(self._normal, self._sense)
-        length = float(np.linalg.norm(along))
-        if length < 1e-6:
-            return error
-        # towards the surface a little, so as not to lose it
-        bent = along / length + 0.3 * self._normal
-        found = np.array(error)
         size = max(float(np.linalg.norm(toward)), 0.3)
-        found[: min(len(error), 3)] = size * bent[: min(len(error), 3)]
+        along = toward - into * self._normal
+        if float(np.linalg.norm(along)) < self._LEADS * float(np.linalg.norm(toward)):
+            along = _tangent(self._normal, self._sense, at)
+        along = along / max(float(np.linalg.norm(along)), 1e-9)
+        found = np.array(error)
+        # towards the surface a little, so as not to lose it
+        found[:rows] = (size * (along + 0.3 * self._normal))[:rows]
         return found
+
+
+def _tangent(normal: Vector, sense: Sense, at: Configuration) -> Vector:
+    """(3,) along a surface with `normal` into it, the way of `sense`; any length."""
+    up = np.array([0.0, 0.0, 1.0])
+    if sense in (Sense.LEFT, Sense.RIGHT):
+        left = np.cross(normal, up) if abs(normal[2]) < 0.9 else np.cross(up, at.tip_position - at.points[0])
+        return left if sense is Sense.LEFT else -left
+    rise = up - normal[2] * normal
+    if abs(normal[2]) > 0.9:  # a floor or a ceiling: over it means back to the machine
+        rise = at.points[0] - at.tip_position
+        rise = rise - (rise @ normal) * normal
+    return rise if sense is Sense.UP else -rise
 
 
 def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:

@@ -85,8 +85,6 @@ class Stepper:
         self._watch = watch
         self._times = [0.0]
         self._path = [self.q]
-        clearance = np.max(proximity.clearance, initial=0.0)
-        self._within = float(clearance) + problem.scene.influence
 
     def branch(self, *, attempt: int) -> Stepper:
         """Another motion that goes on from here; this one stays as it is."""
@@ -96,9 +94,14 @@ class Stepper:
         return other
 
     def look(self) -> tuple[Configuration, Nearby]:
-        """The present configuration, and the pairs that act on the motion there."""
-        nearby = self._proximity.at(self.q, time=self.time, within=self._within)
-        nearby = nearby.only(nearby.margin < self.problem.scene.influence)
+        """The present configuration, and the pairs that act on the motion there.
+
+        Those are the pairs within the influence distance, and those that could be
+        reached before the machine stops.
+        """
+        nearby = self._proximity.at(
+            self.q, time=self.time, margin=np.maximum(self._stopping_distances(), self.problem.scene.influence)
+        )
         return self._kinematics.at(self.q), nearby
 
     def advance(self, wish: Vector, nearby: Nearby, J_tip: Matrix, *, dt: float = STEP) -> bool:
@@ -156,6 +159,12 @@ class Stepper:
         """The motion so far."""
         return Trajectory.from_steps(np.array(self._times), np.array(self._path))
 
+    def _stopping_distances(self) -> Vector:
+        """(P,) how much nearer each pair can come before the machine stops [m]."""
+        fastest = np.abs(self.v) + self.problem.limits.acceleration * STEP
+        time = self._shield.stopping_time(fastest)
+        return np.asarray(time * (self._proximity.travel @ fastest + self._proximity.speed))
+
     def _take(self, q: Vector, dt: float, shielded: Shielded | None) -> None:
         self.v = (q - self.q) / dt
         self.q = q
@@ -180,6 +189,8 @@ class Stepper:
 
     def _within_limits(self, q: Vector) -> Vector:
         limits = self.problem.limits
+        if np.all(q >= limits.lower) and np.all(q <= limits.upper):
+            return q
         inside = (self.q >= limits.lower) & (self.q <= limits.upper)
         return np.where(inside, np.clip(q, limits.lower, limits.upper), q)
 

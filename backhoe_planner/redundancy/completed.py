@@ -60,7 +60,7 @@ class Wish:
 
 def activation(distance: Vector, unity: float, influence: float) -> Vector:
     """(K,) alpha_h of Maciejewski and Klein: 1 up to `unity`, a cosine to 0 at `influence`."""
-    part = np.clip((distance - unity) / (influence - unity), 0.0, 1.0)
+    part = np.minimum(np.maximum((distance - unity) / (influence - unity), 0.0), 1.0)
     return np.asarray(0.5 * (1.0 + np.cos(np.pi * part)))
 
 
@@ -88,7 +88,11 @@ class CompletedLaw:
         self.unity = influence / 3.0
         self.nominal = nominal
         self.directionality = directionality
-        self._range = robot.limits.upper - robot.limits.lower
+        span = robot.limits.upper - robot.limits.lower
+        zone = np.where(np.isfinite(span), _NEAR_LIMIT * span, 1.0)
+        columns = (robot.limits.lower, robot.limits.upper, zone)
+        self._ranges = list(zip(*(column.tolist() for column in columns), strict=True))
+        self._epsilon = _EPSILON * np.eye(robot.n)
 
     def wish(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby) -> Wish:
         """The joint velocity that serves the tip first, and the rest in the null space.
@@ -102,40 +106,44 @@ class CompletedLaw:
         resolved = resolve(J_e)
         primary = resolved.inverse @ xdot_e
         N = resolved.projector
-        A = np.zeros((self.robot.n, self.robot.n))
+        A = self._epsilon.copy()
         b = np.zeros(self.robot.n)
-        busy = False
         if len(nearby):
-            weight = activation(nearby.margin, self.unity, self.influence)
-            away = self.nominal * push_factor(nearby.margin, self.unity) - nearby.drift
-            missing = np.maximum(away - nearby.gradient @ primary, 0.0)
-            G = nearby.gradient @ N
-            A += G.T @ (weight[:, None] * G)
-            b += G.T @ (weight * missing)
-            busy = True
+            self._add_obstacles(primary, nearby, N, A, b)
         if self.directionality and self.robot.n > len(xdot_e):
-            self._add_directionality(at, primary, at.jacobian[:3] @ primary, N, A, b)
-            busy = True
-        null = np.zeros(self.robot.n)
-        if busy:
-            A[np.diag_indices_from(A)] += _EPSILON
-            null = N @ eigenpy.LDLT(A).solve(b)
+            self._add_directionality(at, primary, N, A, b)
+        null = N @ eigenpy.LDLT(A).solve(b)
         return Wish(v=primary + null, primary=primary, null=null, resolved=resolved)
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
-        ahead = np.where(v > 0.0, self.robot.limits.upper - q, q - self.robot.limits.lower)
-        zone = np.where(np.isfinite(self._range), _NEAR_LIMIT * self._range, 1.0)
-        return np.asarray(np.clip(1.0 - ahead / zone, 0.0, 1.0) * (np.abs(v) > 1e-9))
+        near = []
+        for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges, strict=True):
+            if abs(rate) < 1e-9:
+                near.append(0.0)
+                continue
+            ahead = high - position if rate > 0.0 else position - low
+            near.append(min(max(1.0 - ahead / zone, 0.0), 1.0))
+        return np.array(near)
 
-    def _add_directionality(
-        self, at: Configuration, primary: Vector, tip_velocity: Vector, N: Matrix, A: Matrix, b: Vector
-    ) -> None:
-        """Add the rows s_k |J_k (v_e + H) - xdot_k|^2 to the normal equations A H = b."""
+    def _add_obstacles(self, primary: Vector, nearby: Nearby, N: Matrix, A: Matrix, b: Vector) -> None:
+        """Add the rows w_i (g_i (v_e + H) - c_i)^2, where they would come nearer than c_i."""
+        weight = activation(nearby.margin, self.unity, self.influence)
+        away = -nearby.drift
+        if nearby.margin.min() < self.unity:
+            away = away + self.nominal * push_factor(nearby.margin, self.unity)
+        missing = np.maximum(away - nearby.gradient @ primary, 0.0)
+        G = nearby.gradient @ N
+        weighted = G.T * weight
+        A += weighted @ G
+        b += weighted @ missing
+
+    def _add_directionality(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> None:
+        """Add the rows s_k |J_k (v_e + H) - xdot_k|^2."""
         near = self.near_limit(at.q, primary)[:-1]
-        gain = np.repeat(_TURN_GAIN + (1.0 - _TURN_GAIN) * near**2, 3)
+        gain = np.repeat(_TURN_GAIN + (1.0 - _TURN_GAIN) * near * near, 3)
         J = all_link_jacobians(at)
-        turns = all_link_velocities(at, tip_velocity, D=1.0 - 2.0 * near).ravel()
+        turns = all_link_velocities(at, at.jacobian[:3] @ primary, 1.0 - 2.0 * near).ravel()
         row = J @ N
         weighted = row.T * gain
         A += weighted @ row

@@ -12,8 +12,8 @@
 with N = I - J_e^+ J_e. Equation (1) is `Kinematics.at`, its derivative (2) is
 `Configuration.jacobian`. The print has J_o^+ J_e in (4), (5), (10) and J_k^+ J_e in
 (11), whose sizes do not fit; J_o J_e^+ and J_k J_e^+ are meant (Maciejewski and Klein
-1985). `(J N)^+` is unbounded where the null space cannot move the point: that is the
-law as printed, and why `completed` exists.
+1985). `(J N)^+` is unbounded near where the null space cannot move the point (and 0 just
+there): that is the law as printed, and why `completed` exists.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ def null_space_term(J_e: Matrix, xdot_e: Vector, J: Matrix, xdot: Vector) -> Vec
     xdot: (p,) velocity asked of that point.
     """
     N = projector(J_e)
-    return N @ pseudo_inverse(J @ N) @ (xdot - J @ pseudo_inverse(J_e) @ xdot_e)
+    scale = float(np.linalg.norm(J))
+    return N @ pseudo_inverse(J @ N, scale=scale) @ (xdot - J @ pseudo_inverse(J_e) @ xdot_e)
 
 
 def joint_velocity(

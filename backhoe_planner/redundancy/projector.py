@@ -8,7 +8,9 @@ the task. It is made from the undamped inverse, truncated at the numerical rank.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import eigenpy
 import numpy as np
@@ -20,6 +22,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-4  # of the largest singular value
+_ROUNDING = 1e-10  # of the scale of a matrix: singular values below are rounding
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,19 @@ class Resolved:
     damping: float
 
 
-def pseudo_inverse(J: Matrix) -> Matrix:
-    """The Moore-Penrose inverse J^+ of equation (3), by singular values; (n, m)."""
-    return np.asarray(np.linalg.pinv(J, rcond=1e-12))
+def pseudo_inverse(J: Matrix, *, scale: float | None = None) -> Matrix:
+    """The Moore-Penrose inverse J^+ of equation (3), by singular values; (n, m).
+
+    Parameters
+    ----------
+    scale: size beside which singular values count as rounding; by default the largest
+        of them. A product such as J_o N needs that of its factor J_o: where the null
+        space cannot move the point at all, J_o N should be 0 and is rounding, which
+        beside itself looks like full rank.
+    """
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    kept = s > _ROUNDING * (s[0] if scale is None else scale)
+    return np.asarray((Vt[kept].T / s[kept]) @ U[:, kept].T)
 
 
 def resolve(J: Matrix, *, threshold: float = 0.08, largest_damping: float = 0.08) -> Resolved:
@@ -56,24 +69,27 @@ def resolve(J: Matrix, *, threshold: float = 0.08, largest_damping: float = 0.08
     The damping grows smoothly from 0 as the smallest singular value falls
     (Nakamura and Hanafusa 1986; Chiaverini 1997).
     """
-    m, n = J.shape
     solver = eigenpy.SelfAdjointEigenSolver(J @ J.T)
     U = solver.eigenvectors()
-    s2 = np.maximum(solver.eigenvalues(), 0.0)
-    s = np.sqrt(s2)
-    kept = s > RANK_TOLERANCE * s[-1]
-    projector = np.eye(n)
-    if kept.all():
-        V = J.T @ (U / s)
+    s = np.sqrt(np.maximum(solver.eigenvalues(), 0.0))
+    smallest = float(s[0])
+    full_rank = smallest > RANK_TOLERANCE * float(s[-1])
+    if full_rank:
+        scaled = U / s
     else:
-        V = J.T @ (U[:, kept] / s[kept])
-    projector -= V @ V.T
-    damping = 0.0
-    if s[0] < threshold:
-        damping = largest_damping * float(np.sqrt(1.0 - (s[0] / threshold) ** 2))
-    lambda2 = damping * damping
-    if lambda2 == 0.0:
-        inverse = J.T @ ((U / s2) @ U.T) if kept.all() else (V / s[kept]) @ U[:, kept].T
-    else:
-        inverse = J.T @ ((U / (s2 + lambda2)) @ U.T)
+        kept = s > RANK_TOLERANCE * s[-1]
+        scaled = U[:, kept] / s[kept]
+    V = J.T @ scaled  # right singular vectors, so that J^+ = V scaled^T
+    projector = _eye(J.shape[1]) - V @ V.T
+    if smallest >= threshold:
+        return Resolved(inverse=V @ scaled.T, projector=projector, singular_values=s, damping=0.0)
+    damping = largest_damping * math.sqrt(1.0 - (smallest / threshold) ** 2)
+    inverse = J.T @ ((U / (s * s + damping * damping)) @ U.T)
     return Resolved(inverse=inverse, projector=projector, singular_values=s, damping=damping)
+
+
+@lru_cache(maxsize=32)
+def _eye(n: int) -> Matrix:
+    identity = np.eye(n)
+    identity.setflags(write=False)
+    return identity

@@ -67,6 +67,7 @@ class Shield:
         self.limits = limits
         n = len(limits.velocity)
         self._eye = _FREE * np.eye(n)
+        self._braking_room = 0.5 * limits.velocity**2 / limits.acceleration
 
     def velocity_bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
         """(n,), (n,) the joint velocities that keep every joint limit, with room to brake.
@@ -77,16 +78,25 @@ class Shield:
         """
         limits = self.limits
         a = limits.acceleration
-        upper = np.minimum(limits.velocity, _stoppable(limits.upper - q, a, dt))
-        lower = -np.minimum(limits.velocity, _stoppable(q - limits.lower, a, dt))
-        fastest, slowest = v_before + a * dt, v_before - a * dt
-        high = np.clip(upper, slowest, fastest)
-        low = np.clip(lower, slowest, fastest)
+        lead = 1.5 * dt
+        above, below = limits.upper - q, q - limits.lower
+        # the speed limit is all that counts where there is room to brake from it
+        room = self._braking_room + lead * limits.velocity
+        upper = limits.velocity if np.all(above > room) else np.minimum(limits.velocity, _stoppable(above, a, lead))
+        lower = limits.velocity if np.all(below > room) else np.minimum(limits.velocity, _stoppable(below, a, lead))
+        change = a * dt
+        fastest, slowest = v_before + change, v_before - change
+        high = np.minimum(np.maximum(upper, slowest), fastest)
+        low = np.minimum(np.maximum(-lower, slowest), fastest)
         return low, np.maximum(high, low)
 
     def braking_time(self, v: Vector) -> float:
         """Time in which all joints, slowing in proportion, come to rest [s]."""
         return float(np.max(np.abs(v) / self.limits.acceleration))
+
+    def stopping_time(self, v: Vector) -> float:
+        """1 / gamma: what a rate of approach is multiplied with to give the margin it needs [s]."""
+        return self.braking_time(v) / _STOPPING_PART
 
     def filter(
         self,
@@ -111,8 +121,9 @@ class Shield:
         """
         low, high = self.velocity_bounds(q, v_before, dt)
         bound, rows = self._distance_rows(nearby, np.maximum(np.abs(v_before), np.abs(wish)), dt, extra_margin)
-        if len(rows) == 0 and np.all(wish >= low) and np.all(wish <= high):
-            return Shielded(v=wish, slack=0.0, binding=rows)
+        if np.all(wish >= low) and np.all(wish <= high):
+            if len(rows) == 0 or np.all(nearby.gradient[rows] @ wish >= -bound):
+                return Shielded(v=wish, slack=0.0, binding=rows[:0])
         H = self._weight(wish, J_tip)
         A = np.ascontiguousarray(-nearby.gradient[rows])
         n, count = len(wish), len(rows)
@@ -128,7 +139,7 @@ class Shield:
         )
         if flag < 1 or not np.all(np.isfinite(x)):
             x = self._braked(v_before, dt)
-        v = np.clip(x, low, high)
+        v = np.minimum(np.maximum(x, low), high)
         over = A @ v - bound
         slack = float(np.max(over, initial=0.0))
         return Shielded(v=v, slack=slack if slack > 1e-5 else 0.0, binding=rows[over > -1e-5])
@@ -155,22 +166,21 @@ class Shield:
             return np.zeros(0), np.zeros(0, dtype=int)
         gamma = _STOPPING_PART / max(self.braking_time(fastest), _STOPPING_PART * 2.0 * dt)
         margin = nearby.margin - extra_margin
-        allowed = np.where(
-            margin >= 0.0, gamma * margin, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY)
-        )
-        bound = allowed + nearby.drift
+        bound = gamma * margin
+        if margin.min() < 0.0:
+            bound = np.where(margin >= 0.0, bound, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY))
+        bound += nearby.drift
         reachable = np.abs(nearby.gradient) @ self.limits.velocity
         rows = np.flatnonzero(bound < reachable)
         return bound[rows], rows
 
 
-def _stoppable(gap: Vector, a: Vector, dt: float) -> Vector:
+def _stoppable(gap: Vector, a: Vector, lead: float) -> Vector:
     """(n,) speed towards a limit from which braking at `a` stops within `gap`.
 
-    The step itself and half of the next are driven before braking counts. Negative
-    beyond the limit: the speed of the way back.
+    For `lead` [s] the joint goes on before braking counts: the step itself and half of
+    the next. Negative beyond the limit: the speed of the way back.
     """
-    lead = 1.5 * dt
     inside = a * (np.sqrt(lead**2 + 2.0 * np.maximum(gap, 0.0) / a) - lead)
     back = -np.minimum(-_RECOVERY * gap, _FASTEST_RECOVERY)
     return np.where(gap >= 0.0, inside, back)

@@ -168,7 +168,7 @@ def read_heights(path: Path) -> Vector:
     text = _read_text(path)
     rows = [line.replace(";", ",").split(",") for line in text.splitlines() if line.strip()]
     try:
-        values = [[float(cell) for cell in row if cell.strip()] for row in rows]
+        values = [[float(cell) for cell in (row if row[-1].strip() else row[:-1])] for row in rows]
     except ValueError as error:
         raise InputError(f"is not a table of numbers: {error}", file=path) from None
     widths = {len(row) for row in values}

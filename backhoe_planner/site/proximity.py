@@ -36,6 +36,7 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _NONSENSE = -1e3  # m: no pair is this deep inside each other
+_YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 _TOLERANCE = 1e-12  # of coal's iterations [m]
 
 
@@ -149,6 +150,7 @@ class Proximity:
         joint_of = np.array([robot.pieces[pair.piece].joint for pair in pairs], dtype=int)
         self._mask_link = self._support[joint_of] if count else np.zeros((0, robot.n))
         self._moves = self._mask_link > 0.0
+        self._minus_mask_link = -self._mask_link
         self._mask_other = self._support[self._other_joint] if count else np.zeros((0, robot.n))
         velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
         self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
@@ -168,31 +170,59 @@ class Proximity:
         self._q_bound = np.zeros(robot.n)
         self.measured = 0
 
-    def at(self, q: Vector, *, time: float = 0.0, within: float = np.inf) -> Nearby:
-        """Everything nearer than `within` [m] at configuration `q` (n,) and `time` [s].
+    @property
+    def geometry(self) -> tuple[pin.GeometryModel, pin.GeometryData]:
+        """Pinocchio's geometry model with all pairs, and its data; to be read only."""
+        return self._model, self._geometry
+
+    def at(
+        self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf
+    ) -> Nearby:
+        """Everything near at configuration `q` (n,) and `time` [s].
 
         Obstacles that have not appeared by `time` are left out.
+
+        Parameters
+        ----------
+        within: largest distance [m].
+        margin: largest distance beyond the clearance to be kept, one number or (P,) [m].
         """
         self._place(q, time)
-        lower = self._bound - self.travel @ np.abs(q - self._q_bound)
-        if self._moving:
-            lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
-        found = []
-        distances = []
-        for index in np.flatnonzero(lower <= within):
-            result = self._measure(int(index))
+        lower = self._lower(q, time)
+        reach = np.minimum(self.clearance + margin, within)
+        found: list[int] = []
+        results = []
+        for index in np.flatnonzero(lower <= reach).tolist():
+            result = self._measure(index)
             distance = result.min_distance
             lower[index] = distance
-            if distance <= within:
+            if distance <= reach[index]:
                 found.append(index)
-                distances.append((distance, result.normal, result.getNearestPoint1(), result.getNearestPoint2()))
+                results.append(result)
             self.measured += 1
         self._bound, self._q_bound, self._bound_time = lower, np.array(q), time
         if self._some_appear:
             kept = [k for k, index in enumerate(found) if self.appears_at[index] <= time]
-            found = [found[k] for k in kept]
-            distances = [distances[k] for k in kept]
-        return self._rows(np.array(found, dtype=int), distances)
+            found, results = [found[k] for k in kept], [results[k] for k in kept]
+        return self._rows(found, results)
+
+    def is_at(self, q: Vector, *, time: float = 0.0) -> bool:
+        """Whether the last measurement was made at `q` and `time`."""
+        return bool(self._bound_time == time and np.array_equal(self._q_bound, q))
+
+    def stays_clear(self, q: Vector, *, time: float = 0.0) -> bool:
+        """Whether every clearance provably holds on the way to `q` without measuring anew.
+
+        The way begins where something was measured last. False says nothing.
+        """
+        return bool(np.all(self._lower(q, time) >= self.clearance))
+
+    def _lower(self, q: Vector, time: float) -> Vector:
+        """(P,) what is known of each distance from the last measurement alone [m]."""
+        lower = self._bound - self.travel @ np.abs(q - self._q_bound)
+        if self._moving:
+            lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
+        return np.asarray(lower)
 
     _bound_time = 0.0
 
@@ -220,9 +250,7 @@ class Proximity:
         whether it was measured.
         """
         self._place(q, time)
-        lower = self._bound - self.travel @ np.abs(q - self._q_bound)
-        if self._moving:
-            lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
+        lower = self._lower(q, time)
         needed = lower < floor
         for index in np.flatnonzero(needed):
             lower[index] = self._measure(int(index)).min_distance
@@ -273,30 +301,34 @@ class Proximity:
         pin.computeJointJacobians(self.robot.model, self._data, q)
         pin.updateGeometryPlacements(self.robot.model, self._data, self._model, self._geometry)
 
-    def _rows(self, found: Indices, results: list[tuple[float, Vector, Vector, Vector]]) -> Nearby:
-        count = len(found)
-        if count == 0:
-            none = np.zeros((0, 3))
-            return Nearby(found, np.zeros(0), np.zeros(0), none, none, none, np.zeros((0, self.robot.n)), np.zeros(0), np.zeros((0, self.robot.n), dtype=bool))
-        distance = np.array([result[0] for result in results])
-        normal = np.array([result[1] for result in results])
-        point_1 = np.array([result[2] for result in results])
-        point_2 = np.array([result[3] for result in results])
-        J = self._data.J
-        gradient = -(_point_rows(normal, point_1) @ J) * self._mask_link[found]
-        if np.any(self._other_joint[found]):
-            gradient += (_point_rows(normal, point_2) @ J) * self._mask_other[found]
-        drift = np.einsum("ki,ki->k", normal, self._velocity[found]) if self._moving else np.zeros(count)
+    def _rows(self, found: list[int], results: list[Any]) -> Nearby:
+        n = self.robot.n
+        raw = np.empty((len(found), 10))
+        for row, result in zip(raw, results, strict=True):
+            row[0] = result.min_distance
+            row[1:4] = result.normal
+            row[4:7] = result.getNearestPoint1()
+            row[7:] = result.getNearestPoint2()
+        pair = np.array(found, dtype=np.intp)
+        distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 7:]
+        if found:
+            J = self._data.J
+            gradient = (_point_rows(normal, point_1) @ J) * self._minus_mask_link[pair]
+            if self._other_joint[pair].any():
+                gradient += (_point_rows(normal, point_2) @ J) * self._mask_other[pair]
+        else:
+            gradient = np.zeros((0, n))
+        drift = np.einsum("ki,ki->k", normal, self._velocity[pair]) if self._moving else np.zeros(len(found))
         return Nearby(
-            pair=found,
+            pair=pair,
             distance=distance,
-            margin=distance - self.clearance[found],
+            margin=distance - self.clearance[pair],
             normal=normal,
             point_link=point_1,
             point_obstacle=point_2,
             gradient=gradient,
             drift=drift,
-            moves=self._moves[found],
+            moves=self._moves[pair],
         )
 
 
@@ -321,9 +353,6 @@ def _point_rows(normal: Matrix, point: Matrix) -> Matrix:
     """(K, 6) so that row @ J_world is the speed of the point along the normal."""
     rows = np.empty((len(normal), 6))
     rows[:, :3] = normal
-    nx, ny, nz = normal[:, 0], normal[:, 1], normal[:, 2]
-    px, py, pz = point[:, 0], point[:, 1], point[:, 2]
-    rows[:, 3] = py * nz - pz * ny
-    rows[:, 4] = pz * nx - px * nz
-    rows[:, 5] = px * ny - py * nx
+    rows[:, 3:] = point[:, _YZX] * normal[:, _ZXY]
+    rows[:, 3:] -= point[:, _ZXY] * normal[:, _YZX]
     return rows

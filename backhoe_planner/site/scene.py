@@ -47,12 +47,15 @@ __all__ = [
     "scene_schema",
 ]
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+# strict: neither true nor "0.3" is a number
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 PitchRange = tuple[Finite, Finite]
+
+_ROUNDING = 1e-14  # a length this near 1 is 1: what was normalised once stays as it is
 
 
 class _Record(BaseModel):
@@ -64,9 +67,11 @@ class _Record(BaseModel):
 def _unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
     if quaternion is None:
         return None
-    norm = math.sqrt(sum(part * part for part in quaternion))
+    norm = math.hypot(*quaternion)
     if abs(norm - 1.0) > 1e-3:
         raise ValueError(f"a quaternion [w, x, y, z] has length 1, this one {norm:.4g}")
+    if abs(norm - 1.0) < _ROUNDING:
+        return quaternion
     w, x, y, z = (part / norm for part in quaternion)
     return (w, x, y, z)
 
@@ -276,9 +281,11 @@ class HalfSpace(_Obstacle):
     @field_validator("normal")
     @classmethod
     def _unit(cls, normal: Vector3) -> Vector3:
-        norm = math.sqrt(sum(part * part for part in normal))
+        norm = math.hypot(*normal)
         if norm < 1e-12:
             raise ValueError("a normal of length 0 has no direction")
+        if abs(norm - 1.0) < _ROUNDING:
+            return normal
         x, y, z = (part / norm for part in normal)
         return (x, y, z)
 
@@ -332,7 +339,7 @@ class Gains(_Record):
 class Limits(_Record):
     """What of the machine's limits is to be used."""
 
-    velocity_scale: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
     """Part of each joint's rate that may be used."""
     acceleration: dict[str, Positive] = Field(default_factory=dict)
     """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
@@ -345,11 +352,11 @@ class Soil(_Record):
     """[kg/m^3]"""
     cohesion: NonNegative = 5000.0
     """[Pa]"""
-    friction: Annotated[float, Field(gt=0.0, lt=math.pi / 2.0)] = 0.55
+    friction: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.55
     """Internal friction angle [rad]."""
     adhesion: NonNegative = 0.0
     """Between soil and blade [Pa]."""
-    tool_friction: Annotated[float, Field(ge=0.0, lt=math.pi / 2.0)] | None = None
+    tool_friction: Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0)] | None = None
     """Between soil and blade [rad]; 2/3 of `friction` by default."""
     surface: Finite = 0.0
     """Height of the ground [m]."""
@@ -497,7 +504,7 @@ def _place_in_file(loc: tuple[str | int, ...], content: Any) -> KeyPath:
             node = node[part]
         elif isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node):
             node = node[part]
-        elif isinstance(node, Mapping) and isinstance(part, str) and last:
+        elif isinstance(node, Mapping) and isinstance(part, str) and last and "[" not in part:
             pass  # a key that is missing
         elif isinstance(node, (list, tuple)) and isinstance(part, int):
             pass
@@ -519,7 +526,7 @@ def _say(detail: Any, place: KeyPath) -> str:
     if kind == "extra_forbidden":
         allowed = _keys_at(detail["loc"])
         near = nearest_name(str(place[-1]), allowed)
-        hint = f"; did you mean {near!r}?" if near else ""
+        hint = f"; did you mean {near!r}?" if near else "."
         return f"there is no such key{hint} Allowed: {', '.join(sorted(allowed))}"
     if kind == "missing":
         return "is missing"
@@ -528,7 +535,7 @@ def _say(detail: Any, place: KeyPath) -> str:
     if kind == "union_tag_invalid":
         tag = found.get("shape") if isinstance(found, Mapping) else found
         near = nearest_name(str(tag), _SHAPES)
-        return f"there is no shape {tag!r}{f'; did you mean {near!r}?' if near else ''} Allowed: {_shapes()}"
+        return f"there is no shape {tag!r}{f'; did you mean {near!r}?' if near else '.'} Allowed: {_shapes()}"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
     shown = f"; found {found!r}" if not isinstance(found, (Mapping, list)) or len(str(found)) < 80 else ""

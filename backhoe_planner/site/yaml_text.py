@@ -65,8 +65,9 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], dict[KeyPath, int]]:
         raise SceneError(f"cannot be read: {error.strerror}", file=path) from error
     if not text.strip():
         raise SceneError("the file is empty", file=path, allowed="a scene")
-    loader = _Loader(text)
+    loader: _Loader | None = None
     try:
+        loader = _Loader(text)
         node = loader.get_single_node()
         if not isinstance(node, yaml.MappingNode):
             raise SceneError("does not hold keys and values", file=path, allowed="a scene: version, task, ...")
@@ -75,10 +76,13 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], dict[KeyPath, int]]:
         content = loader.construct_document(node)
     except yaml.YAMLError as error:
         raise SceneError(_say(error), file=path) from error
+    except SceneError:
+        raise
     except (ValueError, RecursionError) as error:
         raise SceneError(f"cannot be understood: {error}", file=path) from error
     finally:
-        loader.dispose()
+        if loader is not None:
+            loader.dispose()
     return content, lines
 
 
