@@ -133,7 +133,7 @@ def voxel_boxes(points: Points, resolution: float) -> list[tuple[Points, Points]
     (centre (3,), size (3,)) of each box [m].
     """
     cells = np.unique(np.floor(points / resolution).astype(int), axis=0)
-    boxes = [(tuple(int(c) for c in cell), (1, 1, 1)) for cell in cells]
+    boxes: list[_Box] = [(tuple(int(c) for c in cell), (1, 1, 1)) for cell in cells]
     for axis in range(3):
         boxes = _merged_along(boxes, axis)
     return [

@@ -23,6 +23,7 @@ __all__ = ["InverseKinematics", "solve_inverse_kinematics"]
 Vector = NDArray[np.float64]
 
 _ITERATIONS = 60
+_SETTLED = 6  # of the attempts that did not arrive, the best are led on to their nearest pose
 _ANGLE_WEIGHT = 1.0  # m per rad: a radian counts as a metre while converging
 
 
@@ -70,18 +71,17 @@ def solve_inverse_kinematics(
     kinematics = kinematics or Kinematics(robot)
     rng = rng or np.random.default_rng(0)
     guess = robot.middle if start is None else np.clip(start, robot.limits.lower, robot.limits.upper)
-    best: tuple[float, Vector] | None = None
+    ends: list[tuple[float, Vector]] = []
     for attempt in range(1, attempts + 1):
         q, at = _descend(robot, target, guess, kinematics, tolerance)
         position, angle = target.distances(at)
         if position <= tolerance and angle <= tolerance:
             return InverseKinematics(True, q, position, angle, attempt)
-        cost = position + _ANGLE_WEIGHT * angle
-        if best is None or cost < best[0]:
-            best = (cost, q)
+        ends.append((position + _ANGLE_WEIGHT * angle, q))
         guess = robot.random_q(rng)
-    assert best is not None  # attempts >= 1
-    q = _nearest(robot, target, best[1], kinematics)
+    ends = sorted(ends, key=lambda end: end[0])[:_SETTLED]
+    settled = [_nearest(robot, target, q, kinematics) for _, q in ends]
+    q = min(settled, key=lambda q: float(np.sum(np.square(target.error(kinematics.at(q))))))
     position, angle = target.distances(kinematics.at(q))
     return InverseKinematics(position <= tolerance and angle <= tolerance, q, position, angle, attempts)
 
@@ -102,11 +102,11 @@ def _nearest(robot: Robot, target: TipTarget, start: Vector, kinematics: Kinemat
         cost,
         start,
         jac=True,
-        method="L-BFGS-B",
+        method="SLSQP",
         bounds=np.column_stack((robot.limits.lower, robot.limits.upper)),
-        options={"ftol": 1e-16, "gtol": 1e-12, "maxiter": 500},
+        options={"ftol": 1e-15, "maxiter": 200},
     )
-    return np.clip(found.x, robot.limits.lower, robot.limits.upper)
+    return np.asarray(np.clip(found.x, robot.limits.lower, robot.limits.upper))
 
 
 def _descend(

@@ -73,13 +73,13 @@ class Urdf:
     @cached_property
     def root(self) -> str:
         """The link that hangs on no joint."""
-        return next(link.name for link in self.robot.links if link.name not in self.joint_of_child)
+        return next(str(link.name) for link in self.robot.links if link.name not in self.joint_of_child)
 
     @cached_property
     def leaves(self) -> tuple[str, ...]:
         """Links that carry no other link."""
         parents = {joint.parent for joint in self.robot.joints}
-        return tuple(link.name for link in self.robot.links if link.name not in parents)
+        return tuple(str(link.name) for link in self.robot.links if link.name not in parents)
 
     def chain(self, tip: str) -> tuple[yourdfpy.Joint, ...]:
         """The joints from the root to link `tip`, fixed ones included."""

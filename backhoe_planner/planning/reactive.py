@@ -79,6 +79,7 @@ def approach_goal(
     *,
     deadline: float,
     all_ways: bool = False,
+    null_space: bool = True,
 ) -> Iterator[Attempt]:
     """Attempts to bring the tip to `goal`, the simplest first; ends once one arrives.
 
@@ -88,6 +89,7 @@ def approach_goal(
     configurations: (n,) known to put the tip on the goal, the preferred one first.
     deadline: on `time.monotonic`, after which no further attempt is begun.
     all_ways: go on after an attempt that arrives, for whoever wants another one.
+    null_space: whether the null-space terms of the law take part; to compare without.
     """
     at, _ = stepper.look()
     postures: list[_Way] = [(f"to posture {index}", q, None) for index, q in enumerate(configurations, start=1)]
@@ -97,7 +99,7 @@ def approach_goal(
     for number, (name, posture, sense) in enumerate(ways, start=1):
         branch = stepper.branch(attempt=number)
         if posture is None:
-            attempt = _drive_tip(branch, goal, sense, name, deadline)
+            attempt = _drive_tip(branch, goal, sense, name, deadline, null_space=null_space)
         else:
             attempt = _drive_joints(branch, posture, goal, name, deadline)
         yield attempt
@@ -115,7 +117,9 @@ def _senses(at: Configuration) -> list[Sense]:
 # --- moving the tip ---------------------------------------------------------------
 
 
-def _drive_tip(stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str, deadline: float) -> Attempt:
+def _drive_tip(
+    stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str, deadline: float, *, null_space: bool
+) -> Attempt:
     problem = stepper.problem
     law = CompletedLaw(problem.robot, influence=problem.scene.influence)
     progress = _Progress()
@@ -133,7 +137,7 @@ def _drive_tip(stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str,
         wished = turning.direction(error, at, nearby, stepper, left)
         xdot = wished * _pace(problem.limits, J, wished)
         wish = law.wish(at, J, xdot, nearby)
-        fade = min(1.0, left / 0.05)
+        fade = min(1.0, left / 0.05) if null_space else 0.0
         if not stepper.advance(_within_rates(wish.primary + fade * wish.null, problem.limits), nearby, at.jacobian[:3]):
             break
         if turning.active:

@@ -26,7 +26,8 @@ Two choices are open in the paper and have names here:
 
 The print's rule that a link turns clockwise when the tip moves outward holds only
 where the arm beyond the joint bends clockwise (boom up); with `follow_bend` the sign of
-the bend multiplies it.
+the bend multiplies it. Where the arm lies straight about the joint's axis, as always
+about a backhoe's swing, there is no such sign, and nothing is predicted.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Configuration
 
 __all__ = [
-    "LinkChain", 
+    "LinkChain",
     "Magnification",
     "Reference",
     "all_link_jacobians",
@@ -58,6 +59,7 @@ Magnification = Literal["printed", "norm_preserving"]
 Reference = Literal["tip_referenced", "standard"]
 
 _SHORT = 1e-6  # m: a link shorter than this has no direction
+_STRAIGHT = 1e-9  # rad: an arm bent less than this has no sense of bending
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,8 @@ def link_velocities(
         M = reach / length
         rate *= M if magnification == "norm_preserving" else 1.0 / M
         if follow_bend:
-            rate *= -np.sign(_triple(axis, link, to_tip))
+            bend = _triple(axis, link, to_tip)
+            rate *= -np.sign(bend) * (abs(bend) > _STRAIGHT * length * reach)
         found[k - 1] = before + rate * _cross(axis, link)
         before = found[k - 1]
     return found
@@ -185,7 +188,7 @@ def all_link_velocities(at: Configuration, xdot_e: Vector, D: Vector) -> Matrix:
             rate = hold * turn * math.sqrt(reach2 / length2)
             if (outward > 0.0) != (counter_clockwise > 0.0):
                 rate = -rate
-            if outward == 0.0 or counter_clockwise == 0.0:
+            if outward == 0.0 or abs(counter_clockwise) <= _STRAIGHT * math.sqrt(length2 * reach2):
                 rate = 0.0
             # -D * bend * outward with bend = -sgn(counter_clockwise)
             sx, sy, sz = sx + rate * clx, sy + rate * cly, sz + rate * clz

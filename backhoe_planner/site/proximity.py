@@ -36,6 +36,7 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _NONSENSE = -1e3  # m: no pair is this deep inside each other
+_CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
 _YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 _TOLERANCE = 1e-12  # of coal's iterations [m]
 
@@ -231,13 +232,13 @@ class Proximity:
         self._place(q, time)
         pin.computeDistances(self._model, self._geometry)
         found = np.array([result.min_distance for result in self._geometry.distanceResults])
-        for index in np.flatnonzero(~(found > _NONSENSE)):
-            found[index] = self._measure(int(index)).min_distance
+        for index in np.flatnonzero(~(found > _NONSENSE) | (np.abs(found) < _CONTACT)):
+            found[index] = self._measure_again(int(index)).min_distance
         if self._some_appear:
             found[self.appears_at > time] = np.inf
         return found
 
-    def lower_bounds(self, q: Vector, *, time: float, floor: Vector) -> tuple[Vector, Vector]:
+    def lower_bounds(self, q: Vector, *, time: float, floor: Vector) -> tuple[Vector, NDArray[np.bool_]]:
         """Signed distances, measured only where they may be below `floor`.
 
         Parameters
@@ -268,18 +269,24 @@ class Proximity:
         return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
 
     def _measure(self, index: int) -> Any:
-        """coal's result for one pair at the present placements.
-
-        Where the shapes just touch, its iterations can end without a depth and say
-        minus infinity; with a looser tolerance they end. If not even then, the pair is
-        in contact to within rounding, and 0 is said.
-        """
+        """Coal's result for one pair at the present placements."""
         result = pin.computeDistance(self._model, self._geometry, index)
-        if result.min_distance > _NONSENSE:
+        distance = result.min_distance
+        if distance > _CONTACT or _NONSENSE < distance < -_CONTACT:
             return result
+        return self._measure_again(index)
+
+    def _measure_again(self, index: int) -> Any:
+        """The same with a looser tolerance, for what is in doubt.
+
+        Where faces are flush to within the tolerance, coal's iterations can end early:
+        without a depth, saying minus infinity, or at a distance of 1e-12 m between
+        boxes that are half a metre inside each other. If a looser tolerance gives no
+        depth either, the pair is in contact to within rounding, and 0 is said.
+        """
         request = self._geometry.distanceRequests[index]
         try:
-            for tolerance in (1e-9, 1e-6):
+            for tolerance in (1e-10, 1e-9, 1e-6):
                 request.gjk_tolerance = request.epa_tolerance = tolerance
                 result = pin.computeDistance(self._model, self._geometry, index)
                 if result.min_distance > _NONSENSE:
@@ -312,7 +319,7 @@ class Proximity:
         pair = np.array(found, dtype=np.intp)
         distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 7:]
         if found:
-            J = self._data.J
+            J = self._data.J.reshape(6, n)  # of one joint alone it is 1-D
             gradient = (_point_rows(normal, point_1) @ J) * self._minus_mask_link[pair]
             if self._other_joint[pair].any():
                 gradient += (_point_rows(normal, point_2) @ J) * self._mask_other[pair]

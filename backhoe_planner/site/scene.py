@@ -425,7 +425,13 @@ class Scene(_Record):
         if path.waypoints is not None:
             return path.waypoints
         assert path.file is not None
-        return tuple(_read_path_file(self.folder / path.file))
+        file = self.folder / path.file
+        waypoints = tuple(_read_path_file(file))
+        try:
+            PathTask(waypoints=waypoints)
+        except ValidationError as error:
+            raise SceneError(_say(error.errors()[0], ()), file=file) from None
+        return waypoints
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as plain data that `scene_from_dict` reads again."""
@@ -500,7 +506,7 @@ def _place_in_file(loc: tuple[str | int, ...], content: Any) -> KeyPath:
     node = content
     for position, part in enumerate(loc):
         last = position == len(loc) - 1
-        if isinstance(node, Mapping) and part in node:
+        if isinstance(node, Mapping) and part in node:  # noqa: SIM114
             node = node[part]
         elif isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node):
             node = node[part]
@@ -592,15 +598,16 @@ def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
 
 
 def _read_path_file(path: Path) -> Iterator[Waypoint]:
-    for number, row in read_csv_table(path, required=("x", "y", "z"), optional=("pitch", "qw", "qx", "qy", "qz")):
+    quaternion = ("qw", "qx", "qy", "qz")
+    for number, row in read_csv_table(path, required=("x", "y", "z"), optional=("pitch", *quaternion)):
         orientation: dict[str, Any] = {}
         if "pitch" in row:
             orientation["pitch"] = row["pitch"]
-        elif "qw" in row:
-            missing = [key for key in ("qx", "qy", "qz") if key not in row]
+        if any(key in row for key in quaternion):
+            missing = [key for key in quaternion if key not in row]
             if missing:
                 raise SceneError(f"a column is missing: {', '.join(missing)}", file=path, key="header")
-            orientation["quaternion"] = (row["qw"], row["qx"], row["qy"], row["qz"])
+            orientation["quaternion"] = tuple(row[key] for key in quaternion)
         try:
             yield Waypoint(position=(row["x"], row["y"], row["z"]), **orientation)
         except ValidationError as error:
@@ -634,6 +641,9 @@ def read_csv_table(
     for column in required:
         if column not in header:
             raise SceneError("a column is missing", file=path, key="header", found=",".join(header), allowed=column)
+    twice = [column for column in allowed if header.count(column) > 1]
+    if twice:
+        raise SceneError("a column stands twice", file=path, key="header", found=", ".join(twice))
     table = []
     for number, row in rows[1:]:
         if len(row) != len(header):

@@ -1,0 +1,1 @@
+"""Rooms to look into: pages, the live view, and plots. The planner never imports it."""

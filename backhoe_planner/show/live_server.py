@@ -1,0 +1,195 @@
+"""Serves the live page, and brings to every open page what is drawn.
+
+It runs in a thread of this process: nothing is left behind when the process ends, and
+handing it a message costs microseconds. A browser that is slow does not pile messages
+up: of those about the same thing only the newest waits for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+import time
+from typing import Any
+
+import tornado.httpserver
+import tornado.web
+import tornado.websocket
+
+from backhoe_planner.errors import OutputError
+from backhoe_planner.show.page import live_page
+from backhoe_planner.show.recording import Key, Message, Recording
+
+__all__ = ["LiveServer"]
+
+_FIRST_PORT, _PORTS = 7000, 100
+_FLUSH_EVERY = 0.02  # s
+
+
+class _Page(tornado.web.RequestHandler):
+    def initialize(self, page: str) -> None:
+        self.page = page
+
+    def get(self) -> None:
+        self.set_header("Cache-Control", "no-store")
+        self.finish(self.page)
+
+    def data_received(self, chunk: bytes) -> None:
+        """Nothing is ever sent here."""
+
+
+class _Socket(tornado.websocket.WebSocketHandler):
+    def initialize(self, server: LiveServer) -> None:
+        self.server = server
+        self.waiting: dict[Key, Message] = {}
+
+    def open(self, *_args: str, **_kwargs: str) -> None:
+        self.set_nodelay(True)
+        self.server.add(self)
+
+    def on_message(self, message: str | bytes) -> None:
+        if message == "drawn":
+            self.server.somebody_watches.set()
+
+    def on_close(self) -> None:
+        self.server.remove(self)
+
+    def data_received(self, chunk: bytes) -> None:
+        """Nothing is ever sent here."""
+
+    def bring(self) -> None:
+        """Write what waits, unless the browser is still busy with what it got before."""
+        connection = self.ws_connection
+        if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
+            return
+        messages, self.waiting = self.waiting, {}
+        for message in messages.values():
+            self.write_message(message, binary=isinstance(message, bytes))
+
+
+class LiveServer:
+    """A web server in a thread of its own.
+
+    Parameters
+    ----------
+    host: the address on which it listens; by default this machine alone can connect.
+    port: None takes the first free one from 7000 on, 0 any.
+
+    Attributes
+    ----------
+    recording: draw and tell through it.
+    url: where the page is.
+    somebody_watches: set while at least one page is open that has drawn the picture.
+    left_at: when the last page was closed, by `time.monotonic` [s]; None before that.
+
+    Raises
+    ------
+    OutputError: the port is taken.
+    """
+
+    def __init__(self, *, host: str = "127.0.0.1", port: int | None = None) -> None:
+        self.recording = Recording(self._post)
+        self.somebody_watches = threading.Event()
+        self.left_at: float | None = None
+        self._pages: set[_Socket] = set()
+        self._fresh: list[tuple[Key, Message]] = []
+        self._lock = threading.Lock()
+        self._listening = _listen(host, port)
+        number = self._listening.getsockname()[1]
+        self.url = f"http://{'127.0.0.1' if host in ('', '0.0.0.0') else host}:{number}/"
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Close every page's connection and end the thread. May be called again."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join(timeout=5.0)
+
+    def add(self, page: _Socket) -> None:
+        """A page has connected; it is brought up to date."""
+        page.waiting = dict(self.recording.messages())
+        self._pages.add(page)
+        self.left_at = None
+
+    def remove(self, page: _Socket) -> None:
+        """A page has gone."""
+        self._pages.discard(page)
+        if not self._pages:
+            self.left_at = time.monotonic()
+            self.somebody_watches.clear()
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not been closed."""
+        return self._thread.is_alive()
+
+    def _post(self, key: Key, message: Message) -> None:
+        with self._lock:
+            self._fresh.append((key, message))
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self._loop.run_until_complete(self._loop.shutdown_default_executor())
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        application = tornado.web.Application(
+            [("/", _Page, {"page": live_page()}), ("/socket", _Socket, {"server": self})],
+            log_function=lambda handler: None,
+            compress_response=True,
+        )
+        server = tornado.httpserver.HTTPServer(application)
+        server.add_socket(self._listening)
+        while not self._stop.is_set():
+            self._deliver()
+            try:
+                await asyncio.wait_for(self._stop.wait(), _FLUSH_EVERY)
+            except asyncio.TimeoutError:
+                continue
+        self._deliver()
+        server.stop()
+        for page in list(self._pages):
+            page.close()
+        await server.close_all_connections()
+
+    def _deliver(self) -> None:
+        with self._lock:
+            fresh, self._fresh = self._fresh, []
+        for page in list(self._pages):
+            for key, message in fresh:
+                _await(page.waiting, key, message)
+            page.bring()
+
+
+def _await(waiting: dict[Key, Message], key: Key, message: Message) -> None:
+    if key[0] == "delete":
+        below = key[1].rstrip("/") + "/"
+        for other in [k for k in waiting if k[1] == key[1] or k[1].startswith(below)]:
+            del waiting[other]
+    waiting.pop(key, None)
+    waiting[key] = message
+
+
+def _listen(host: str, port: int | None) -> socket.socket:
+    tried: Any = range(_FIRST_PORT, _FIRST_PORT + _PORTS) if port is None else [port]
+    for number in tried:
+        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.setblocking(False)
+        try:
+            listening.bind((host, number))
+            listening.listen(64)
+        except OSError as error:
+            listening.close()
+            if port is not None:
+                raise OutputError("the port cannot be used", key="port", found=port, hint=str(error)) from error
+            continue
+        return listening
+    raise OutputError("no free port", key="port", allowed=f"{_FIRST_PORT} to {_FIRST_PORT + _PORTS - 1}")

@@ -1,0 +1,101 @@
+"""One HTML page that shows a plan without a network: the picture, its numbers, a scrubber.
+
+The same page, without content of its own, is what the live viewer serves.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import os
+from functools import lru_cache
+from importlib import resources
+from typing import Any
+
+from backhoe_planner.planning.plan import Plan
+from backhoe_planner.planning.plan_file import check_writable, whole_file
+from backhoe_planner.planning.problem import build_problem
+from backhoe_planner.show.page_content import plan_content, problem_content
+from backhoe_planner.show.recording import Recording
+from backhoe_planner.show.scene_graph import SceneGraph
+from backhoe_planner.show.timeline import timeline
+
+__all__ = ["live_page", "plan_page", "write_page"]
+
+# nothing may be fetched from anywhere; meshcat reads its own commands with eval
+_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+    "img-src data: blob:; connect-src {connect}"
+)
+
+
+def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write a page that plays a plan in any browser, offline, whole or not at all.
+
+    Returns
+    -------
+    What could not be drawn as the URDF asks, in words.
+
+    Raises
+    ------
+    OutputError: the folder does not exist or cannot be written.
+    """
+    check_writable(path)
+    page, warnings = plan_page(plan)
+    with whole_file(path) as stream:
+        stream.write(page)
+    return warnings
+
+
+def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
+    """The page as text, and what could not be drawn as the URDF asks."""
+    problem = build_problem(plan.robot, plan.scene)
+    frames = timeline(problem, plan.trajectory)
+    recording = Recording()
+    visualizer = recording.visualizer()
+    graph = SceneGraph(visualizer, problem, q=plan.trajectory.q[0])
+    graph.draw_trace(frames.tip)
+    view = graph.look_at_motion(frames)
+    visualizer.set_animation(graph.animation(frames), play=False, repetitions=1)
+    messages = [message for _, message in recording.messages()]
+    content = {
+        "draw": [base64.b64encode(message).decode("ascii") for message in messages if isinstance(message, bytes)],
+        "tell": [problem_content(problem, graph, view, frames.obstacles), plan_content(plan, frames, view)],
+    }
+    return _page(plan.scene.name or "plan", content, connect="'none'"), graph.warnings
+
+
+def live_page() -> str:
+    """The page that a live viewer serves; it asks its server for what to show."""
+    return _page("backhoe_planner", None, connect="'self' ws: wss:")
+
+
+def _page(title: str, content: Any, *, connect: str) -> str:
+    parts = resources.files("backhoe_planner.show").joinpath("page_parts")
+    names = ("page.css", "body.html", "page.js")
+    css, body, script = (parts.joinpath(name).read_text(encoding="utf-8") for name in names)
+    return "".join(
+        (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY.format(connect=connect)}">\n',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
+            f'<title>{html.escape(title)}</title>\n<link rel="icon" href="data:,">\n',
+            f"<style>\n{css}</style>\n</head>\n<body>\n{body}",
+            f"<script>\n{_meshcat()}\n</script>\n",
+            f"<script>\n{script}show({_json_in_script(content)});\n</script>\n</body>\n</html>\n",
+        )
+    )
+
+
+def _json_in_script(content: Any) -> str:
+    """JSON that cannot end the script in which it stands, whatever its strings hold."""
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+@lru_cache(maxsize=1)
+def _meshcat() -> str:
+    """The viewer that meshcat's Python package brings along."""
+    source = resources.files("meshcat").joinpath("viewer", "dist", "main.min.js").read_text(encoding="utf-8")
+    return source.replace("</script", "<\\/script")

@@ -1,0 +1,321 @@
+"use strict";
+// The overlay around meshcat's viewer. `recording` is the page's own content, or null
+// where drawing commands and numbers come through a socket.
+function show(recording) {
+  const get = (id) => document.getElementById(id);
+  const stage = get("stage"), pane = get("meshcat-pane");
+  const viewer = new MeshCat.Viewer(pane);
+  const THREE = MeshCat.THREE;
+  let problem = null, plan = null, view = null;
+  let time = 0, playing = false, holding = 0, last = null, movedByHand = false;
+  const shown = { clearance: false, "critical points": true, "task/trace": true, ground: true, names: true, shadows: true };
+
+  // meshcat fills the window; here it has a part of it
+  const resize = viewer.set_3d_pane_size.bind(viewer);
+  viewer.set_3d_pane_size = () => { resize(pane.clientWidth, pane.clientHeight); if (!movedByHand) fit(); };
+  new ResizeObserver(() => { viewer.set_3d_pane_size(); drawHeat(); }).observe(pane);
+  pane.addEventListener("pointerdown", () => { movedByHand = true; });
+  pane.addEventListener("wheel", () => { movedByHand = true; }, { passive: true });
+
+  function fit() {
+    if (view === null || pane.clientHeight === 0) return;
+    const aspect = pane.clientWidth / pane.clientHeight, table = view.distances;
+    let k = 1;
+    while (k < table.length - 1 && table[k][0] < aspect) k++;
+    const [a0, d0] = table[k - 1], [a1, d1] = table[k];
+    const part = Math.min(Math.max((aspect - a0) / (a1 - a0), 0), 1);
+    const distance = d0 + part * (d1 - d0);
+    const [tx, ty, tz] = view.target, [x, y, z] = view.direction.map((c, i) => view.target[i] + c * distance);
+    viewer.controls.target.set(tx, tz, -ty);  // y is up for the camera
+    viewer.set_property(["Cameras", "default", "rotated", "<object>"], "position", [x, z, -y]);
+    viewer.set_dirty();
+    movedByHand = false;
+  }
+
+  // ---- panel -------------------------------------------------------------------
+
+  function element(kind, className, text) {
+    const made = document.createElement(kind);
+    if (className) made.className = className;
+    if (text !== undefined) made.textContent = text;
+    return made;
+  }
+
+  function colour(margin) {
+    const [tight, near, far] = problem.colours;
+    const part = Math.min(Math.max(2 * margin / problem.influence, 0), 1);
+    const [low, high, mix] = part < 0.5 ? [tight, near, 2 * part] : [near, far, 2 * part - 1];
+    return `rgb(${low.map((c, i) => Math.round(255 * (c + mix * (high[i] - c)))).join(",")})`;
+  }
+
+  const number = (value, digits) => value.toFixed(digits).replace("-", "\u2212");
+  const degrees = (joint, value) => joint.angular ? `${number(value * 180 / Math.PI, 1)}°` : `${number(value, 3)} m`;
+
+  function showProblem(content) {
+    problem = content;
+    view = content.view;
+    plan = null;
+    playing = false;
+    document.title = content.title;
+    get("title").textContent = content.title;
+    get("subtitle").textContent = content.subtitle;
+    get("verdict").hidden = get("facts-section").hidden = get("bar").hidden = true;
+    get("margin-hint").textContent = content.obstacles.length ? "distance beyond the asked clearance" : "nothing on the site";
+    const margins = get("margins");
+    margins.replaceChildren();
+    for (const obstacle of content.obstacles) {
+      const row = element("div", "margin");
+      row.title = `${obstacle.name}: ${obstacle.clearance.toFixed(2)} m to be kept`;
+      obstacle.value = element("span", "value far", "\u2013");
+      const bar = element("div", "bar");
+      obstacle.fill = element("div", "fill");
+      bar.append(obstacle.fill);
+      row.append(element("span", "name", obstacle.name), obstacle.value, bar);
+      margins.append(row);
+    }
+    const body = get("joints").tBodies[0];
+    body.replaceChildren();
+    for (const joint of content.joints) {
+      const row = body.insertRow();
+      row.append(element("td", "name", joint.name));
+      const range = element("td", "range"), box = element("div");
+      joint.mark = element("i");
+      if (joint.lower === null) joint.mark.hidden = true; else range.title =
+        `${degrees(joint, joint.lower)} to ${degrees(joint, joint.upper)}`;
+      box.append(joint.mark);
+      range.append(box);
+      joint.value = element("td", "value");
+      row.append(range, joint.value);
+    }
+    const names = get("names");
+    names.replaceChildren();
+    for (const obstacle of content.obstacles) {
+      obstacle.label = null;
+      if (!obstacle.anchor) continue;
+      obstacle.label = element("span", "", obstacle.name);
+      names.append(obstacle.label);
+    }
+    const switches = get("switches");
+    switches.replaceChildren();
+    const kinds = [["clearance", "Clearance shells"], ["critical points", "Nearest points"], ["task/trace", "Tip trace"],
+      ["ground", "Ground"], ["names", "Names"], ["shadows", "Shadows"]];
+    for (const [node, text] of kinds) {
+      if (node === "ground" && !content.ground) continue;
+      const label = element("label"), box = element("input");
+      box.type = "checkbox";
+      box.checked = shown[node];
+      box.dataset.node = node;
+      box.addEventListener("change", () => { shown[node] = box.checked; applySwitch(node); });
+      label.append(box, document.createTextNode(text));
+      switches.append(label);
+      applySwitch(node);
+    }
+    get("warnings").hidden = content.warnings.length === 0;
+    get("warnings").textContent = content.warnings.join("\n");
+    fit();
+  }
+
+  function applySwitch(node) {
+    if (node === "names") { get("names").hidden = !shown.names; return; }
+    if (node === "shadows") viewer.set_property(["Lights", "sun", "<object>"], "castShadow", shown.shadows);
+    else viewer.set_property(node.split("/"), "visible", shown[node]);
+    viewer.set_dirty();
+  }
+
+  function showPlan(content) {
+    plan = content;
+    view = content.view;
+    const verdict = get("verdict");
+    verdict.hidden = false;
+    verdict.className = content.verdict;
+    get("badge").textContent = content.verdict === "verified" ? "Verified" : `Failed: ${content.reason.replaceAll("_", " ")}`;
+    get("message").textContent = content.message;
+    const facts = get("facts");
+    facts.replaceChildren();
+    for (const [label, value, more] of content.facts) {
+      facts.append(element("dt", "", label), element("dd", "", value));
+      if (more) facts.append(element("dd", "more", more));
+    }
+    get("facts-section").hidden = false;
+    const end = content.time[content.time.length - 1];
+    get("bar").hidden = !(end > 0);
+    get("scrubber").max = end;
+    for (const node of Object.keys(shown)) applySwitch(node);
+    viewer.animator.play();  // makes the tracks follow; from here on our own clock drives them
+    viewer.animator.pause();
+    fit();
+    seek(0);
+    drawHeat();
+    if (end > 0 && !matchMedia("(prefers-reduced-motion: reduce)").matches) play();
+  }
+
+  function showNumbers(q, margins, links) {
+    problem.joints.forEach((joint, k) => {
+      joint.value.textContent = degrees(joint, q[k]);
+      if (joint.lower !== null) {
+        const part = (q[k] - joint.lower) / (joint.upper - joint.lower);
+        joint.mark.style.left = `${100 * Math.min(Math.max(part, 0), 1)}%`;
+      }
+    });
+    problem.obstacles.forEach((obstacle, k) => {
+      const margin = margins[k], far = margin === null || margin === undefined || margin > problem.far;
+      obstacle.value.className = far ? "value far" : margin < 0 ? "value inside" : "value";
+      obstacle.value.textContent = far ? `> ${problem.far.toFixed(1)} m` : `${number(margin, 2)} m`;
+      obstacle.value.title = far ? "" : `nearest: ${problem.links[links[k]]}`;
+      obstacle.fill.style.transform = `scaleX(${far ? 1 : Math.min(Math.max(margin / problem.far, 0.015), 1)})`;
+      obstacle.fill.style.background = far ? "#c9d6cf" : colour(margin);
+    });
+  }
+
+  // ---- time --------------------------------------------------------------------
+
+  function seek(to) {
+    if (plan === null) return;
+    const times = plan.time, end = times[times.length - 1];
+    time = Math.min(Math.max(to, 0), end);
+    viewer.animator.seek(time);
+    viewer.animator.display_progress(time);
+    const frame = end > 0 ? time / end * (times.length - 1) : 0;  // the frames are even
+    const a = Math.floor(frame), b = Math.min(a + 1, times.length - 1), part = frame - a;
+    const near = Math.round(frame);
+    showNumbers(plan.q.map((row) => row[a] + part * (row[b] - row[a])), plan.margins.map((row) => row[near]),
+      plan.links.map((row) => row[near]));
+    get("scrubber").value = time;
+    get("clock").textContent = `${time.toFixed(2)} / ${end.toFixed(2)} s`;
+  }
+
+  function play() {
+    if (time >= get("scrubber").max - 1e-6) seek(0);
+    playing = true;
+    holding = 0;
+    showButton();
+  }
+
+  function pause() { playing = false; showButton(); }
+
+  function showButton() {
+    get("play").className = playing ? "playing" : "";
+    get("play").setAttribute("aria-label", playing ? "Pause" : "Play");
+  }
+
+  // without a graphics card shadows cost more than half of every frame
+  let slowFrames = 0;
+  function spareShadows(step) {
+    slowFrames = step > 0.12 ? slowFrames + 1 : 0;
+    if (slowFrames < 8 || !shown.shadows) return;
+    shown.shadows = false;
+    applySwitch("shadows");
+    for (const box of document.querySelectorAll("[data-node=shadows]")) box.checked = false;
+  }
+
+  function tick(now) {
+    const step = last === null ? 0 : Math.min((now - last) / 1000, 0.5);
+    last = now;
+    if (playing) spareShadows(step);
+    if (plan !== null && (viewer.animator.playing || Math.abs(viewer.animator.time - time) > 1e-6)) {
+      pause();  // meshcat's own panel has moved it
+      seek(viewer.animator.time);
+    } else if (playing) {
+      const end = plan.time[plan.time.length - 1];
+      if (time < end) seek(time + step * Number(get("speed").value));
+      else if (!get("loop").checked) pause();
+      else if ((holding += step) > 1.2) { holding = 0; seek(0); }
+    }
+    placeNames();
+    requestAnimationFrame(tick);
+  }
+
+  function drawHeat() {
+    if (plan === null) return;
+    const canvas = get("heat"), width = Math.max(canvas.clientWidth, 1);
+    canvas.width = width;
+    const context = canvas.getContext("2d"), count = plan.time.length;
+    for (let x = 0; x < width; x++) {
+      const frame = Math.round(x / Math.max(width - 1, 1) * (count - 1));
+      let least = problem.far;
+      for (const row of plan.margins) if (row[frame] !== null && row[frame] < least) least = row[frame];
+      context.fillStyle = colour(least);
+      context.fillRect(x, 0, 1, canvas.height);
+    }
+  }
+
+  const spot = new THREE.Vector3();
+  function placeNames() {
+    if (problem === null || !shown.names) return;
+    const width = pane.clientWidth, height = pane.clientHeight, taken = [];
+    for (const obstacle of problem.obstacles) {
+      if (obstacle.label === null) continue;
+      const [x, y, z] = obstacle.anchor, age = obstacle.velocity ? Math.max(time - obstacle.appears_at, 0) : 0;
+      const [vx, vy, vz] = obstacle.velocity || [0, 0, 0];
+      spot.set(x + vx * age, z + vz * age, -(y + vy * age)).project(viewer.camera);
+      const inside = Math.abs(spot.x) < 0.98 && Math.abs(spot.y) < 1 && spot.z < 1 && time >= obstacle.appears_at;
+      obstacle.label.style.visibility = inside ? "visible" : "hidden";
+      if (!inside) continue;
+      const across = obstacle.label.offsetWidth, tall = obstacle.label.offsetHeight;
+      const left = (0.5 + 0.5 * spot.x) * width - across / 2;
+      let top = Math.max((0.5 - 0.5 * spot.y) * height - 1.3 * tall, left + across > width - 190 ? 46 : 6);
+      for (let k = 0; k < 4; k++) {  // names do not cover each other
+        const other = taken.find((t) => left < t[0] + t[2] && t[0] < left + across && top < t[1] + tall && t[1] < top + tall);
+        if (other === undefined) break;
+        top = other[1] - tall - 1;
+      }
+      taken.push([left, top, across]);
+      obstacle.label.style.transform = `translate(${left}px, ${top}px)`;
+    }
+  }
+
+  get("play").addEventListener("click", () => playing ? pause() : play());
+  get("scrubber").addEventListener("input", (event) => { pause(); seek(Number(event.target.value)); });
+  get("fit").addEventListener("click", fit);
+  get("tree").addEventListener("click", () => {
+    get("tree").setAttribute("aria-pressed", stage.classList.toggle("tree"));
+    viewer.gui.open();
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, input[type=text]")) return;
+    if (event.key === "f" || event.key === "F") fit();
+    if (plan === null || event.target.matches("button, input[type=checkbox]")) return;
+    if (event.key === " ") { event.preventDefault(); if (playing) pause(); else play(); }
+  });
+
+  function hear(content) {
+    get("notice").hidden = true;
+    if (content.type === "problem") showProblem(content);
+    else if (content.type === "plan") showPlan(content);
+    else if (content.type === "step" && problem !== null) {
+      time = content.time;
+      showNumbers(content.q, content.margins, content.links);
+    }
+  }
+
+  function draw(bytes) { viewer.handle_command_bytearray(bytes); }
+
+  function connect() {
+    const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
+    socket.binaryType = "arraybuffer";
+    let reported = false;
+    socket.onmessage = (message) => {
+      if (typeof message.data !== "string") { draw(new Uint8Array(message.data)); return; }
+      hear(JSON.parse(message.data));
+      if (reported) return;
+      reported = true;  // the first telling comes after the drawing of it
+      requestAnimationFrame(() => requestAnimationFrame(() => { if (socket.readyState === 1) socket.send("drawn"); }));
+    };
+    socket.onclose = () => {
+      get("notice").hidden = false;
+      get("notice").textContent = "The program that shows this has ended. The picture stays; it can be turned and played.";
+    };
+  }
+
+  window.backhoe = { viewer, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; } };
+  if (recording === null) {
+    get("notice").hidden = false;
+    get("notice").textContent = "Waiting for the planner…";
+    connect();
+  } else {
+    for (const code of recording.draw) draw(Uint8Array.from(atob(code), (letter) => letter.charCodeAt(0)));
+    recording.tell.forEach(hear);
+  }
+  viewer.set_3d_pane_size();
+  requestAnimationFrame(tick);
+}

@@ -1,0 +1,396 @@
+"""How often each law arrives, touches and jumps, over seeded random scenes of planar4.
+
+One point obstacle (`count_point_scenes`), a recipe under which something stands in the
+way in every scene:
+
+1. Start and goal configuration: every joint uniform within its limits (a half turn
+   either way), no link in contact with another. The goal is where the second one has
+   its tip; it asks for the position alone.
+2. The obstacle: a random point of the arm at a random one of the first 25 iterations of
+   the plain law, moved by up to 0.25 m in x and in y.
+3. At the start, and at the configuration that the goal was taken from, the arm is
+   outside the region: its centre lines are more than 0.5 m from the obstacle.
+
+Measured on every motion, between its samples too (the joints move linearly): the
+distance of the links' centre lines to the point. Below 0.05 m the arm touches: half the
+thickness of a link and the radius of the sphere that the point is for the completed law.
+The laws as printed know no joint limits, no rates and no contact of the arm with itself;
+the completed law keeps all of these, and here also 0.3 m from the point.
+
+Several solid obstacles (`count_solid_scenes`): one to six spheres, boxes and capsules
+anywhere in the workspace, start and goal free; what the terms of the completed law are
+worth on its first attempt, the tip straight for the goal.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.planning.as_printed import ITERATIONS, Push, paper_step
+from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.reactive import approach_goal
+from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.redundancy.completed import CompletedLaw
+from backhoe_planner.redundancy.directionality import Magnification, Reference
+from backhoe_planner.site.scene import Gains
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Progress = Callable[[Sequence[Any], str], Iterable[Any]]
+
+REGION = 0.5  # m, within which the obstacle term acts
+PUSH_SPEED = 0.2  # |xdot_o| per iteration [m]
+ARRIVED = 0.01  # m
+TOUCH = 0.05  # m from a centre line
+REQUIRED = 0.3  # m from a centre line
+JUMP = 1.0  # rad in one iteration
+SPHERE = 0.01  # m, radius of what the point is for the completed law
+PLAIN = Gains(s_e=0.2)
+
+
+@dataclass(frozen=True)
+class PointScene:
+    """Joints at the start (4,), tip at the goal (3,), the point obstacle (3,)."""
+
+    start: Vector
+    goal: Vector
+    obstacle: Vector
+
+
+@dataclass(frozen=True)
+class Printed:
+    """The law as printed, with one choice of what the paper leaves open."""
+
+    name: str
+    gains: Gains
+    magnification: Magnification = "printed"
+    reference: Reference = "tip_referenced"
+
+
+def printed_laws(joint_names: Sequence[str]) -> list[Printed]:
+    """Plain pseudo-inverse, obstacle term, and all four readings of the directionality."""
+    first, second = joint_names[:2]
+    turning = Gains(s_e=0.2, s_o=0.2, s_k={first: 0.01, second: 0.01})
+    return [
+        Printed("pseudo-inverse alone", PLAIN),
+        Printed("obstacle term, as printed", Gains(s_e=0.2, s_o=0.2)),
+        Printed("+ directionality, as printed (1/M, tip-referenced)", turning),
+        Printed("+ directionality, 1/M, standard J_k", turning, "printed", "standard"),
+        Printed("+ directionality, M, tip-referenced", turning, "norm_preserving", "tip_referenced"),
+        Printed("+ directionality, M, standard J_k", turning, "norm_preserving", "standard"),
+    ]
+
+
+# --- the arm as line links, for the laws as printed ---------------------------------
+
+
+def nearest_point(at: bp.Configuration, obstacle: Vector) -> tuple[float, Vector, int]:
+    """Distance, critical point (3,) on the links' centre lines, index of its link."""
+    begin, line = at.points[:-1], np.diff(at.points, axis=0)
+    part = np.einsum("ki,ki->k", obstacle - begin, line) / np.einsum("ki,ki->k", line, line)
+    points = begin + np.clip(part, 0.0, 1.0)[:, None] * line
+    distances = np.linalg.norm(points - obstacle, axis=1)
+    link = int(np.argmin(distances))
+    return float(distances[link]), points[link], link
+
+
+def push_away(at: bp.Configuration, obstacle: Vector) -> Push | None:
+    """J_o and xdot_o of the critical point, None outside the region."""
+    distance, point, link = nearest_point(at, obstacle)
+    if distance >= REGION:
+        return None
+    J_o = at.J_world[:3] + np.cross(at.J_world[3:].T, point).T
+    J_o[:, link + 1 :] = 0.0
+    return Push(J_o=J_o, xdot_o=PUSH_SPEED * (point - obstacle) / distance)
+
+
+def iterate(kinematics: bp.Kinematics, scene: PointScene, law: Printed, count: int = ITERATIONS) -> Matrix:
+    """(count + 1, n) the joints from iteration to iteration of equation (12)."""
+    goal = bp.TipTarget(scene.goal)
+    found = [scene.start]
+    for _ in range(count):
+        at = kinematics.at(found[-1])
+        push = push_away(at, scene.obstacle) if law.gains.s_o else None
+        step = paper_step(at, goal, push, law.gains, magnification=law.magnification, reference=law.reference)
+        if not np.all(np.abs(step) < 1e6):
+            break
+        found.append(found[-1] + step)
+    return np.array(found)
+
+
+# --- what is measured -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What one motion did."""
+
+    error: float  # of the tip at the end [m]
+    arrival: int | None  # first sample on the goal
+    closest: float  # centre lines to the point, between the samples too [m]
+    at_samples: float  # the same at the samples alone, as the paper looks [m]
+    largest_step: float  # of any joint in one sample [rad]
+
+    @property
+    def arrives(self) -> bool:
+        return self.error < ARRIVED
+
+
+def measure(kinematics: bp.Kinematics, scene: PointScene, motion: Matrix) -> Measured:
+    """Measure a motion (T, n)."""
+    configurations = [kinematics.at(q) for q in motion]
+    errors = np.array([np.linalg.norm(scene.goal - at.tip_position) for at in configurations])
+    distances = [nearest_point(at, scene.obstacle)[0] for at in configurations]
+    closest = min(distances)
+    for q_a, q_b, d_a, d_b in zip(motion, motion[1:], distances, distances[1:], strict=False):
+        closest = _closest_between(kinematics, scene.obstacle, q_a, q_b, d_a, d_b, closest)
+    there = np.flatnonzero(errors < ARRIVED)
+    return Measured(
+        error=float(errors[-1]),
+        arrival=int(there[0]) if len(there) else None,
+        closest=closest,
+        at_samples=min(distances),
+        largest_step=float(np.max(np.abs(np.diff(motion, axis=0)), initial=0.0)),
+    )
+
+
+def _closest_between(
+    kinematics: bp.Kinematics,
+    obstacle: Vector,
+    q_a: Vector,
+    q_b: Vector,
+    d_a: float,
+    d_b: float,
+    known: float,
+    depth: int = 10,
+) -> float:
+    """The least of `known` and the distance between two samples, to 1 mm (DESIGN section 7)."""
+    travel = float(np.abs(q_b - q_a) @ np.arange(len(q_a), 0, -1))  # links of 1 m
+    if depth == 0 or 0.5 * (d_a + d_b - travel) > known - 1e-3:
+        return known
+    middle = 0.5 * (q_a + q_b)
+    d = nearest_point(kinematics.at(middle), obstacle)[0]
+    known = _closest_between(kinematics, obstacle, q_a, middle, d_a, d, min(known, d), depth - 1)
+    return _closest_between(kinematics, obstacle, middle, q_b, d, d_b, known, depth - 1)
+
+
+# --- one point obstacle -------------------------------------------------------------
+
+
+def random_point_scene(robot: bp.Robot, kinematics: bp.Kinematics, rng: np.random.Generator) -> PointScene:
+    """A scene by the recipe of the module's text."""
+    alone = bp.Proximity(robot)
+    plain = Printed("plain", PLAIN)
+    while True:
+        start, end = (robot.random_q(rng) for _ in range(2))
+        if np.min(alone.distances(start)) < 0.02 or np.min(alone.distances(end)) < 0.02:
+            continue
+        goal = kinematics.at(end).tip_position.copy()
+        motion = iterate(kinematics, PointScene(start, goal, goal), plain, 25)
+        points = kinematics.at(motion[rng.integers(1, len(motion))]).points
+        along = rng.uniform(0.0, robot.n)
+        link = int(along)
+        obstacle = points[link] + (along - link) * (points[link + 1] - points[link])
+        obstacle[:2] += rng.uniform(-0.25, 0.25, 2)
+        if min(nearest_point(kinematics.at(q), obstacle)[0] for q in (start, end)) > REGION:
+            return PointScene(start, goal, obstacle)
+
+
+def as_scene(robot: bp.Robot, scene: PointScene, *, clearance: float = REQUIRED - SPHERE) -> bp.Scene:
+    """The same scene for the completed law: the point a small sphere."""
+    return bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(robot.joint_names, map(float, scene.start), strict=True))},
+            "task": {"goal": {"position": list(map(float, scene.goal))}},
+            "clearance": clearance,
+            "influence": REGION,
+            "obstacles": [
+                {"name": "point", "shape": "sphere", "radius": SPHERE, "position": list(map(float, scene.obstacle))}
+            ],
+        }
+    )
+
+
+Row = dict[str, str | float]
+
+
+def summary(name: str, runs: Sequence[Measured]) -> Row:
+    """One row of the table; shares in percent."""
+
+    def share(holds: Callable[[Measured], bool]) -> float:
+        return 100.0 * float(np.mean([holds(run) for run in runs]))
+
+    return {
+        "law": name,
+        "reaches the goal [%]": share(lambda run: run.arrives),
+        "touches [%]": share(lambda run: run.closest < TOUCH),
+        "nearer than 0.3 m [%]": share(lambda run: run.closest < REQUIRED),
+        "reaches without touching [%]": share(lambda run: run.arrives and run.closest >= TOUCH),
+        "reaches and keeps 0.3 m [%]": share(lambda run: run.arrives and run.closest >= REQUIRED),
+        "joint step over 1 rad [%]": share(lambda run: run.largest_step > JUMP),
+        "median largest step [rad]": float(np.median([run.largest_step for run in runs])),
+    }
+
+
+def count_point_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
+    """The table of every law over `count` scenes with one point obstacle."""
+    robot = bp.load_robot("example:planar4")
+    kinematics = bp.Kinematics(robot)
+    rng = np.random.default_rng(seed)
+    laws = printed_laws(robot.joint_names)
+    first, all_ways = "completed law, straight for the goal", "completed law, all attempts"
+    runs: dict[str, list[Measured]] = {name: [] for name in (*(law.name for law in laws), first, all_ways)}
+    for _ in progress(range(count), "point obstacle"):
+        scene = random_point_scene(robot, kinematics, rng)
+        for law in laws:
+            runs[law.name].append(measure(kinematics, scene, iterate(kinematics, scene, law)))
+        problem = build_problem(robot, as_scene(robot, scene))
+        plan = bp.plan(robot, problem.scene, method="reactive", budget=60.0)
+        planned = np.asarray(plan.trajectory.q)
+        straight = planned if plan.details.get("way") == "straight" else first_attempt(problem)
+        runs[first].append(measure(kinematics, scene, straight))
+        runs[all_ways].append(measure(kinematics, scene, planned))
+    return [summary(name, found) for name, found in runs.items()]
+
+
+def first_attempt(problem: Problem) -> Matrix:
+    """(T, n) the completed law's first attempt, whether or not it arrives."""
+    assert problem.goal is not None
+    attempts = approach_goal(_stepper(problem), problem.goal, [], deadline=time.monotonic() + 60.0)
+    return np.asarray(next(attempts).stepper.trajectory().q)
+
+
+def _stepper(problem: Problem) -> Stepper:
+    assert problem.start_q is not None
+    return Stepper(
+        problem,
+        problem.start_q,
+        proximity=bp.Proximity(problem.robot, problem.obstacles),
+        kinematics=bp.Kinematics(problem.robot),
+    )
+
+
+# --- several solid obstacles ----------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Which null-space terms of the completed law take part."""
+
+    name: str
+    obstacle: bool
+    directionality: bool
+
+
+TERMS = (
+    Terms("primary term and shield", obstacle=False, directionality=False),
+    Terms("+ directionality term", obstacle=False, directionality=True),
+    Terms("+ obstacle term", obstacle=True, directionality=False),
+    Terms("+ both (gains: auto)", obstacle=True, directionality=True),
+)
+
+
+def random_solid_scene(robot: bp.Robot, kinematics: bp.Kinematics, rng: np.random.Generator) -> bp.Scene:
+    """One to six solid obstacles, start and goal configuration free of contact by 1 cm."""
+    while True:
+        obstacles = [_random_solid(index, rng) for index in range(rng.integers(1, 7))]
+        document: dict[str, Any] = {
+            "version": 1,
+            "start": {"joints": dict.fromkeys(robot.joint_names, 0.0)},
+            "task": {"goal": {"position": [1.0, 1.0, 0.0]}},
+            "obstacles": obstacles,
+            "clearance": 0.02,
+            "influence": 0.4,
+        }
+        proximity = bp.Proximity(robot, build_problem(robot, bp.scene_from_dict(document)).obstacles)
+        free = [q for q in (robot.random_q(rng) for _ in range(100)) if _is_free(proximity, q)][:2]
+        if len(free) == 2:
+            document["start"] = {"joints": dict(zip(robot.joint_names, map(float, free[0]), strict=True))}
+            document["task"] = {"goal": {"position": list(map(float, kinematics.at(free[1]).tip_position))}}
+            return bp.scene_from_dict(document)
+
+
+def _is_free(proximity: bp.Proximity, q: Vector) -> bool:
+    return bool(np.all(proximity.distances(q) > proximity.clearance + 0.01))
+
+
+def _random_solid(index: int, rng: np.random.Generator) -> dict[str, Any]:
+    name, middle = f"obstacle {index}", rng.uniform(-3.5, 3.5, 2)
+    kind = rng.integers(3)
+    if kind == 0:
+        return {"name": name, "shape": "sphere", "radius": float(rng.uniform(0.1, 0.5)), "position": [*middle, 0.0]}
+    if kind == 1:
+        size, turn = rng.uniform(0.2, 1.0, 2), float(rng.uniform(0.0, 3.0))
+        return {"name": name, "shape": "box", "size": [*size, 0.5], "position": [*middle, 0.0], "rpy": [0, 0, turn]}
+    half, radius = rng.uniform(-0.7, 0.7, 2), float(rng.uniform(0.05, 0.2))
+    ends = {"from": [*(middle - half), 0.0], "to": [*(middle + half), 0.0]}
+    return {"name": name, "shape": "capsule", "radius": radius, **ends}
+
+
+def drive(problem: Problem, terms: Terms, *, longest: float = 60.0) -> tuple[bool, float]:
+    """The completed law with some of its terms, straight for the goal: (arrived, duration [s])."""
+    assert problem.goal is not None
+    stepper = _stepper(problem)
+    limits = problem.limits
+    law = CompletedLaw(problem.robot, influence=problem.scene.influence, directionality=terms.directionality)
+    best, since = np.inf, 0.0
+    while stepper.time < longest:
+        at, nearby = stepper.look()
+        error, J = problem.goal.error(at)[:2], at.jacobian[:2]
+        left = float(np.linalg.norm(error))
+        if left < 2e-5 and stepper.stopped():
+            stepper.stop()
+            return True, stepper.time
+        dq = np.abs(J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(2), error)) + 1e-9
+        pace = min(float(np.min(limits.velocity / dq)), float(np.min(np.sqrt(1.2 * limits.acceleration / dq))), 4.0)
+        acting = nearby if terms.obstacle else nearby.only(np.zeros(len(nearby), dtype=bool))
+        wish = law.wish(at, J, pace * error, acting)
+        v = wish.primary + min(1.0, left / 0.05) * wish.null
+        v = v / max(1.0, float(np.max(np.abs(v) / limits.velocity)))
+        if left < best - 0.002:
+            best, since = left, stepper.time
+        if not stepper.advance(v, nearby, at.jacobian[:3]) or stepper.time - since > 1.5:
+            break
+    return False, stepper.time
+
+
+def count_solid_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
+    """The table of the completed law's terms over `count` scenes with solid obstacles."""
+    robot = bp.load_robot("example:planar4")
+    kinematics = bp.Kinematics(robot)
+    rng = np.random.default_rng(seed)
+    arrived: dict[str, list[bool]] = {terms.name: [] for terms in TERMS}
+    durations: dict[str, list[float]] = {terms.name: [] for terms in TERMS}
+    for _ in progress(range(count), "solid obstacles"):
+        problem = build_problem(robot, random_solid_scene(robot, kinematics, rng))
+        for terms in TERMS:
+            done, duration = drive(problem, terms)
+            arrived[terms.name].append(done)
+            durations[terms.name].append(duration)
+    everywhere = np.all([arrived[terms.name] for terms in TERMS], axis=0)
+    return [
+        {
+            "completed law, first attempt": name,
+            "arrives [%]": 100.0 * float(np.mean(done)),
+            "only this one [scenes]": float(np.sum(_alone(name, arrived))),
+            "mean duration where all arrive [s]": _mean(np.array(durations[name])[everywhere]),
+        }
+        for name, done in arrived.items()
+    ]
+
+
+def _alone(name: str, arrived: dict[str, list[bool]]) -> NDArray[np.bool_]:
+    others = [done for other, done in arrived.items() if other != name]
+    return np.asarray(np.array(arrived[name]) & ~np.any(others, axis=0))
+
+
+def _mean(values: Vector) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")

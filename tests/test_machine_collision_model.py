@@ -1,0 +1,73 @@
+"""Which parts of the machine may not touch each other."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pinocchio as pin
+
+from backhoe_planner.machine.collision_model import geometry_model, self_pairs
+from backhoe_planner.machine.robot import Robot, load_robot
+
+
+def links_of(robot: Robot) -> Counter[tuple[str, str]]:
+    return Counter((robot.pieces[a].link, robot.pieces[b].link) for a, b in self_pairs(robot))
+
+
+def test_planar_arm_keeps_every_pair_but_neighbours(planar4: Robot) -> None:
+    assert links_of(planar4) == Counter(
+        [
+            ("base", "link2"),
+            ("base", "link3"),
+            ("base", "link4"),
+            ("link1", "link3"),
+            ("link1", "link4"),
+            ("link2", "link4"),
+        ]
+    )
+
+
+def test_backhoe_counts_every_piece_of_boom_against_every_piece_of_chassis(backhoe: Robot) -> None:
+    """The chassis has 3 boxes, the boom 2, the stick 2, the bucket 7."""
+    pairs = links_of(backhoe)
+    assert pairs["chassis", "boom"] == 3 * 2
+    assert pairs["chassis", "stick"] == 3 * 2
+    assert pairs["chassis", "bucket"] == 3 * 7
+    assert pairs["cab", "bucket"] == 1 * 7
+
+
+def test_neighbours_and_parts_of_one_body_are_left_out(backhoe: Robot) -> None:
+    pairs = links_of(backhoe)
+    for neighbours in (("chassis", "swing_post"), ("swing_post", "boom"), ("boom", "stick"), ("stick", "bucket")):
+        assert pairs[neighbours] == 0
+    assert not any(first == second for first, second in pairs)
+    assert ("chassis", "cab") not in pairs
+
+
+def test_parts_that_touch_in_every_posture_are_left_out(tmp_path: Path) -> None:
+    """Three hinges 1 cm apart carry balls of 0.5 m: 0-2 and 1-3 always overlap, the far end does not."""
+    ball = '<collision><geometry><sphere radius="0.5"/></geometry></collision>'
+    links = "".join(f'<link name="l{k}">{ball}</link>' for k in range(4))
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="{x} 0 0"/>'
+        '<axis xyz="0 0 1"/><limit lower="-0.1" upper="0.1" effort="1" velocity="1"/></joint>'
+        for k, x in enumerate((0.01, 0.01, 3.0))
+    )
+    path = tmp_path / "balls.urdf"
+    path.write_text(f'<robot name="balls">{links}{joints}</robot>')
+    assert links_of(load_robot(path)) == Counter([("l0", "l3"), ("l1", "l3")])
+
+
+def test_pairs_are_the_same_every_time() -> None:
+    first, second = (self_pairs(load_robot("example:backhoe")) for _ in range(2))
+    assert first == second
+
+
+def test_geometry_model_holds_the_pieces_in_their_order_and_no_pairs(backhoe: Robot) -> None:
+    model = geometry_model(backhoe)
+    assert [geometry.name for geometry in model.geometryObjects] == [piece.name for piece in backhoe.pieces]
+    assert [geometry.parentJoint for geometry in model.geometryObjects] == [piece.joint for piece in backhoe.pieces]
+    assert len(model.collisionPairs) == 0
+    model.addCollisionPair(pin.CollisionPair(0, 1))
+    assert len(geometry_model(backhoe).collisionPairs) == 0
