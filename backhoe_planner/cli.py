@@ -369,4 +369,3 @@ def _tell_envelope(robot: bp.Robot) -> None:
     for name, value, unit in rows:
         if value is not None:
             _out.print(f"  {name:<28}{value:.2f} {unit}")
-

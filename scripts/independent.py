@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
@@ -102,7 +103,7 @@ def least_distances(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> 
 
 
 def _finer(time: NDArray[np.float64], refine: int) -> NDArray[np.float64]:
-    steps = [np.linspace(a, b, refine, endpoint=False) for a, b in zip(time[:-1], time[1:], strict=True)]
+    steps = [np.linspace(a, b, refine, endpoint=False) for a, b in pairwise(time.tolist())]
     return np.concatenate([*steps, time[-1:]])
 
 

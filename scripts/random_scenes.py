@@ -51,7 +51,12 @@ def _obstacle(index: int, rng: np.random.Generator) -> dict[str, Any]:
     kind = int(rng.integers(3))
     name = f"obstacle {index}"
     if kind == 0:
-        return {"name": name, "shape": "sphere", "radius": float(rng.uniform(0.1, 0.5)), "position": [*place.tolist(), 0.0]}
+        return {
+            "name": name,
+            "shape": "sphere",
+            "radius": float(rng.uniform(0.1, 0.5)),
+            "position": [*place.tolist(), 0.0],
+        }
     if kind == 1:
         size = [*rng.uniform(0.2, 1.0, 2).tolist(), 0.5]
         turn = [0.0, 0.0, float(rng.uniform(0.0, 3.0))]

@@ -158,7 +158,9 @@ def main() -> None:
         if sys.stderr.isatty():
             print(f"\r{done} of {arguments.scenes}", end="", file=sys.stderr)
     print(f"{arguments.scenes} scenes, seed {arguments.seed}")
-    print(f"{'law':<16}{'arrives':>9}{'touches':>9}{'arrives, touches nothing':>26}{'step > 1 rad':>14}{'median s':>10}")
+    print(
+        f"{'law':<16}{'arrives':>9}{'touches':>9}{'arrives, touches nothing':>26}{'step > 1 rad':>14}{'median s':>10}"
+    )
     for law in dict.fromkeys(row.law for row in rows):
         mine = [row for row in rows if row.law == law]
         clean = [row.arrived and not row.touched for row in mine]

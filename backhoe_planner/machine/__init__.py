@@ -1,0 +1,1 @@
+"""What the machine is: the URDF, kinematics, dynamics, and its collision shape."""

@@ -49,9 +49,7 @@ def self_pairs(robot: Robot) -> tuple[tuple[int, int], ...]:
     if not candidates:
         return ()
     touches = _touch_rates(robot, candidates)
-    return tuple(
-        pair for pair in candidates if touches[_links(robot, pair)] < _TOUCHES_BY_CONSTRUCTION
-    )
+    return tuple(pair for pair in candidates if touches[_links(robot, pair)] < _TOUCHES_BY_CONSTRUCTION)
 
 
 def _links(robot: Robot, pair: tuple[int, int]) -> tuple[str, str]:

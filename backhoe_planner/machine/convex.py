@@ -103,10 +103,7 @@ def _thickened(points: Points) -> Points:
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Points) -> list[Points]:
     """Add each triangle that sticks out to the piece that it sticks out of least."""
     outside = np.stack(
-        [
-            np.max(triangles @ hull.equations[:, :3].T + hull.equations[:, 3], axis=(1, 2))
-            for hull in hulls
-        ]
+        [np.max(triangles @ hull.equations[:, :3].T + hull.equations[:, 3], axis=(1, 2)) for hull in hulls]
     )
     owner = np.argmin(outside, axis=0)
     grown = []

@@ -194,7 +194,7 @@ class Robot:
         return np.asarray(rng.uniform(lower, upper))
 
     def with_tip(self, tip: str | None) -> Robot:
-        """This machine moved at another tip; itself if `tip` is None or the same."""
+        """The same machine moved at another tip; itself if `tip` is None or the same."""
         if tip is None or tip == self.tip:
             return self
         return _build(self.urdf, tip)
@@ -218,7 +218,9 @@ class Robot:
                 allowed=f"({self.n},): {', '.join(self.joint_names)}",
             )
         if not np.all(np.isfinite(values)):
-            bad = ", ".join(name for name, value in zip(self.joint_names, values, strict=True) if not np.isfinite(value))
+            bad = ", ".join(
+                name for name, value in zip(self.joint_names, values, strict=True) if not np.isfinite(value)
+            )
             raise InputError("is not finite", key=f"{what} ({bad})", found=values.tolist())
         return values
 
@@ -347,7 +349,9 @@ def _hold(element: etree._Element, joint: yourdfpy.Joint) -> None:
         return
     axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
     axis = axis / np.linalg.norm(axis)
-    moved = pin.SE3(np.eye(3), held * axis) if joint.type == "prismatic" else pin.SE3(pin.exp3(held * axis), np.zeros(3))
+    moved = (
+        pin.SE3(np.eye(3), held * axis) if joint.type == "prismatic" else pin.SE3(pin.exp3(held * axis), np.zeros(3))
+    )
     placement = _se3(joint.origin) * moved
     origin = element.find("origin")
     if origin is None:

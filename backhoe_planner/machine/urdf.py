@@ -405,7 +405,9 @@ def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
             f"{_REFUSED[joint.type]}", file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING)
         )
     if joint.type not in (*_MOVING, "fixed"):
-        raise RobotError("unknown joint type", file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING))
+        raise RobotError(
+            "unknown joint type", file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING)
+        )
     if joint.type == "fixed":
         return
     if joint.axis is not None and float(np.linalg.norm(joint.axis)) < 1e-9:
@@ -436,7 +438,10 @@ def _acceleration_limits(root: etree._Element, path: Path) -> dict[str, float]:
         value = float(limit.get("acceleration"))
         if value <= 0.0:
             raise RobotError(
-                "must be greater than 0", file=path, key=f"joint {joint.get('name')!r} > limit @acceleration", found=value
+                "must be greater than 0",
+                file=path,
+                key=f"joint {joint.get('name')!r} > limit @acceleration",
+                found=value,
             )
         limits[str(joint.get("name"))] = value
     return limits

@@ -1,0 +1,1 @@
+"""From a machine and a scene to a motion with a verdict."""

@@ -4,7 +4,8 @@ On a segment from q_a to q_b no point of a link moves further than
 B = sum_j |dq_j| r_j relative to an obstacle (its own travel added), so the distance
 anywhere between is at least (d_a + d_b - B) / 2. Where that bound does not decide, the
 segment is halved. The result is the least distance over the whole motion, proven to
-within `RESOLUTION` (or 2 % of the margin, where that is more), never above the true one. It rests on nothing but the URDF,
+within `RESOLUTION` (or 2 % of the margin, where that is more), and never above the true
+one. It rests on nothing but the URDF,
 the scene and the samples: not on how the motion was found.
 """
 
@@ -274,9 +275,7 @@ def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vec
     return time, q
 
 
-def _sorted_clearances(
-    proximity: Proximity, least: Vector, found_at: list[tuple[float, int]]
-) -> tuple[Clearance, ...]:
+def _sorted_clearances(proximity: Proximity, least: Vector, found_at: list[tuple[float, int]]) -> tuple[Clearance, ...]:
     found = []
     for owner, (time, index) in enumerate(found_at):
         if least[owner] >= _NEVER:
@@ -312,9 +311,9 @@ def segment_is_clear(
     if np.any(present & ((d_a < proximity.clearance) | (d_b < proximity.clearance))) or depth == 0:
         return False
     middle = 0.5 * (q_a + q_b)
-    return segment_is_clear(
-        proximity, q_a, middle, time=time, dt=0.5 * dt, depth=depth - 1
-    ) and segment_is_clear(proximity, middle, q_b, time=time + 0.5 * dt, dt=0.5 * dt, depth=depth - 1)
+    return segment_is_clear(proximity, q_a, middle, time=time, dt=0.5 * dt, depth=depth - 1) and segment_is_clear(
+        proximity, middle, q_b, time=time + 0.5 * dt, dt=0.5 * dt, depth=depth - 1
+    )
 
 
 # --- joint limits -----------------------------------------------------------------

@@ -11,6 +11,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +115,7 @@ class Follower:
     def _play(self, stepper: Stepper, resolution: Resolution) -> None:
         """Time what was resolved, stopping at sharp corners of the path."""
         marks = [0, *self._corners(resolution.stations), len(resolution.stations) - 1]
-        for first, last in zip(marks[:-1], marks[1:], strict=True):
+        for first, last in pairwise(marks):
             if last > first:
                 piece = slice(first, last + 1)
                 stepper.play(

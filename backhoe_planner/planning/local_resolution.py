@@ -8,6 +8,7 @@ only if it is proven clear. It goes as far as the law can go from where it began
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +67,7 @@ def sample_stations(path: BucketPath, s: float) -> Vector:
     """(K,) arc lengths from `s` to the end, every waypoint among them [m]."""
     marks = np.concatenate(([s], path.stations[path.stations > s + 1e-9]))
     parts = [
-        np.linspace(a, b, max(int(np.ceil((b - a) / _SPACING)), 2), endpoint=False)
-        for a, b in zip(marks[:-1], marks[1:], strict=True)
+        np.linspace(a, b, max(int(np.ceil((b - a) / _SPACING)), 2), endpoint=False) for a, b in pairwise(marks.tolist())
     ]
     return np.concatenate([*parts, marks[-1:]])
 
@@ -122,9 +122,14 @@ def _next(
         error, J = _rows(target, now)
         if float(np.max(np.abs(error))) < _EXACT:
             break
-        fix = step_on_path(np.zeros(len(q)), J, error, limits.lower - q, limits.upper - q, *_with_pitch(
-            target, now, np.zeros((0, len(q))), np.zeros(0)
-        ))
+        fix = step_on_path(
+            np.zeros(len(q)),
+            J,
+            error,
+            limits.lower - q,
+            limits.upper - q,
+            *_with_pitch(target, now, np.zeros((0, len(q))), np.zeros(0)),
+        )
         if fix is None:
             return None
         q = q + fix

@@ -20,9 +20,7 @@ __all__ = ["METHODS", "Method", "Plan", "Reason"]
 Method = Literal["auto", "reactive", "paper"]
 METHODS: tuple[Method, ...] = ("auto", "reactive", "paper")
 
-Reason = Literal[
-    "", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"
-]
+Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,9 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
         raise OutputError(f"cannot be written: {error.strerror}", file=target) from error
     part = Path(name)
     try:
-        with os.fdopen(descriptor, mode, encoding=None if "b" in mode else "utf-8", newline=None if "b" in mode else "") as stream:
+        with os.fdopen(
+            descriptor, mode, encoding=None if "b" in mode else "utf-8", newline=None if "b" in mode else ""
+        ) as stream:
             yield stream
         mask = os.umask(0)
         os.umask(mask)
@@ -125,9 +127,7 @@ def certificate_to_dict(plan: Plan) -> dict[str, Any]:
     return {
         "min_clearance": None if tightest is None else asdict(tightest),
         "clearances": [asdict(clearance) for clearance in certificate.clearances],
-        "limits": {
-            kind: asdict(getattr(certificate, kind)) for kind in ("position", "velocity", "acceleration")
-        },
+        "limits": {kind: asdict(getattr(certificate, kind)) for kind in ("position", "velocity", "acceleration")},
         "tip_error": {"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
         "path": {"length": tracking.path_length, "followed": tracking.followed},
         "detours": [asdict(detour) for detour in tracking.detours],
@@ -152,7 +152,9 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     content = _read(file)
     robot_record = _field(content, "robot", dict, file)
     source = _field(robot_record, "urdf", str, file, "robot.urdf")
-    robot = load_robot(_locate(source, file) if urdf is None else urdf, tip=_field(robot_record, "tip", str, file, "robot.tip"))
+    robot = load_robot(
+        _locate(source, file) if urdf is None else urdf, tip=_field(robot_record, "tip", str, file, "robot.tip")
+    )
     if robot.urdf.sha256 != robot_record.get("sha256"):
         raise RobotError(
             "the URDF is not the one with which the plan was made",
@@ -173,10 +175,14 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     reason = _field(content, "reason", str, file)
     message = _field(content, "message", str, file)
     if verdict == "verified" and not certificate.verified:
-        verdict, reason, message = "failed", "blocked", "the file says verified, but: " + "; ".join(certificate.problems)
+        verdict, reason, message = (
+            "failed",
+            "blocked",
+            "the file says verified, but: " + "; ".join(certificate.problems),
+        )
     return Plan(
-        verdict=verdict,  # type: ignore[arg-type]
-        reason=reason,  # type: ignore[arg-type]
+        verdict=verdict,
+        reason=reason,
         message=message,
         robot=robot,
         scene=scene,

@@ -140,9 +140,7 @@ def _judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
 class _Planning:
     """One run of the planner: the problem and the working memory it shares."""
 
-    def __init__(
-        self, problem: Problem, method: Method, seed: int, deadline: float, watch: Watcher | None
-    ) -> None:
+    def __init__(self, problem: Problem, method: Method, seed: int, deadline: float, watch: Watcher | None) -> None:
         self._problem = problem
         self._method = method
         self._deadline = deadline
@@ -246,9 +244,7 @@ class _Planning:
 
     def _to_goal(self, start: Vector, goal: TipTarget) -> _Outcome:
         if self._method == "paper":
-            steps = run_iteration(
-                self._problem, start, goal, proximity=self._proximity, kinematics=self._kinematics
-            )
+            steps = run_iteration(self._problem, start, goal, proximity=self._proximity, kinematics=self._kinematics)
             return _Outcome(time_polyline(steps, self._problem.limits), details={"iterations": len(steps) - 1})
         found = self._postures.at(goal, near=start, count=_SEARCH)
         if found.reachable and not found.clear:
@@ -329,9 +325,7 @@ class _Planning:
     # --- shared ----------------------------------------------------------------
 
     def _stepper(self, q: Vector) -> Stepper:
-        return Stepper(
-            self._problem, q, proximity=self._proximity, kinematics=self._kinematics, watch=self._watch
-        )
+        return Stepper(self._problem, q, proximity=self._proximity, kinematics=self._kinematics, watch=self._watch)
 
     def _follower(self, path: BucketPath) -> Follower:
         task = self._problem.scene.task.path
@@ -361,7 +355,12 @@ def _told(contact: Contact) -> str:
 
 
 def _contact_details(contact: Contact) -> dict[str, Any]:
-    return {"link": contact.link, "obstacle": contact.obstacle, "distance": contact.distance, "depth": -contact.distance}
+    return {
+        "link": contact.link,
+        "obstacle": contact.obstacle,
+        "distance": contact.distance,
+        "depth": -contact.distance,
+    }
 
 
 def _attempt_details(attempts: list[Attempt]) -> dict[str, Any]:

@@ -94,9 +94,7 @@ class Postures:
         best: InverseKinematics | None = None
         guess = near
         for attempt in range(count):
-            found = solve_inverse_kinematics(
-                robot, target, start=guess, attempts=1, kinematics=self._kinematics
-            )
+            found = solve_inverse_kinematics(robot, target, start=guess, attempts=1, kinematics=self._kinematics)
             guess = robot.random_q(self._rng)
             if best is None or found.position_error + found.angle_error < best.position_error + best.angle_error:
                 best = found

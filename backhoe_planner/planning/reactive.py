@@ -270,12 +270,12 @@ def _tangent(normal: Vector, sense: Sense, at: Configuration) -> Vector:
     up = np.array([0.0, 0.0, 1.0])
     if sense in (Sense.LEFT, Sense.RIGHT):
         left = np.cross(normal, up) if abs(normal[2]) < 0.9 else np.cross(up, at.tip_position - at.points[0])
-        return left if sense is Sense.LEFT else -left
+        return np.asarray(left if sense is Sense.LEFT else -left)
     rise = up - normal[2] * normal
     if abs(normal[2]) > 0.9:  # a floor or a ceiling: over it means back to the machine
         rise = at.points[0] - at.tip_position
         rise = rise - (rise @ normal) * normal
-    return rise if sense is Sense.UP else -rise
+    return np.asarray(rise if sense is Sense.UP else -rise)
 
 
 def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:

@@ -49,7 +49,7 @@ class Step:
     attempt: int
 
 
-Watcher = Callable[[Step], None]
+Watcher = Callable[[Step], object]
 
 
 class Stepper:

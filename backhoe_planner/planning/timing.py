@@ -65,9 +65,7 @@ def _time_optimal(
         toppra.constraint.JointAccelerationConstraint(np.column_stack((-hardest, hardest))),
     ]
     grid = np.linspace(stations[0], stations[-1], max(2 * len(stations) + 1, 101))
-    solver = toppra.algorithm.TOPPRA(
-        constraints, curve, gridpoints=grid, parametrizer="ParametrizeConstAccel"
-    )
+    solver = toppra.algorithm.TOPPRA(constraints, curve, gridpoints=grid, parametrizer="ParametrizeConstAccel")
     timed = solver.compute_trajectory(0.0, 0.0)
     if timed is None:
         return _ramp(stations, q, limits)  # a curve that toppra cannot time

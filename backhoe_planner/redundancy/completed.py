@@ -80,9 +80,7 @@ class CompletedLaw:
     directionality: whether the directionality terms take part.
     """
 
-    def __init__(
-        self, robot: Robot, *, influence: float, nominal: float = 0.1, directionality: bool = True
-    ) -> None:
+    def __init__(self, robot: Robot, *, influence: float, nominal: float = 0.1, directionality: bool = True) -> None:
         self.robot = robot
         self.influence = influence
         self.unity = influence / 3.0

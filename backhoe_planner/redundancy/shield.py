@@ -121,9 +121,9 @@ class Shield:
         """
         low, high = self.velocity_bounds(q, v_before, dt)
         bound, rows = self._distance_rows(nearby, np.maximum(np.abs(v_before), np.abs(wish)), dt, extra_margin)
-        if np.all(wish >= low) and np.all(wish <= high):
-            if len(rows) == 0 or np.all(nearby.gradient[rows] @ wish >= -bound):
-                return Shielded(v=wish, slack=0.0, binding=rows[:0])
+        within = np.all(wish >= low) and np.all(wish <= high)
+        if within and (len(rows) == 0 or np.all(nearby.gradient[rows] @ wish >= -bound)):
+            return Shielded(v=wish, slack=0.0, binding=rows[:0])
         H = self._weight(wish, J_tip)
         A = np.ascontiguousarray(-nearby.gradient[rows])
         n, count = len(wish), len(rows)

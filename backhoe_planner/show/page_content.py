@@ -80,9 +80,7 @@ def plan_content(plan: Plan, timeline: Timeline, view: View) -> dict[str, Any]:
     }
 
 
-def step_content(
-    time: float, q: Any, nearest: tuple[Nearest | None, ...], links: tuple[str, ...]
-) -> dict[str, Any]:
+def step_content(time: float, q: Any, nearest: tuple[Nearest | None, ...], links: tuple[str, ...]) -> dict[str, Any]:
     """One posture while planning goes on."""
     index = {name: number for number, name in enumerate(links)}
     return {

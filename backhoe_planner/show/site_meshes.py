@@ -108,9 +108,7 @@ def _shell(obstacle: Obstacle) -> trimesh.Trimesh | None:
         return None
     pieces = obstacle.pieces
     if len(pieces) <= _MOST_ROUNDED:
-        return trimesh.util.concatenate(
-            [fattened(piece.hull, piece.radius + obstacle.clearance) for piece in pieces]
-        )
+        return trimesh.util.concatenate([fattened(piece.hull, piece.radius + obstacle.clearance) for piece in pieces])
     boxes = []  # too many to round off: boxes around them, a little larger than the true shell
     for piece in pieces:
         grown = piece.radius + obstacle.clearance

@@ -127,9 +127,7 @@ class Viewer:
         if self._problem is None or self._graph is None or self._proximity is None:
             raise InputError("show a problem first", key="show_step")
         posture = self._problem.robot.check_q(q)
-        spots = nearest_spots(
-            self._proximity, self._obstacles, posture, time=time, within=sight(self._problem)
-        )
+        spots = nearest_spots(self._proximity, self._obstacles, posture, time=time, within=sight(self._problem))
         self._graph.move(posture, time=time, nearest=spots)
         self._server.recording.tell(step_content(time, posture, spots, self._problem.robot.link_names))
         ended = clock.perf_counter()

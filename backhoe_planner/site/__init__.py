@@ -1,0 +1,1 @@
+"""What stands around the machine: the scene file, obstacles, and distances to them."""

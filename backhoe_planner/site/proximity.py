@@ -176,9 +176,7 @@ class Proximity:
         """Pinocchio's geometry model with all pairs, and its data; to be read only."""
         return self._model, self._geometry
 
-    def at(
-        self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf
-    ) -> Nearby:
+    def at(self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf) -> Nearby:
         """Everything near at configuration `q` (n,) and `time` [s].
 
         Obstacles that have not appeared by `time` are left out.

@@ -61,7 +61,9 @@ _ROUNDING = 1e-14  # a length this near 1 is 1: what was normalised once stays a
 class _Record(BaseModel):
     """Keys that are not in the contract are refused; nothing changes after reading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True
+    )
 
 
 def _unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
@@ -647,15 +649,15 @@ def read_csv_table(
     table = []
     for number, row in rows[1:]:
         if len(row) != len(header):
-            raise SceneError(
-                f"has {len(row)} cells, the header {len(header)}", file=path, key=f"line {number}"
-            )
+            raise SceneError(f"has {len(row)} cells, the header {len(header)}", file=path, key=f"line {number}")
         values = {}
         for column, cell in zip(header, row, strict=True):
             try:
                 value = float(cell)
             except ValueError:
-                raise SceneError("is not a number", file=path, key=f"line {number}, {column}", found=repr(cell)) from None
+                raise SceneError(
+                    "is not a number", file=path, key=f"line {number}, {column}", found=repr(cell)
+                ) from None
             if not math.isfinite(value):
                 raise SceneError("is not finite", file=path, key=f"line {number}, {column}", found=cell)
             values[column] = value
