@@ -168,14 +168,14 @@ def test_an_obstacle_enters_without_a_jump(planar4: Robot) -> None:
     at = Kinematics(planar4).at(np.array([0.3, 0.8, -1.2, 0.7]))
     law = CompletedLaw(planar4, influence=INFLUENCE)
     gradient = np.array([0.8, -0.9, 0.4, 0.0])
-    xdot_e = np.array([0.4, 0.3])
+    xdot_e = np.array([-0.4, -0.3])  # towards it
 
     def v(margin: float) -> Vector:
         return law.wish(at, at.jacobian[:2], xdot_e, one_pair(margin, gradient)).v
 
     without = law.wish(at, at.jacobian[:2], xdot_e, one_pair(1.0, gradient).only(np.array([False]))).v
     np.testing.assert_allclose(v(INFLUENCE + 1e-9), without, atol=1e-12)
-    np.testing.assert_allclose(v(INFLUENCE - 1e-4), without, atol=1e-6)
+    np.testing.assert_allclose(v(INFLUENCE - 1e-4), without, atol=1e-5)
     margins = np.linspace(-0.1, INFLUENCE, 3501)
     wishes = np.array([v(float(margin)) for margin in margins])
     assert np.max(np.abs(np.diff(wishes, axis=0))) < 0.02  # for 0.2 mm
@@ -218,17 +218,14 @@ def test_near_limit_by_hand(planar4: Robot) -> None:
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_a_joint_that_nears_its_limit_gets_less_rate(planar4: Robot, joint: int) -> None:
-    """D = -1 turns the prediction round, which holds the joint wherever the prediction is right.
-
-    That is in about 85 % of seeded postures; in the others it is the shield that keeps the limit.
-    """
+    """Whatever the posture: what is held is the joint's own rate, not a predicted turn of its link."""
     rng, kinematics = np.random.default_rng(11), Kinematics(planar4)
     with_it = CompletedLaw(planar4, influence=INFLUENCE)
     without = CompletedLaw(planar4, influence=INFLUENCE, directionality=False)
     nothing = one_pair(1.0, np.zeros(4)).only(np.array([False]))
     changes: list[float] = []
     while len(changes) < 300:
-        q = planar4.random_q(rng)
+        q = rng.uniform(-2.0, 2.0, 4)  # the others are far from their limits
         q[joint] = np.pi - 0.05
         at = kinematics.at(q)
         J_e = at.jacobian[:2]
@@ -242,7 +239,7 @@ def test_a_joint_that_nears_its_limit_gets_less_rate(planar4: Robot, joint: int)
         held = with_it.wish(at, J_e, xdot_e, nothing)
         np.testing.assert_allclose(J_e @ held.v, J_e @ plain.v, atol=1e-10)
         changes.append(float((held.v[joint] - plain.v[joint]) / plain.v[joint]))
-    assert np.mean(np.array(changes) < 0.0) > 0.8
+    assert np.max(changes) < 1e-9
     assert np.median(changes) < -0.5
 
 

@@ -17,7 +17,7 @@ from backhoe_planner.machine.kinematics import Configuration, Kinematics
 from backhoe_planner.machine.target import TipTarget, movable_rows
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import segment_is_clear
-from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.problem import Problem, hand_set_gains
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.redundancy.on_path import step_on_path
 from backhoe_planner.site.proximity import Nearby, Proximity
@@ -82,7 +82,7 @@ def resolve_along(
     ----------
     time: at which the obstacles are taken to be where they are [s].
     """
-    law = CompletedLaw(problem.robot, influence=problem.scene.influence)
+    law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
     stations = sample_stations(path, s)
     found = [np.array(q, dtype=float)]
     for station in stations[1:]:

@@ -12,9 +12,9 @@ from backhoe_planner.machine.robot import JointLimits, Robot
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.site.obstacles import Obstacle, build_obstacles
-from backhoe_planner.site.scene import Goal, Pose, Scene
+from backhoe_planner.site.scene import Gains, Goal, Pose, Scene
 
-__all__ = ["Problem", "build_problem"]
+__all__ = ["Problem", "build_problem", "hand_set_gains"]
 
 Vector = NDArray[np.float64]
 
@@ -77,6 +77,12 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         goal=goal,
         path=path,
     )
+
+
+def hand_set_gains(problem: Problem) -> Gains | None:
+    """The gains that the scene sets by hand; None where it leaves them to the criterion."""
+    gains = problem.scene.gains
+    return None if gains == "auto" else gains
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:

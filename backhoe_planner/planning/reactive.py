@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Configuration
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.machine.target import TipTarget, movable_rows
+from backhoe_planner.planning.problem import hand_set_gains
 from backhoe_planner.planning.stepping import Stepper
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.site.proximity import Nearby
@@ -121,7 +122,7 @@ def _drive_tip(
     stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str, deadline: float, *, null_space: bool
 ) -> Attempt:
     problem = stepper.problem
-    law = CompletedLaw(problem.robot, influence=problem.scene.influence)
+    law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
     progress = _Progress()
     turning = _Turning(sense)
     arrived = False

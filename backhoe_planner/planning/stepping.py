@@ -189,7 +189,7 @@ class Stepper:
 
     def _within_limits(self, q: Vector) -> Vector:
         limits = self.problem.limits
-        if np.all(q >= limits.lower) and np.all(q <= limits.upper):
+        if (q >= limits.lower).all() and (q <= limits.upper).all():
             return q
         inside = (self.q >= limits.lower) & (self.q <= limits.upper)
         return np.where(inside, np.clip(q, limits.lower, limits.upper), q)

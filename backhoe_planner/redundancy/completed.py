@@ -1,7 +1,10 @@
 """The completed law: equation (12) with terms that stay bounded and gains that need no hand.
 
     v = J_e^+ xdot_e + H,    H = argmin over the null space of
-        sum_i w_i (g_i (v_e + H) - c_i)^2 + sum_k s_k |J_k (v_e + H) - xdot_k|^2 + eps |H|^2
+          sum_i w_i (g_i (v_e + H) - c_i)^2          obstacles
+        + sum_j h_j (v_j + H_j)^2                    joints to be held
+        + sum_k s_k |J_k (v_e + H) - xdot_k|^2       links to be turned
+        + eps |H|^2
 
 One scalar row g_i per critical point (the gradient of its distance) instead of its
 three velocities, and one problem for all terms instead of a sum of pseudo-inverses:
@@ -11,8 +14,13 @@ The weights are the criterion for the gains that the paper leaves open:
 - w_i is 0 at the influence distance and 1 at the unity distance, a cosine between
   (Maciejewski and Klein 1985), so that no row enters or leaves with a jump;
 - c_i is a push away within the unity distance, ((d_u / d)^2 - 1) times nominal;
-- s_k is small while a link turns as predicted (D = +1); as joint k nears a limit
-  towards which it is moving, D goes to -1 (hold) and s_k to 1.
+- h_j grows from 0 to 1 as joint j nears a limit towards which it is moving. This is
+  what D = -1 in (15) is for. As printed, D = -1 asks for the opposite of the predicted
+  turn of the whole link, and where the prediction errs it drives the joint on: over
+  random postures near a limit that was so in one to three of ten. The joint's own rate
+  cannot err.
+- s_k, with D = +1, is 0 unless the scene sets it: over seeded random scenes it made no
+  measurable difference to how often the law arrives.
 """
 
 from __future__ import annotations
@@ -28,6 +36,7 @@ from backhoe_planner.machine.robot import Robot
 from backhoe_planner.redundancy.directionality import all_link_jacobians, all_link_velocities
 from backhoe_planner.redundancy.projector import Resolved, resolve
 from backhoe_planner.site.proximity import Nearby
+from backhoe_planner.site.scene import Gains
 
 __all__ = ["CompletedLaw", "Wish", "activation", "push_factor"]
 
@@ -37,7 +46,6 @@ Matrix = NDArray[np.float64]
 _EPSILON = 2e-2  # (m/rad)^2: rows weaker than its root fade out
 _LARGEST_PUSH = 3.0  # times nominal
 _NEAR_LIMIT = 0.15  # of a joint's range: within this it counts as near its limit
-_TURN_GAIN = 0.01  # the paper's s_k, for D = +1
 
 
 @dataclass(frozen=True)
@@ -77,15 +85,30 @@ class CompletedLaw:
     ----------
     influence: margin (distance minus clearance) within which an obstacle acts [m].
     nominal: speed of the push away from an obstacle at twice its unity factor [m/s].
-    directionality: whether the directionality terms take part.
+    gains: s_e and s_o multiply the primary task and the obstacles' weights, s_k [by
+        joint name] asks link k to turn as predicted (D = +1); None for 1, 1 and 0.
+    directionality: whether joints near a limit are held, and links turned.
     """
 
-    def __init__(self, robot: Robot, *, influence: float, nominal: float = 0.1, directionality: bool = True) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        influence: float,
+        nominal: float = 0.1,
+        gains: Gains | None = None,
+        directionality: bool = True,
+    ) -> None:
         self.robot = robot
         self.influence = influence
         self.unity = influence / 3.0
         self.nominal = nominal
         self.directionality = directionality
+        self._s_e = 1.0 if gains is None else gains.s_e
+        self._s_o = 1.0 if gains is None else gains.s_o
+        s_k = [0.0 if gains is None else gains.s_k.get(name, 0.0) for name in robot.joint_names[:-1]]
+        self._s_k = np.repeat(s_k, 3)
+        self._turns = directionality and any(s_k)
         span = robot.limits.upper - robot.limits.lower
         zone = np.where(np.isfinite(span), _NEAR_LIMIT * span, 1.0)
         columns = (robot.limits.lower, robot.limits.upper, zone)
@@ -102,14 +125,20 @@ class CompletedLaw:
         nearby: critical points within clearance + influence.
         """
         resolved = resolve(J_e)
-        primary = resolved.inverse @ xdot_e
+        primary = self._s_e * (resolved.inverse @ xdot_e)
         N = resolved.projector
         A = self._epsilon.copy()
         b = np.zeros(self.robot.n)
-        if len(nearby):
-            self._add_obstacles(primary, nearby, N, A, b)
+        busy = False
+        if self._s_o > 0.0 and len(nearby):
+            busy = self._add_obstacles(primary, nearby, N, A, b)
         if self.directionality and self.robot.n > len(xdot_e):
-            self._add_directionality(at, primary, N, A, b)
+            busy |= self._add_holds(at, primary, N, A, b)
+            if self._turns:
+                self._add_turns(at, primary, N, A, b)
+                busy = True
+        if not busy:
+            return Wish(v=primary, primary=primary, null=b, resolved=resolved)
         null = N @ eigenpy.LDLT(A).solve(b)
         return Wish(v=primary + null, primary=primary, null=null, resolved=resolved)
 
@@ -124,25 +153,40 @@ class CompletedLaw:
             near.append(min(max(1.0 - ahead / zone, 0.0), 1.0))
         return np.array(near)
 
-    def _add_obstacles(self, primary: Vector, nearby: Nearby, N: Matrix, A: Matrix, b: Vector) -> None:
+    def _add_obstacles(self, primary: Vector, nearby: Nearby, N: Matrix, A: Matrix, b: Vector) -> bool:
         """Add the rows w_i (g_i (v_e + H) - c_i)^2, where they would come nearer than c_i."""
-        weight = activation(nearby.margin, self.unity, self.influence)
-        away = -nearby.drift
-        if nearby.margin.min() < self.unity:
-            away = away + self.nominal * push_factor(nearby.margin, self.unity)
-        missing = np.maximum(away - nearby.gradient @ primary, 0.0)
-        G = nearby.gradient @ N
+        margin, gradient = nearby.margin, nearby.gradient
+        acts = margin < self.influence
+        if not acts.all():
+            if not acts.any():
+                return False
+            margin, gradient = margin[acts], gradient[acts]
+        weight = self._s_o * activation(margin, self.unity, self.influence)
+        away = -nearby.drift if len(margin) == len(nearby) else -nearby.drift[acts]
+        if margin.min() < self.unity:
+            away = away + self.nominal * push_factor(margin, self.unity)
+        missing = np.maximum(away - gradient @ primary, 0.0)
+        G = gradient @ N
         weighted = G.T * weight
         A += weighted @ G
         b += weighted @ missing
+        return True
 
-    def _add_directionality(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> None:
+    def _add_holds(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> bool:
+        """Add the rows h_j (v_j + H_j)^2 of joints that near a limit."""
+        near = self.near_limit(at.q, primary)
+        if not near.any():
+            return False
+        weighted = N * (near * near)
+        A += weighted @ N
+        b -= weighted @ primary
+        return True
+
+    def _add_turns(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> None:
         """Add the rows s_k |J_k (v_e + H) - xdot_k|^2."""
-        near = self.near_limit(at.q, primary)[:-1]
-        gain = np.repeat(_TURN_GAIN + (1.0 - _TURN_GAIN) * near * near, 3)
         J = all_link_jacobians(at)
-        turns = all_link_velocities(at, at.jacobian[:3] @ primary, 1.0 - 2.0 * near).ravel()
+        turns = all_link_velocities(at, at.jacobian[:3] @ primary, np.ones(self.robot.n - 1)).ravel()
         row = J @ N
-        weighted = row.T * gain
+        weighted = row.T * self._s_k
         A += weighted @ row
         b += weighted @ (turns - J @ primary)

@@ -67,6 +67,7 @@ class Shield:
         self.limits = limits
         n = len(limits.velocity)
         self._eye = _FREE * np.eye(n)
+        self._per_acceleration = 1.0 / limits.acceleration
         self._braking_room = 0.5 * limits.velocity**2 / limits.acceleration
 
     def velocity_bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
@@ -82,8 +83,8 @@ class Shield:
         above, below = limits.upper - q, q - limits.lower
         # the speed limit is all that counts where there is room to brake from it
         room = self._braking_room + lead * limits.velocity
-        upper = limits.velocity if np.all(above > room) else np.minimum(limits.velocity, _stoppable(above, a, lead))
-        lower = limits.velocity if np.all(below > room) else np.minimum(limits.velocity, _stoppable(below, a, lead))
+        upper = limits.velocity if (above > room).all() else np.minimum(limits.velocity, _stoppable(above, a, lead))
+        lower = limits.velocity if (below > room).all() else np.minimum(limits.velocity, _stoppable(below, a, lead))
         change = a * dt
         fastest, slowest = v_before + change, v_before - change
         high = np.minimum(np.maximum(upper, slowest), fastest)
@@ -92,7 +93,7 @@ class Shield:
 
     def braking_time(self, v: Vector) -> float:
         """Time in which all joints, slowing in proportion, come to rest [s]."""
-        return float(np.max(np.abs(v) / self.limits.acceleration))
+        return float((np.abs(v) * self._per_acceleration).max())
 
     def stopping_time(self, v: Vector) -> float:
         """1 / gamma: what a rate of approach is multiplied with to give the margin it needs [s]."""
@@ -121,11 +122,11 @@ class Shield:
         """
         low, high = self.velocity_bounds(q, v_before, dt)
         bound, rows = self._distance_rows(nearby, np.maximum(np.abs(v_before), np.abs(wish)), dt, extra_margin)
-        within = np.all(wish >= low) and np.all(wish <= high)
-        if within and (len(rows) == 0 or np.all(nearby.gradient[rows] @ wish >= -bound)):
+        A = -nearby.gradient[rows]
+        within = (wish >= low).all() and (wish <= high).all()
+        if within and (len(rows) == 0 or (A @ wish <= bound).all()):
             return Shielded(v=wish, slack=0.0, binding=rows[:0])
         H = self._weight(wish, J_tip)
-        A = np.ascontiguousarray(-nearby.gradient[rows])
         n, count = len(wish), len(rows)
         sense = np.full(n + count, _SOFT, dtype=np.int32)
         sense[:n] = _HARD
@@ -137,11 +138,11 @@ class Shield:
             np.concatenate((low, np.full(count, _UNBOUNDED))),
             sense,
         )
-        if flag < 1 or not np.all(np.isfinite(x)):
+        if flag < 1 or not np.isfinite(x).all():
             x = self._braked(v_before, dt)
         v = np.minimum(np.maximum(x, low), high)
         over = A @ v - bound
-        slack = float(np.max(over, initial=0.0))
+        slack = float(over.max(initial=0.0))
         return Shielded(v=v, slack=slack if slack > 1e-5 else 0.0, binding=rows[over > -1e-5])
 
     def _braked(self, v: Vector, dt: float) -> Vector:

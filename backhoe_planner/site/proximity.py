@@ -37,7 +37,6 @@ Indices = NDArray[np.intp]
 
 _NONSENSE = -1e3  # m: no pair is this deep inside each other
 _CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
-_YZX, _ZXY = [1, 2, 0], [2, 0, 1]
 _TOLERANCE = 1e-12  # of coal's iterations [m]
 
 
@@ -188,7 +187,9 @@ class Proximity:
         """
         self._place(q, time)
         lower = self._lower(q, time)
-        reach = np.minimum(self.clearance + margin, within)
+        reach = self.clearance + margin
+        if within < np.inf:
+            reach = np.minimum(reach, within)
         found: list[int] = []
         results = []
         for index in np.flatnonzero(lower <= reach).tolist():
@@ -207,14 +208,14 @@ class Proximity:
 
     def is_at(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the last measurement was made at `q` and `time`."""
-        return bool(self._bound_time == time and np.array_equal(self._q_bound, q))
+        return bool(self._bound_time == time and (self._q_bound == q).all())
 
     def stays_clear(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether every clearance provably holds on the way to `q` without measuring anew.
 
         The way begins where something was measured last. False says nothing.
         """
-        return bool(np.all(self._lower(q, time) >= self.clearance))
+        return bool((self._lower(q, time) >= self.clearance).all())
 
     def _lower(self, q: Vector, time: float) -> Vector:
         """(P,) what is known of each distance from the last measurement alone [m]."""
@@ -308,12 +309,13 @@ class Proximity:
 
     def _rows(self, found: list[int], results: list[Any]) -> Nearby:
         n = self.robot.n
-        raw = np.empty((len(found), 10))
-        for row, result in zip(raw, results, strict=True):
-            row[0] = result.min_distance
-            row[1:4] = result.normal
-            row[4:7] = result.getNearestPoint1()
-            row[7:] = result.getNearestPoint2()
+        flat: list[float] = []
+        for result in results:
+            flat.append(result.min_distance)
+            flat += result.normal.tolist()
+            flat += result.getNearestPoint1().tolist()
+            flat += result.getNearestPoint2().tolist()
+        raw = np.array(flat).reshape(-1, 10)
         pair = np.array(found, dtype=np.intp)
         distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 7:]
         if found:
@@ -356,8 +358,10 @@ def _support(robot: Robot, joint: int) -> Vector:
 
 def _point_rows(normal: Matrix, point: Matrix) -> Matrix:
     """(K, 6) so that row @ J_world is the speed of the point along the normal."""
-    rows = np.empty((len(normal), 6))
-    rows[:, :3] = normal
-    rows[:, 3:] = point[:, _YZX] * normal[:, _ZXY]
-    rows[:, 3:] -= point[:, _ZXY] * normal[:, _YZX]
-    return rows
+    rows = np.empty((6, len(normal)))
+    nx, ny, nz = rows[:3] = normal.T
+    px, py, pz = point.T
+    rows[3] = py * nz - pz * ny
+    rows[4] = pz * nx - px * nz
+    rows[5] = px * ny - py * nx
+    return rows.T
