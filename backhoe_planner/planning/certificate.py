@@ -11,6 +11,7 @@ the scene and the samples: not on how the motion was found.
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,8 @@ Vector = NDArray[np.float64]
 
 RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance
 _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
+_EFFORT = 200_000  # measurements per obstacle at most
+_EFFORT_REFUTED = 2_000  # where the motion is already known not to keep its clearance
 KEPT_WITHIN = RESOLUTION + 1e-6  # m: a motion at exactly its clearance counts as keeping it
 _LIMIT_TOLERANCE = 1e-6  # relative, for rounding
 _NEVER = 10.0  # m: clearances above this are not told apart
@@ -194,75 +197,99 @@ def _clearances(problem: Problem, trajectory: Trajectory) -> tuple[Clearance, ..
     if not proximity.pairs:
         return ()
     time, q = _with_appearances(trajectory, proximity)
-    count, pairs = len(time), len(proximity.pairs)
     owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
-    least = np.full(len(proximity.obstacles) + 1, _NEVER)  # least measured margin of each obstacle
-    where = np.zeros((len(least), 2), dtype=int)  # its sample and pair
-    lower = np.empty((count, pairs))
-    for row in range(count):
-        floor = np.where(proximity.appears_at <= time[row], least[owners] + proximity.clearance, -np.inf)
-        lower[row], measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor)
-        lower[row, proximity.appears_at > time[row]] = np.inf
-        for pair in np.flatnonzero(measured):
-            margin = lower[row, pair] - proximity.clearance[pair]
-            if margin < least[owners[pair]]:
-                least[owners[pair]] = margin
-                where[owners[pair]] = row, pair
-    found_at = [(float(time[row]), int(pair)) for row, pair in where]
-    steps = np.abs(np.diff(q, axis=0)) @ proximity.travel.T + np.diff(time)[:, None] * proximity.speed
-    bounds = 0.5 * (lower[:-1] + lower[1:] - steps) - proximity.clearance
-    open_rows, open_pairs = np.nonzero(bounds < _proven(least)[owners])
-    order = np.argsort(bounds[open_rows, open_pairs], kind="stable")
-    for row, pair in zip(open_rows[order], open_pairs[order], strict=True):
-        if proximity.appears_at[pair] <= time[row]:
-            segment = _Segment(proximity, int(pair), time[row : row + 2], q[row : row + 2])
-            _refine(segment, owners[pair], least, found_at)
-    return _sorted_clearances(proximity, least, found_at)
+    searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
+    least = np.full(len(searches), _NEVER)
+    before = np.zeros(0)
+    for row in range(len(time)):
+        here = proximity.appears_at <= time[row]
+        floor = np.where(here, least[owners] + proximity.clearance, -np.inf)
+        lower, measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor)
+        margins = np.where(here, lower - proximity.clearance, np.inf)
+        for pair in np.flatnonzero(measured & here):
+            searches[owners[pair]].note(float(margins[pair]), float(time[row]), int(pair))
+            least[owners[pair]] = searches[owners[pair]].least
+        if row:
+            travel = np.abs(q[row] - q[row - 1]) @ proximity.travel.T + (time[row] - time[row - 1]) * proximity.speed
+            bounds = 0.5 * (before + margins - travel)
+            for pair in np.flatnonzero(bounds < _to_prove(least)[owners]):
+                searches[owners[pair]].open(float(bounds[pair]), row - 1, int(pair))
+        before = margins
+    found = [clearance for search in searches if (clearance := search.finish()) is not None]
+    return tuple(sorted(found, key=lambda clearance: clearance.margin))
 
 
-def _proven(least: Any) -> Any:
-    """The margins that are proven where `least` are the least that were measured [m]."""
+def _to_prove(least: Any) -> Any:
+    """The margins that are to be proven where `least` are the least that were measured [m]."""
     return least - np.maximum(RESOLUTION, _RESOLUTION_OF_MARGIN * least)
 
 
-class _Segment:
-    """One pair on one straight piece of a motion."""
+class _Search:
+    """Best-first search for the least margin to one obstacle over a whole motion.
 
-    def __init__(self, proximity: Proximity, pair: int, time: Vector, q: NDArray[np.float64]) -> None:
-        self.pair = pair
+    Attributes
+    ----------
+    least: the least margin that was measured [m].
+    """
+
+    def __init__(self, proximity: Proximity, time: Vector, q: NDArray[np.float64]) -> None:
         self._proximity, self._time, self._q = proximity, time, q
-        self.travel = float(np.abs(q[1] - q[0]) @ proximity.travel[pair])
-        self.travel += float(proximity.speed[pair] * (time[1] - time[0]))
+        self.least = _NEVER
+        self._where = (0.0, 0)  # moment and pair of the least margin
+        # (bound, tie-breaker, segment, pair, from, to): parts 0..1 of a segment
+        self._open: list[tuple[float, int, int, int, float, float]] = []
+        self._measured = 0
 
-    def moment(self, part: float) -> float:
-        """Time at `part` 0..1 of the segment [s]."""
-        return float((1.0 - part) * self._time[0] + part * self._time[1])
+    def note(self, margin: float, moment: float, pair: int) -> None:
+        """A margin was measured."""
+        if margin < self.least:
+            self.least, self._where = margin, (moment, pair)
 
-    def margin(self, part: float) -> float:
-        """Distance minus clearance at `part` 0..1 of the segment [m]."""
-        q = (1.0 - part) * self._q[0] + part * self._q[1]
-        distance = self._proximity.distance_of(self.pair, q, time=self.moment(part))
-        return distance - float(self._proximity.clearance[self.pair])
+    def open(self, bound: float, segment: int, pair: int) -> None:
+        """On this segment the margin may be as low as `bound`."""
+        heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0))
 
+    def finish(self) -> Clearance | None:
+        """Halve the lowest until nothing can lie below what is to be proven.
 
-def _refine(segment: _Segment, owner: np.intp, least: Vector, found_at: list[tuple[float, int]]) -> None:
-    """Halve a segment until nothing on it can lie below what is to be proven."""
+        A motion that is refuted anyway, or too long for the effort, is left with the
+        lower bound that was reached.
+        """
+        if self.least >= _NEVER:
+            return None
+        proven = float(_to_prove(self.least))
+        tie = len(self._open)
+        while self._open and self._open[0][0] < _to_prove(self.least):
+            if self._measured > (_EFFORT_REFUTED if self.least < -KEPT_WITHIN else _EFFORT):
+                break
+            _, _, segment, pair, a, b = heapq.heappop(self._open)
+            middle = 0.5 * (a + b)
+            m_a, m_m, m_b = (self._measure(segment, pair, part) for part in (a, middle, b))
+            half = 0.5 * (b - a) * self._travel(segment, pair)
+            for start, m_1, m_2 in ((a, m_a, m_m), (middle, m_m, m_b)):
+                tie += 1
+                bound = 0.5 * (m_1 + m_2 - half)
+                heapq.heappush(self._open, (bound, tie, segment, pair, start, start + 0.5 * (b - a)))
+        proven = float(_to_prove(self.least))
+        if self._open:
+            proven = min(proven, self._open[0][0])
+        moment, index = self._where
+        pair_record = self._proximity.pairs[index]
+        return Clearance(proven + pair_record.clearance, proven, pair_record.obstacle, pair_record.link, moment)
 
-    def measured(part: float) -> float:
-        margin = segment.margin(part)
-        if margin < least[owner]:
-            least[owner] = margin
-            found_at[owner] = (segment.moment(part), segment.pair)
+    def _travel(self, segment: int, pair: int) -> float:
+        """How much the distance of a pair can change on a segment [m]."""
+        dq, dt = self._q[segment + 1] - self._q[segment], self._time[segment + 1] - self._time[segment]
+        return float(np.abs(dq) @ self._proximity.travel[pair] + dt * self._proximity.speed[pair])
+
+    def _measure(self, segment: int, pair: int, part: float) -> float:
+        """Margin of a pair at `part` 0..1 of a segment [m]."""
+        q = (1.0 - part) * self._q[segment] + part * self._q[segment + 1]
+        moment = float((1.0 - part) * self._time[segment] + part * self._time[segment + 1])
+        margin = self._proximity.distance_of(pair, q, time=moment) - float(self._proximity.clearance[pair])
+        self._measured += 1
+        self.note(margin, moment, pair)
         return margin
-
-    stack = [(0.0, measured(0.0), 1.0, measured(1.0))]
-    while stack:
-        a, m_a, b, m_b = stack.pop()
-        if 0.5 * (m_a + m_b - segment.travel * (b - a)) >= _proven(least[owner]):
-            continue
-        middle = 0.5 * (a + b)
-        m_m = measured(middle)
-        stack += [(middle, m_m, b, m_b), (a, m_a, middle, m_m)]
 
 
 def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vector, NDArray[np.float64]]:
@@ -273,17 +300,6 @@ def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vec
         return trajectory.time, trajectory.q
     q = np.column_stack([np.interp(time, trajectory.time, column) for column in trajectory.q.T])
     return time, q
-
-
-def _sorted_clearances(proximity: Proximity, least: Vector, found_at: list[tuple[float, int]]) -> tuple[Clearance, ...]:
-    found = []
-    for owner, (time, index) in enumerate(found_at):
-        if least[owner] >= _NEVER:
-            continue
-        pair = proximity.pairs[index]
-        margin = float(_proven(least[owner]))
-        found.append(Clearance(margin + pair.clearance, margin, pair.obstacle, pair.link, time))
-    return tuple(sorted(found, key=lambda clearance: clearance.margin))
 
 
 def segment_is_clear(
