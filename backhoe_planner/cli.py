@@ -10,7 +10,7 @@ import contextlib
 import json
 import sys
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -66,6 +66,8 @@ def main() -> NoReturn:
             raise
         _err.print(Text("error: ", style="bold red") + Text(error.format_message()))  # type: ignore[attr-defined]
         sys.exit(BAD_INPUT)
+    if status == INTERRUPTED:  # typer turns Ctrl-C into a return value
+        _err.print("interrupted")
     sys.exit(status if isinstance(status, int) else VERIFIED)
 
 
@@ -236,7 +238,7 @@ def _plan_in_viewer(
     from backhoe_planner.show.viewer import Viewer
 
     with Viewer() as viewer:
-        viewer.show_problem(build_problem(robot, scene))
+        _warn(viewer.show_problem(build_problem(robot, scene)))
         _announce(viewer)
         found = bp.plan(
             robot, scene, method=method, seed=seed, budget=budget,
@@ -255,7 +257,7 @@ def _announce(viewer: Any) -> None:
 
 def _play(viewer: Any, found: Plan, *, announced: bool = False) -> None:
     """Show a plan until Ctrl-C."""
-    viewer.play(found)
+    _warn(viewer.play(found))
     if not announced:
         _announce(viewer)
     _err.print("playing; the panel in the page has speed and position; Ctrl-C ends")
@@ -267,9 +269,14 @@ def _play(viewer: Any, found: Plan, *, announced: bool = False) -> None:
 def _write_html(found: Plan, html: Path, *, tell: bool = True) -> None:
     from backhoe_planner.show.page import write_page
 
-    write_page(found, html)
+    _warn(write_page(found, html))
     if tell:
         _out.print(f"page          {html}")
+
+
+def _warn(warnings: Iterable[str]) -> None:
+    for warning in dict.fromkeys(warnings):
+        _err.print(f"warning: {warning}")
 
 
 # --- telling ----------------------------------------------------------------------

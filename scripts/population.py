@@ -171,7 +171,7 @@ def _closest_between(
     known: float,
     depth: int = 10,
 ) -> float:
-    """The least of `known` and the distance between two samples, to 1 mm (DESIGN section 7)."""
+    """The least of `known` and the distance between two samples, to 1 mm."""
     travel = float(np.abs(q_b - q_a) @ np.arange(len(q_a), 0, -1))  # links of 1 m
     if depth == 0 or 0.5 * (d_a + d_b - travel) > known - 1e-3:
         return known

@@ -3,8 +3,8 @@
 
     python scripts/reproduce_paper.py [--out out/paper] [--scenes 300] [--seed 0]
 
-Written to the folder: figure_5 and figure_6 (PNG and SVG), the same for the scene that
-DESIGN section 3 names, population.png/.svg, and the tables as CSV and Markdown.
+Written to the folder: figure_5 and figure_6 (PNG and SVG), the same for a second scene,
+population.png/.svg, and the tables as CSV and Markdown.
 
 The paper prints neither link lengths nor positions. `SHOWN` is a scene of ours with
 four links of 1 m, found by search, in which the law as printed does what the paper
@@ -13,9 +13,9 @@ does not arrive in a hundred iterations; with directionality it arrives after ab
 and the arm stays outside the region. Such scenes are rare, and the middle case is
 chaotic: the critical point jumps from link to link at the edge of the region.
 
-`NAMED` is the scene of DESIGN section 3. There the obstacle term alone does arrive; it
-seemed not to while (J_o N)^+ was taken of rounding noise (with the tip itself as the
-critical point J_o N is 0, and its inverse 1e15).
+`NAMED` is a second scene, in which the obstacle term alone does arrive, unless (J_o N)^+
+is taken of rounding noise: with the tip itself as the critical point J_o N is 0, and the
+inverse of what rounding leaves of it 1e15.
 
 What is counted over random scenes, and how they are made, stands in population.py.
 """
@@ -301,7 +301,7 @@ def main() -> None:
     rows = []
     for scene, name, prefix, title in (
         (SHOWN, "shown", "", "Figure {}, reproduced: {}"),
-        (NAMED, "DESIGN section 3", "design_scene_", "The law of Figure {} on the scene of DESIGN section 3: {}"),
+        (NAMED, "second scene", "second_scene_", "The law of Figure {} on a second scene: {}"),
     ):
         plain, pushed, turned = cases(kinematics, scene)
         rows += case_rows(name, (plain, pushed, turned))

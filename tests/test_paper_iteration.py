@@ -1,4 +1,4 @@
-"""The law as printed, iterated as in the paper: the numbers of DESIGN section 3, and its limits."""
+"""The law as printed, iterated as in the paper: its numbers on one scene, and its limits."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Task:
     obstacle: tuple[float, float]
 
 
-NAMED = Task((-2.0, -0.85, -1.83, -1.57), (2.2, -2.33), (1.78, -1.34))  # DESIGN section 3
+NAMED = Task((-2.0, -0.85, -1.83, -1.57), (2.2, -2.33), (1.78, -1.34))
 SHOWN = Task((1.42, 1.86, 1.71, 1.16), (0.45, -2.16), (0.63, 0.59))  # scenes/paper_planar.yaml
 
 
@@ -103,7 +103,7 @@ def test_without_terms_the_arm_passes_through(planar4: Robot) -> None:
 
 
 def test_with_directionality_it_arrives_outside_yet_jumps(planar4: Robot) -> None:
-    """DESIGN section 3: no nearer than 0.487 m, one joint turns 1.82 rad in one iteration."""
+    """No nearer than 0.487 m, one joint turns 1.82 rad in one iteration."""
     found = iterated(planar4, NAMED, TURNED)
     assert found.error < 1e-8
     assert found.closest == pytest.approx(0.487, abs=5e-4)

@@ -32,7 +32,7 @@ def output(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_files(output: tuple[Path, str]) -> None:
     folder, _ = output
-    figures = {f"{prefix}figure_{number}" for prefix in ("", "design_scene_") for number in (5, 6)} | {"population"}
+    figures = {f"{prefix}figure_{number}" for prefix in ("", "second_scene_") for number in (5, 6)} | {"population"}
     tables = {"scenes", "population", "terms"}
     expected = {f"{name}.{end}" for name in figures for end in ("png", "svg")}
     expected |= {f"{name}.{end}" for name in tables for end in ("csv", "md")}

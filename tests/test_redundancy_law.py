@@ -98,7 +98,7 @@ def test_a_point_that_the_null_space_cannot_move_gets_nothing(planar4: Robot) ->
 
 
 def test_near_such_a_point_it_is_unbounded(planar4: Robot) -> None:
-    """Finding 9 of DESIGN section 3: a tenth of the distance to the tip, ten times the rate."""
+    """A tenth of the distance to the tip, ten times the rate."""
     at = Kinematics(planar4).at(np.array([0.3, 0.9, -1.1, 0.6]))
     J_e = at.jacobian[:2]
     line = at.points[4] - at.points[3]

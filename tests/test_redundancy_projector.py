@@ -75,7 +75,7 @@ def test_damping_by_hand(s: float, gain: float, damping: float) -> None:
 
 
 def test_inverse_is_damped_and_the_projector_is_not() -> None:
-    """DESIGN 4.1: a projector damped with lambda 0.1 leaks 11 % of a row of 0.28 into the task."""
+    """A projector damped with lambda 0.1 leaks 11 % of a row of 0.28 into the task."""
     J = stretched(0.28)
     damped = J.T @ np.linalg.inv(J @ J.T + 0.1**2 * np.eye(2))
     leak = J @ (np.eye(3) - damped @ J)

@@ -25,7 +25,7 @@ GOAL: Data = {"version": 1, "start": {"joints": {"swing": 0.0}}, "task": {"goal"
 POINTS: list[Data] = [{"position": [5.0, 0.0, -0.6]}, {"position": [3.0, 0.0, -1.2]}]
 SPHERE: Data = {"name": "boulder", "shape": "sphere", "radius": 0.4}
 
-# Every key of the contract (DESIGN section 8), in one scene.
+# Every key of the contract, in one scene.
 WHOLE = """
 version: 1
 name: trench beside a gas pipe
@@ -571,3 +571,8 @@ def test_schema_describes_the_keys_in_the_words_of_the_code() -> None:
     schema = scene_schema()
     assert schema["properties"]["payload"]["description"] == "Mass in the bucket [kg]."
     assert set(schema["$defs"]["Capsule"]["properties"]) >= {"from", "to", "radius"}
+
+
+def test_the_schema_beside_the_scenes_is_the_one_in_the_code() -> None:
+    beside = shipped("scenes") / "scene.schema.json"
+    assert json.loads(beside.read_text(encoding="utf-8")) == scene_schema()

@@ -3,7 +3,7 @@
 `travel_bounds` gives, for every collision piece and joint, the farthest that a point
 of the piece can ever be from that joint's axis. A motion dq then moves no point of
 the piece further than sum_j |dq_j| r_j: the bound on which the certificate and the
-broad phase rest (DESIGN section 7).
+broad phase rest.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class Visual:
     rgba: tuple[float, ...] | None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A machine whose tip is to be moved.
 
@@ -124,6 +124,9 @@ class Robot:
     model: pin.Model
     pieces: tuple[LinkPiece, ...]
     visuals: tuple[Visual, ...]
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}, tip={self.tip!r}, joints={self.joint_names})"
 
     @property
     def n(self) -> int:

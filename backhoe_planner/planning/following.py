@@ -139,10 +139,12 @@ class Follower:
     def _rejoin(self, stepper: Stepper, resolution: Resolution) -> tuple[Followed, float]:
         """Get back onto the path behind what blocks it; and where that was [m]."""
         left = resolution.reached
+        if not self._detour:
+            return Followed(False, stepper, left, self._free_again(stepper, left), resolution.blocker), left
         furthest = self._path.length
         rejoins = 0
         s = left
-        while self._detour and s <= self._path.length and rejoins < _MOST_REJOINS:
+        while s <= self._path.length and rejoins < _MOST_REJOINS:
             if clock.monotonic() > self._deadline:
                 break
             target = self._path.target(s)
@@ -150,7 +152,7 @@ class Follower:
             # where it stands it has just been stuck
             fresh = tuple(q for q in found.clear if s > left or np.max(np.abs(q - stepper.q)) > 0.1)
             if fresh:
-                furthest = s if rejoins == 0 else furthest
+                furthest = s
                 rejoins += 1
                 for branch in self._ways(stepper, s, fresh):
                     if self._resolve(branch, s, branch.q).reached > s + 1e-6 or s >= self._path.length - 1e-9:
@@ -159,6 +161,15 @@ class Follower:
                 break
             s = min(s + (_COARSE if fresh else _RASTER), self._path.length)
         return Followed(False, stepper, left, furthest, resolution.blocker), left
+
+    def _free_again(self, stepper: Stepper, left: float) -> float:
+        """The first point of the path behind `left` that the machine can stand on, else its end [m]."""
+        s = left + _RASTER
+        while s < self._path.length and clock.monotonic() < self._deadline:
+            if self._postures.at(self._path.target(s), near=stepper.q, count=6, time=stepper.time).clear:
+                return s
+            s += _RASTER
+        return self._path.length
 
     def _ways(self, stepper: Stepper, s: float, postures: tuple[Vector, ...]) -> Iterator[Stepper]:
         """Motions that arrive on the path at `s`."""

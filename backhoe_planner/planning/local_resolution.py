@@ -35,6 +35,9 @@ _EXACT = 1e-8
 _CORRECTIONS = 6
 _LARGEST_STEP = 0.25  # rad
 _OPEN_RANGE = 0.02  # rad: a pitch range narrower than this is one angle
+_AT_LIMIT = 0.01  # rad or m: nearer than this a joint stands at its limit
+_TOUCHING = 0.02  # m of margin: a pair that is blamed before a joint at its limit
+_IN_THE_WAY = 0.1  # m of margin: a pair that is blamed where no joint is
 
 
 @dataclass(frozen=True)
@@ -166,10 +169,11 @@ def _with_pitch(target: TipTarget, at: Configuration, rows: Matrix, lower: Vecto
 
 def _blocker(problem: Problem, at: Configuration, nearby: Nearby, proximity: Proximity) -> tuple[str, str]:
     """What most likely ended the motion: the tightest pair, or the joint at its limit."""
+    gap = np.minimum(at.q - problem.limits.lower, problem.limits.upper - at.q)
+    joint = int(np.argmin(gap))
     if len(nearby):
         row = int(np.argmin(nearby.margin))
-        if nearby.margin[row] < 0.02:
+        if nearby.margin[row] < (_TOUCHING if gap[joint] < _AT_LIMIT else _IN_THE_WAY):
             pair = proximity.pairs[int(nearby.pair[row])]
             return pair.link, pair.obstacle
-    gap = np.minimum(at.q - problem.limits.lower, problem.limits.upper - at.q)
-    return "joint", problem.robot.joint_names[int(np.argmin(gap))]
+    return "joint", problem.robot.joint_names[joint]

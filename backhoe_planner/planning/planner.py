@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, nearest_name
 from backhoe_planner.machine.dynamics import motion_costs
+from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.target import TipTarget
@@ -41,6 +42,7 @@ Vector = NDArray[np.float64]
 
 DEFAULT_BUDGET = 10.0  # s
 _MOST_POSTURES = 8
+_MOST_WAYPOINTS = 50  # of a path are tried one by one before it is planned
 _SEARCH = 40  # starting points of the inverse kinematics for a goal
 _LONG_SEARCH = 200  # before a goal is said to be in collision
 
@@ -157,6 +159,9 @@ class _Planning:
             return self._from_start(lambda start: self._to_goal(start, problem.goal))  # type: ignore[arg-type]
         assert problem.path is not None
         path = problem.path
+        failure = self._out_of_reach(path)
+        if failure is not None:
+            return failure
         if problem.start_q is None and problem.start_target is None:
             return self._from_best_start(path)
         return self._from_start(lambda start: self._to_path(start, path))
@@ -298,6 +303,18 @@ class _Planning:
                 return reached
             outcome = outcome or reached
         return outcome or self._stuck(min(attempts, key=lambda attempt: attempt.distance), attempts)
+
+    def _out_of_reach(self, path: BucketPath) -> _Outcome | None:
+        """Says which waypoint the tip cannot be put on, None where there is none."""
+        count = len(path.stations)
+        for index in np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int)).tolist():
+            target = path.target(float(path.stations[index]))
+            found = solve_inverse_kinematics(self._problem.robot, target, kinematics=self._kinematics)
+            if not found.reached:
+                nothing = Found((), False, found, None)
+                what = "beginning of the path" if index == 0 else f"waypoint {index + 1} of the path"
+                return self._no_posture(nothing, target, "unreachable", what)
+        return None
 
     def _along(self, follower: Follower, path: BucketPath, stepper: Stepper) -> _Outcome:
         followed = follower.follow(stepper)

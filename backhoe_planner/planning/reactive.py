@@ -37,8 +37,8 @@ _NOTICEABLE = 0.02  # or this part of what is left, where that is more
 _POSTURES_FIRST = 3  # quick to try, and quick motions where they arrive
 _STILL = 0.03  # m that the tip must get on within the patience while it circulates
 _LONGEST_TURN = 12.0  # s
-_BRAKING_PART = 0.6  # of the acceleration is planned with while slowing down
-_SETTLE = 4.0  # 1/s, slowest mode at the end of a motion
+_BRAKING_PART = 0.5  # of the acceleration is planned with while slowing down
+_SETTLE = 10.0  # 1/s, slowest mode at the end of a motion
 
 
 @dataclass(frozen=True)

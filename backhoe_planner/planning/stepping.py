@@ -1,7 +1,7 @@
 """One step after another, each taken only when it is proven clear.
 
 A `Stepper` turns wished joint velocities into a motion: the shield filters the wish,
-the certificate's bound checks the step that results (DESIGN section 4.6). A step that
+the certificate's bound checks the step that results. A step that
 is not proven is tried again with more distance asked of the pairs that came too near,
 then with half the time; if nothing helps, the machine brakes.
 """
@@ -129,7 +129,15 @@ class Stepper:
         return self._brake(dt)
 
     def play(self, piece: Trajectory) -> None:
-        """Append a motion that begins where this one stands, from rest to rest."""
+        """Append a motion that begins where this one stands, from rest to rest.
+
+        Two motions that each come to rest change their velocity twice at the seam: one
+        step in which the machine stands lies between them.
+        """
+        if len(piece) < 2:
+            return
+        if np.any(self.v):
+            self._take(self.q, self._last_dt, None)
         begun = self.time
         for moment, q in zip(piece.time[1:], piece.q[1:], strict=True):
             self._times.append(begun + float(moment))
@@ -138,7 +146,8 @@ class Stepper:
                 self._watch(Step(self._times[-1], q, self.attempt))
         self.time = self._times[-1]
         self.q = self._path[-1]
-        self.v = np.zeros_like(self.q)
+        self.v = piece.segment_velocities()[-1].copy()
+        self._last_dt = float(piece.time[-1] - piece.time[-2])
         self.shielded = None
 
     def stopped(self) -> bool:

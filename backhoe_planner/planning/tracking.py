@@ -8,6 +8,7 @@ is at most that product. This sagitta is added to what the samples show.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +116,8 @@ def track_path(
     if not len(begins):
         begins = np.flatnonzero(on)[:1]
     first, last = int(begins[np.argmin(error[begins])]), len(on) - 1 - int(np.argmax(on[::-1]))
+    on[:first] = False  # brushing past during the approach is not following
+    _close_gaps(on, first, last, station, 2.0 * tolerance)
     detours = _detours(on, first, last, station, error, tips, trajectory.time)
     skipped = sum(detour.path_to - detour.path_from for detour in detours)
     missing = []
@@ -164,6 +167,14 @@ def _follow(
         station[row], error[row] = s, distance
         angle[row] = path.target(s).distances(at)[1] if path.asks_orientation else 0.0
     return station, error, angle, tips
+
+
+def _close_gaps(on: NDArray[np.bool_], first: int, last: int, station: Vector, shortest: float) -> None:
+    """Touching the path for less than `shortest` [m] between two detours is one detour."""
+    edges = np.flatnonzero(np.diff(on[first : last + 1].astype(int))) + first + 1
+    for start, end in pairwise([first, *edges.tolist(), last + 1]):
+        if on[start] and start > first and end <= last and station[end - 1] - station[start] < shortest:
+            on[start:end] = False
 
 
 def _detours(

@@ -121,7 +121,8 @@ class Shield:
         extra_margin: (K,) or one number, distance to be kept on top of the clearance [m].
         """
         low, high = self.velocity_bounds(q, v_before, dt)
-        bound, rows = self._distance_rows(nearby, np.maximum(np.abs(v_before), np.abs(wish)), dt, extra_margin)
+        time = max(self.braking_time(v_before), self.braking_time(wish))
+        bound, rows = self._distance_rows(nearby, time, dt, extra_margin)
         A = -nearby.gradient[rows]
         within = (wish >= low).all() and (wish <= high).all()
         if within and (len(rows) == 0 or (A @ wish <= bound).all()):
@@ -160,12 +161,12 @@ class Shield:
         return np.asarray(H)
 
     def _distance_rows(
-        self, nearby: Nearby, fastest: Vector, dt: float, extra_margin: Vector | float
+        self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float
     ) -> tuple[Vector, NDArray[np.intp]]:
         """Right-hand sides of -g v <= bound, and the rows that can bind at all."""
         if len(nearby) == 0:
             return np.zeros(0), np.zeros(0, dtype=int)
-        gamma = _STOPPING_PART / max(self.braking_time(fastest), _STOPPING_PART * 2.0 * dt)
+        gamma = _STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt)
         margin = nearby.margin - extra_margin
         bound = gamma * margin
         if margin.min() < 0.0:

@@ -10,7 +10,7 @@ J_1, J_2 of the two witness points. A normal made from the witness points would 
 its sign inside.
 
 Broad phase: a pair that was d apart is at least d - sum_j |dq_j| r_j apart after the
-joints moved by dq (DESIGN section 7), so pairs that are still provably out of reach
+joints moved by dq, so pairs that are still provably out of reach
 are not measured again.
 """
 
@@ -308,23 +308,23 @@ class Proximity:
         pin.updateGeometryPlacements(self.robot.model, self._data, self._model, self._geometry)
 
     def _rows(self, found: list[int], results: list[Any]) -> Nearby:
-        n = self.robot.n
+        # a handful of rows: floats in a list cost less than arrays row by row
         flat: list[float] = []
         for result in results:
-            flat.append(result.min_distance)
-            flat += result.normal.tolist()
-            flat += result.getNearestPoint1().tolist()
+            nx, ny, nz = result.normal.tolist()
+            px, py, pz = result.getNearestPoint1().tolist()
+            flat += (result.min_distance, nx, ny, nz, px, py, pz)
             flat += result.getNearestPoint2().tolist()
-        raw = np.array(flat).reshape(-1, 10)
+            flat += (py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
+        raw = np.array(flat).reshape(-1, 13)
         pair = np.array(found, dtype=np.intp)
-        distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 7:]
-        if found:
-            J = self._data.J.reshape(6, n)  # of one joint alone it is 1-D
-            gradient = (_point_rows(normal, point_1) @ J) * self._minus_mask_link[pair]
-            if self._other_joint[pair].any():
-                gradient += (_point_rows(normal, point_2) @ J) * self._mask_other[pair]
-        else:
-            gradient = np.zeros((0, n))
+        distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 7:10]
+        # the speed of a point p along n is n . v + (p x n) . omega
+        J = self._data.J.reshape(6, self.robot.n)  # of one joint alone it is 1-D
+        along = normal @ J[:3]
+        gradient = (along + raw[:, 10:] @ J[3:]) * self._minus_mask_link[pair]
+        if self._other_joint[pair].any():
+            gradient += (along + np.cross(point_2, normal) @ J[3:]) * self._mask_other[pair]
         drift = np.einsum("ki,ki->k", normal, self._velocity[pair]) if self._moving else np.zeros(len(found))
         return Nearby(
             pair=pair,
@@ -354,14 +354,3 @@ def _support(robot: Robot, joint: int) -> Vector:
         mask[robot.model.joints[joint].idx_v] = 1.0
         joint = int(robot.model.parents[joint])
     return mask
-
-
-def _point_rows(normal: Matrix, point: Matrix) -> Matrix:
-    """(K, 6) so that row @ J_world is the speed of the point along the normal."""
-    rows = np.empty((6, len(normal)))
-    nx, ny, nz = rows[:3] = normal.T
-    px, py, pz = point.T
-    rows[3] = py * nz - pz * ny
-    rows[4] = pz * nx - px * nz
-    rows[5] = px * ny - py * nx
-    return rows.T

@@ -1,0 +1,270 @@
+"""The command line: what it prints, its exit status, and its one message about bad input."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time as clock
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+import yaml
+
+from backhoe_planner.cli import main
+
+Data = dict[str, Any]
+Run = Callable[..., tuple[int, str, str]]
+
+ROOT = Path(__file__).resolve().parents[1]
+PLANAR4 = str(ROOT / "models" / "planar4.urdf")
+COMMAND = [sys.executable, "-c", "from backhoe_planner.cli import main; main()"]
+ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
+JOINTS = {"joint1": 0.0, "joint2": 0.3, "joint3": 0.3, "joint4": 0.3}
+REACH: Data = {"version": 1, "start": {"joints": JOINTS}, "task": {"goal": {"position": [2.6, 2.4, 0.0]}}}
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Run:
+    """Call the command line in this process: exit status, output, and messages."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: str | Path) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["backhoe-planner", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        said = capsys.readouterr()
+        assert isinstance(caught.value.code, int)
+        return caught.value.code, said.out, said.err
+
+    return call
+
+
+def scene_file(folder: Path, content: Data | str = REACH) -> Path:
+    file = folder / "scene.yaml"
+    file.write_text(content if isinstance(content, str) else yaml.safe_dump(content), encoding="utf-8")
+    return file
+
+
+# --- what works -------------------------------------------------------------------
+
+
+def test_plan_check_export(run: Run, tmp_path: Path) -> None:
+    status, said, _ = run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json")
+    assert status == 0
+    assert said.startswith("verified\n")
+    for word in ("clearance", "tip error", "duration", "work", "planned in", "out.json"):
+        assert word in said
+    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["verdict"] == "verified"
+    status, said, _ = run("check", "out.json")
+    assert status == 0
+    assert said.startswith("verified\n")
+    assert re.search(r"velocity +\d+\.\d % of its limit", said)
+    for name in ("motion.csv", "motion.npz", "motion.yaml"):
+        status, said, _ = run("export", "out.json", name)
+        assert (status, said) == (0, f"wrote {name}\n")
+        assert (tmp_path / name).stat().st_size > 0
+    status, _, told = run("export", "out.json", "motion.txt")
+    assert status == 2
+    assert "motion.txt" in told
+    assert "allowed: .csv, .npz, .yaml" in told
+
+
+def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
+    run("plan", PLANAR4, scene_file(tmp_path))
+    content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    content["trajectory"]["q"][5][0] += 1.0
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    status, said, _ = run("check", "plan.json")
+    assert status == 1
+    assert said.startswith("not verified\n")
+    assert "joint1 exceeds its velocity limit" in said
+
+
+def test_json_is_all_that_is_printed(run: Run, tmp_path: Path) -> None:
+    status, said, told = run("plan", PLANAR4, scene_file(tmp_path), "--json", "--seed", "4")
+    content = json.loads(said)
+    assert (status, told) == (0, "")
+    assert (content["verdict"], content["seed"]) == ("verified", 4)
+    assert content["trajectory"]["file"] == "plan.json"
+
+
+def test_schema_is_a_json_schema(run: Run) -> None:
+    status, said, _ = run("schema")
+    schema = json.loads(said)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(REACH, schema)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(REACH | {"clearence": 0.1}, schema)
+    assert status == 0
+
+
+def test_inspect_tells_the_working_envelope(run: Run) -> None:
+    status, said, _ = run("inspect", "example:backhoe")
+    assert status == 0
+    for word in ("swing", "stick", "bucket_tip", "Denavit-Hartenberg", "working envelope", "digging depth"):
+        assert word in said
+
+
+def test_one_run_as_a_program(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*COMMAND, "plan", PLANAR4, str(scene_file(tmp_path)), "-o", str(tmp_path / "plan.json")],
+        capture_output=True, text=True, timeout=60, env=ENVIRONMENT, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("verified\n")
+
+
+def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
+    """A path of half a kilometre, to and fro, which takes its time to resolve."""
+    path = {"waypoints": [{"position": [2.0, -1.0, 0.0]}, {"position": [2.4, 1.0, 0.0]}] * 120, "speed": 0.4}
+    scene = scene_file(tmp_path, {"version": 1, "task": {"path": path}})
+    plan_file = tmp_path / "plan.json"
+    with subprocess.Popen(
+        [*COMMAND, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "60"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
+    ) as running:  # fmt: skip
+        clock.sleep(4.0)
+        assert running.poll() is None, running.communicate()
+        begun = clock.monotonic()
+        running.send_signal(signal.SIGINT)
+        _, told = running.communicate(timeout=20)
+    assert clock.monotonic() - begun < 2.0
+    assert running.returncode == 130
+    assert "Traceback" not in told
+    assert told.strip() == "interrupted"
+    assert sorted(tmp_path.iterdir()) == [scene]
+
+
+# --- no motion exists: exit 1, and the plan file says why -------------------------------
+
+
+@pytest.mark.parametrize(
+    ("keys", "reason", "word"),
+    [
+        ({"task": {"goal": {"position": [5.0, 0.0, 0.0]}}}, "unreachable", "1.000 m away"),
+        ({"start": {"joints": JOINTS | {"joint3": 3.5}}}, "outside_limits", "joint3 starts at 3.5"),
+        (
+            {"obstacles": [{"name": "rock", "shape": "sphere", "radius": 0.2, "position": [0.5, 0.1, 0.0]}]},
+            "start_in_collision",
+            "link1 is 0.140 m inside rock",
+        ),
+    ],
+)
+def test_without_a_motion_the_plan_file_says_why(run: Run, tmp_path: Path, keys: Data, reason: str, word: str) -> None:
+    status, said, _ = run("plan", PLANAR4, scene_file(tmp_path, REACH | keys))
+    assert status == 1
+    assert said.startswith(f"failed: {reason}\n")
+    assert word in said
+    content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    assert (content["verdict"], content["reason"]) == ("failed", reason)
+    assert word in content["message"]
+
+
+# --- bad input: exit 2, one message, no file ----------------------------------------------
+
+
+def refused(run: Run, folder: Path, *arguments: str | Path) -> str:
+    """The one message; nothing but the inputs lies in the folder afterwards."""
+    before = sorted(folder.iterdir())
+    status, said, told = run(*arguments)
+    assert status == 2
+    assert said == ""
+    assert told.startswith("error: ")
+    assert told.count("error: ") == 1
+    assert "Traceback" not in told
+    assert sorted(folder.iterdir()) == before
+    return told
+
+
+PLAIN = yaml.safe_dump(REACH)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["the file is empty"]),
+        ("version: 1\n\ttask: 3\n", ["line 2", "tab", "spaces"]),
+        (PLAIN + "version: 1\n", ["version", "twice", "line"]),
+        ("- 1\n", ["keys and values"]),
+        (PLAIN.replace("2.6", ".nan"), ["task.goal.position[0]", "finite"]),
+        (PLAIN.replace("2.6", ".inf"), ["task.goal.position[0]", "finite"]),
+        (PLAIN.replace("joint2: 0.3", "joint2: -.inf"), ["start.joints.joint2", "finite"]),
+        (PLAIN.replace("joint2", "jiont2"), ["start.joints", "jiont2", "did you mean 'joint2'"]),
+        (PLAIN + "clearence: 0.1\n", ["clearence", "clearance"]),
+        (PLAIN + "clearance: -0.1\n", ["clearance", "0"]),
+        (PLAIN + "tip: bucket\n", ["bucket"]),
+        (PLAIN + "payload: .nan\n", ["payload", "finite"]),
+        (
+            PLAIN + "obstacles:\n- {name: rock, shape: sphere, radius: -0.2, position: [1, 1, 0]}\n",
+            ["obstacles[0].radius", "greater than 0", "-0.2"],
+        ),
+        (PLAIN + "obstacles:\n- {name: spoil, shape: mesh, file: spoil.stl}\n", ["spoil.stl"]),
+        (PLAIN + "obstacles:\n- {name: scan, shape: pointcloud, file: empty.xyz, resolution: 0.1}\n", ["empty.xyz"]),
+        (PLAIN + "obstacles:\n- {name: land, shape: heightmap, file: empty.xyz, size: [2, 2]}\n", ["empty.xyz"]),
+        ("version: 1\ntask: {path: {waypoints: [{position: [2, 0, 0]}]}}\n", ["task.path", "at least 2 waypoints"]),
+        ("version: 1\ntask: {path: {file: none.csv}}\n", ["none.csv", "no such path file"]),
+        ("version: 1\ntask: {path: {file: empty.xyz}}\n", ["empty.xyz", "empty"]),
+    ],
+)
+def test_a_bad_scene(run: Run, tmp_path: Path, text: str, words: list[str]) -> None:
+    (tmp_path / "empty.xyz").touch()
+    told = refused(run, tmp_path, "plan", PLANAR4, scene_file(tmp_path, text))
+    for word in words:
+        assert word in told
+    if words[0] not in ("start.joints", "bucket"):
+        assert str(tmp_path) in told
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: "", []),
+        (lambda text: "<robot", []),
+        (lambda text: text[: len(text) // 2], []),
+        (lambda text: "{}", []),
+        (lambda text: text.replace('velocity="1.0"', 'velocity="nan"', 1), ["joint1"]),
+        (lambda text: text.replace('upper="3.14159265358979"', 'upper="inf"', 1), ["joint1"]),
+        (lambda text: text.replace('xyz="0.5 0 0"', 'xyz="nan 0 0"', 1), []),
+        (lambda text: text.replace('size="1.0 0.08 0.08"', 'size="-1.0 0.08 0.08"', 1), []),
+        (lambda text: text.replace('radius="0.06"', 'radius="-0.06"'), []),
+    ],
+)
+def test_a_bad_urdf(run: Run, tmp_path: Path, change: Callable[[str], str], words: list[str]) -> None:
+    urdf = tmp_path / "broken.urdf"
+    urdf.write_text(change(Path(PLANAR4).read_text(encoding="utf-8")), encoding="utf-8")
+    told = refused(run, tmp_path, "plan", urdf, scene_file(tmp_path))
+    for word in ("broken.urdf", *words):
+        assert word in told
+
+
+def test_files_that_are_not_there(run: Run, tmp_path: Path) -> None:
+    scene = scene_file(tmp_path)
+    assert "none.yaml: no such scene file" in refused(run, tmp_path, "plan", PLANAR4, "none.yaml")
+    assert "none.urdf" in refused(run, tmp_path, "plan", "none.urdf", scene)
+    assert "none.json: no such plan file" in refused(run, tmp_path, "check", "none.json")
+    assert "create it first" in refused(run, tmp_path, "plan", PLANAR4, scene, "-o", "none/plan.json")
+    assert "create it first" in refused(run, tmp_path, "plan", PLANAR4, scene, "--html", "none/page.html")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["plam"], "plam"),
+        (["schema", "--loud"], "--loud"),
+        (["plan", PLANAR4], "SCENE"),
+        (["plan", PLANAR4, "scene.yaml", "--seed", "one"], "--seed"),
+        (["plan", PLANAR4, "scene.yaml", "--budget", "-1"], "budget"),
+        (["plan", PLANAR4, "scene.yaml", "--method", "magic"], "auto, reactive"),
+        (["inspect", PLANAR4, "--tip", "bucket"], "bucket"),
+    ],
+)
+def test_a_bad_command_line(run: Run, tmp_path: Path, arguments: list[str], word: str) -> None:
+    scene_file(tmp_path)
+    assert word in refused(run, tmp_path, *arguments)

@@ -1,0 +1,122 @@
+"""The house rules: imports run one way, and what is public is named and explained."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import backhoe_planner
+
+ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
+PACKAGE = ROOT / "backhoe_planner"
+FLOORS = ["errors", "machine", "site", "redundancy", "planning", "show", "cli"]
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def module_name(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(part for part in parts if part != "__init__")
+
+
+def imported(file: Path) -> set[str]:
+    """Full names of all modules that a file imports, wherever in it."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: relative import"
+            found.add(str(node.module))
+            if node.module == "backhoe_planner":
+                found |= {f"backhoe_planner.{alias.name}" for alias in node.names}
+    return found
+
+
+def load(file: Path) -> ModuleType:
+    return importlib.import_module(module_name(file))
+
+
+@pytest.mark.parametrize("file", FILES, ids=module_name)
+def test_imports_run_one_way(file: Path) -> None:
+    name = module_name(file).split(".")
+    if len(name) == 1:
+        return  # the package itself offers names from every room
+    own = FLOORS.index(name[1])
+    for other in imported(file):
+        if not other.startswith("backhoe_planner"):
+            continue
+        parts = other.split(".")
+        if len(parts) == 1:
+            assert name[1] == "cli", f"{file} imports the whole package"
+            continue
+        assert parts[1] in FLOORS, f"{file} imports {other}, which is no room"
+        assert FLOORS.index(parts[1]) <= own, f"{file} imports {other} from above"
+
+
+def test_every_room_is_in_the_order() -> None:
+    rooms = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    assert rooms - {"__init__"} == set(FLOORS)
+
+
+def test_importing_the_package_loads_no_viewer() -> None:
+    heavy = ["meshcat", "matplotlib", "tornado", "toppra", "backhoe_planner.show", "backhoe_planner.cli"]
+    code = f"import backhoe_planner, json, sys; print(json.dumps([m for m in {heavy} if m in sys.modules]))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert json.loads(result.stdout) == []
+
+
+@pytest.mark.parametrize("file", FILES, ids=module_name)
+def test_public_names_are_sorted_exist_and_are_explained(file: Path) -> None:
+    module = load(file)
+    assert module.__doc__, f"{file} does not say what it is"
+    if file.name == "__init__.py" and file.parent != PACKAGE:
+        assert not hasattr(module, "__all__")
+        return
+    names: list[str] = module.__all__
+    in_order = sorted(names, key=lambda name: (not name.isupper(), not name[0].isupper(), name))
+    assert names in (sorted(names), in_order), f"{file}: __all__ is not sorted"
+    assert len(set(names)) == len(names)
+    for name in names:
+        thing = getattr(module, name)
+        if inspect.isclass(thing) or inspect.isfunction(thing):
+            assert thing.__doc__, f"{file}: {name} has no docstring"
+            if inspect.isclass(thing):
+                assert not thing.__doc__.startswith(f"{name}("), f"{file}: {name} has no docstring of its own"
+
+
+def test_coal_is_called_in_one_file() -> None:
+    users = [module_name(file) for file in FILES if {"coal", "hppfcl"} & {m.split(".")[0] for m in imported(file)}]
+    assert users == ["backhoe_planner.machine.shapes"]
+
+
+@pytest.mark.parametrize("file", FILES, ids=module_name)
+def test_only_the_command_line_prints(file: Path) -> None:
+    if module_name(file) == "backhoe_planner.cli":
+        return
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in ("print", "breakpoint", "input"), f"{file}:{node.lineno}"
+        if isinstance(node, ast.Attribute) and node.attr in ("stdout", "stderr"):
+            assert not (isinstance(node.value, ast.Name) and node.value.id == "sys"), f"{file}:{node.lineno}"
+
+
+def test_snippets_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readme = ROOT / "README.md"
+    if not readme.is_file():
+        pytest.skip("no README yet")
+    snippets = re.findall(r"^```python\n(.*?)^```", readme.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    for folder in ("models", "scenes"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {}
+    for number, snippet in enumerate(snippets):
+        exec(compile(snippet, f"README.md, snippet {number + 1}", "exec"), namespace)
