@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sys
 import time as clock
 from collections.abc import Iterable, Iterator
@@ -27,6 +28,7 @@ from backhoe_planner.planning.planner import DEFAULT_BUDGET
 __all__ = ["app", "main"]
 
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+_DEGREES = 180.0 / math.pi
 
 app = typer.Typer(
     help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
@@ -95,6 +97,9 @@ def plan(
     ] = False,
 ) -> int:
     """Plan the task of a scene, and write the plan."""
+    for target in (output, html):
+        if target is not None and target.exists() and any(_same_file(target, given) for given in (Path(urdf), scene)):
+            raise bp.OutputError("is an input of this command", file=target)
     check_writable(output)
     if html is not None:
         check_writable(html)
@@ -219,6 +224,10 @@ def schema() -> int:
     return VERIFIED
 
 
+def _same_file(a: Path, b: Path) -> bool:
+    return b.exists() and a.samefile(b)
+
+
 # --- planning and viewing ---------------------------------------------------------
 
 
@@ -299,7 +308,12 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
             f"(margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
         )
     tracking = certificate.tracking
-    _out.print(f"tip error     {1e3 * tracking.max_error:.2f} mm at most")
+    if len(found.trajectory) < 2:
+        _out.print(f"planned in    {found.metrics['planning_time']:.2f} s")
+        _out.print(f"plan          {output}")
+        return
+    angle = f", {_DEGREES * tracking.max_angle_error:.2f} deg" if _asks_angle(found) else ""
+    _out.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{angle} at most")
     for detour in tracking.detours:
         _out.print(
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
@@ -310,6 +324,12 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
     _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ (gravity, inertia and payload)")
     _out.print(f"planned in    {metrics['planning_time']:.2f} s")
     _out.print(f"plan          {output}")
+
+
+def _asks_angle(found: Plan) -> bool:
+    task = found.scene.task
+    poses = [task.goal] if task.goal is not None else found.scene.waypoints()
+    return any(pose.pitch is not None or pose.rotation is not None for pose in poses if pose is not None)
 
 
 def _verdict(found: Plan) -> Text:
@@ -324,7 +344,7 @@ def _tell_joints(robot: bp.Robot) -> None:
     table = Table("joint", "lower", "upper", "rate", "acceleration", "effort", box=None, pad_edge=False)
     for j, name in enumerate(robot.joint_names):
         slides = bool(robot.prismatic[j])
-        unit, scale = ("m", 1.0) if slides else ("deg", 180.0 / 3.141592653589793)
+        unit, scale = ("m", 1.0) if slides else ("deg", _DEGREES)
         table.add_row(
             name,
             f"{scale * limits.lower[j]:.1f} {unit}",
@@ -341,15 +361,14 @@ def _tell_dh(robot: bp.Robot) -> None:
     from backhoe_planner.machine.denavit_hartenberg import dh_table
 
     table = Table("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]", box=None, pad_edge=False)
-    degrees = 180.0 / 3.141592653589793
     for row in dh_table(robot).rows:
-        theta, d = f"{degrees * row.theta:.2f}", f"{row.d + 0.0:.4f}"
+        theta, d = f"{_DEGREES * row.theta:.2f}", f"{row.d + 0.0:.4f}"
         table.add_row(
             row.joint,
             theta if row.prismatic else f"q + {theta}",
             f"q + {d}" if row.prismatic else d,
             f"{row.a + 0.0:.4f}",
-            f"{degrees * row.alpha:.2f}",
+            f"{_DEGREES * row.alpha:.2f}",
         )
     _out.print("\nDenavit-Hartenberg (classic)")
     _out.print(table)
@@ -361,7 +380,6 @@ def _tell_envelope(robot: bp.Robot) -> None:
     envelope = working_envelope(robot)
     if envelope is None:
         return
-    degrees = 180.0 / 3.141592653589793
     rows = [
         ("digging depth", envelope.digging_depth, "m"),
         ("reach at ground level", envelope.reach_at_ground, "m from the swing axis"),
@@ -369,8 +387,8 @@ def _tell_envelope(robot: bp.Robot) -> None:
         ("loading height", envelope.loading_height, "m, bucket tipped to -80 deg"),
         ("loading reach", envelope.loading_reach, "m"),
         ("largest height of the teeth", envelope.largest_height, "m"),
-        ("bucket rotation", degrees * envelope.bucket_rotation, "deg"),
-        ("swing arc", None if envelope.swing_arc is None else degrees * envelope.swing_arc, "deg"),
+        ("bucket rotation", _DEGREES * envelope.bucket_rotation, "deg"),
+        ("swing arc", None if envelope.swing_arc is None else _DEGREES * envelope.swing_arc, "deg"),
     ]
     _out.print("\nworking envelope")
     for name, value, unit in rows:

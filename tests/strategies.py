@@ -12,6 +12,7 @@ __all__ = ["obstacles", "poses", "scenes"]
 Data = dict[str, Any]
 
 numbers = st.floats(-100.0, 100.0, allow_subnormal=False) | st.integers(-5, 5)
+turns = st.floats(-6.0, 6.0, allow_subnormal=False)
 positive = st.floats(0.001, 50.0) | st.integers(1, 5)
 amounts = st.floats(0.0, 50.0, allow_subnormal=False) | st.integers(0, 5)
 vectors = st.lists(numbers, min_size=3, max_size=3)
@@ -45,9 +46,9 @@ def oriented(draw: st.DrawFn, data: Data, *, pitch: bool) -> Data:
     elif kind == "quaternion":
         data["quaternion"] = draw(quaternions)
     elif kind == "pitch":
-        data["pitch"] = draw(numbers)
+        data["pitch"] = draw(turns)
     elif kind == "range":
-        data["pitch"] = sorted(draw(st.lists(numbers, min_size=2, max_size=2)))
+        data["pitch"] = sorted(draw(st.lists(turns, min_size=2, max_size=2)))
     return data
 
 
@@ -96,7 +97,7 @@ def path_tasks(draw: st.DrawFn) -> Data:
     waypoints: list[Data] = [{"position": point} for point in points]
     for waypoint in waypoints:
         if pitched and draw(st.booleans()):
-            waypoint["pitch"] = draw(numbers)
+            waypoint["pitch"] = draw(turns)
         elif not pitched and draw(st.booleans()):
             waypoint["quaternion"] = draw(quaternions)
     return {**data, "waypoints": waypoints}

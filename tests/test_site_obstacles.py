@@ -175,10 +175,10 @@ def test_flat_mesh_is_an_obstacle_too(planar4: Robot, tmp_path: Path) -> None:
     np.testing.assert_allclose(found, [[0, 0, 1], [1, 1, 1]], atol=1e-3)
 
 
-def test_height_map_is_centred_and_reaches_5_m_below_its_lowest_point(planar4: Robot, tmp_path: Path) -> None:
+def test_height_map_is_centred_and_reaches_50_m_below_its_lowest_point(planar4: Robot, tmp_path: Path) -> None:
     (tmp_path / "hill.csv").write_text("0,0,0\n0,1,0\n0,0,0\n")
     found = build(planar4, tmp_path, shape="heightmap", file="hill.csv", size=[4, 6], position=[10, 0, 2])
-    np.testing.assert_allclose(extent(found), [[8, -3, 2 - 5], [12, 3, 2 + 1]], atol=1e-12)
+    np.testing.assert_allclose(extent(found), [[8, -3, 2 - 50], [12, 3, 2 + 1]], atol=1e-12)
 
 
 @pytest.mark.parametrize("text", ["0,1\n2,3\n", "0;1\r\n2;3\r\n", "\ufeff0, 1,\n2, 3,\n\n"])

@@ -289,7 +289,7 @@ def _checked_tip(urdf: Urdf, tip: str | None) -> str:
             file=urdf.path,
             key="tip",
             allowed=", ".join(urdf.leaves),
-            hint="`tip:` in the scene file, tip= in the library",
+            hint="`tip:` in the scene file, --tip for inspect, tip= in the library",
         )
     if tip not in links:
         near = nearest_name(tip, links)

@@ -155,7 +155,9 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
         velocity=velocity,
         acceleration=acceleration,
         tracking=tracking,
-        problems=tuple(_problems(problem, trajectory, tightest, (position, velocity, acceleration), tracking)),
+        problems=tuple(
+            _problems(problem, trajectory, tightest, (position, velocity, acceleration), tracking, kinematics)
+        ),
     )
 
 
@@ -165,6 +167,7 @@ def _problems(
     tightest: Clearance | None,
     limits: tuple[LimitUse, LimitUse, LimitUse],
     tracking: Tracking,
+    kinematics: Kinematics,
 ) -> list[str]:
     found = []
     if tightest is not None and tightest.margin < -KEPT_WITHIN:
@@ -175,6 +178,10 @@ def _problems(
     for kind, use in zip(("position", "velocity", "acceleration"), limits, strict=True):
         if not use.kept:
             found.append(f"{use.joint} exceeds its {kind} limit at {use.time:.2f} s ({use.ratio:.3f} of it)")
+    if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(trajectory.q[0]))) > 1e-5:
+        found.append("the motion does not begin at the asked start")
+    if not np.allclose(trajectory.v, Trajectory.from_steps(trajectory.time, trajectory.q).v, rtol=1e-6, atol=1e-6):
+        found.append("the velocities at the samples are not those of the motion")
     if problem.start_q is not None and np.max(np.abs(trajectory.q[0] - problem.start_q)) > 1e-9:
         found.append("the motion does not begin at the asked start")
     path = problem.scene.task.path
@@ -212,7 +219,7 @@ def _clearances(problem: Problem, trajectory: Trajectory) -> tuple[Clearance, ..
         if row:
             travel = np.abs(q[row] - q[row - 1]) @ proximity.travel.T + (time[row] - time[row - 1]) * proximity.speed
             bounds = 0.5 * (before + margins - travel)
-            for pair in np.flatnonzero(bounds < _to_prove(least)[owners]):
+            for pair in np.flatnonzero(~(bounds >= _to_prove(least)[owners])):
                 searches[owners[pair]].open(float(bounds[pair]), row - 1, int(pair))
         before = margins
     found = [clearance for search in searches if (clearance := search.finish()) is not None]
@@ -255,9 +262,6 @@ class _Search:
         A motion that is refuted anyway, or too long for the effort, is left with the
         lower bound that was reached.
         """
-        if self.least >= _NEVER:
-            return None
-        proven = float(_to_prove(self.least))
         tie = len(self._open)
         while self._open and self._open[0][0] < _to_prove(self.least):
             if self._measured > (_EFFORT_REFUTED if self.least < -KEPT_WITHIN else _EFFORT):
@@ -271,6 +275,8 @@ class _Search:
                 bound = 0.5 * (m_1 + m_2 - half)
                 heapq.heappush(self._open, (bound, tie, segment, pair, start, start + 0.5 * (b - a)))
         proven = float(_to_prove(self.least))
+        if self.least >= _NEVER and not (self._open and self._open[0][0] < proven):
+            return None
         if self._open:
             proven = min(proven, self._open[0][0])
         moment, index = self._where

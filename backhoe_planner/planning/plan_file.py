@@ -68,6 +68,8 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     target = Path(path)
     if target.is_dir():
         raise OutputError("is a folder; a file name is needed", file=target)
+    if target.exists() and not target.is_file():
+        raise OutputError("is not a regular file", file=target)
     if not target.parent.is_dir():
         raise OutputError("the folder does not exist", file=target, found=str(target.parent), hint="create it first")
     if not os.access(target.parent, os.W_OK | os.X_OK):
@@ -163,6 +165,15 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
             found=f"{robot.urdf.path} has {robot.urdf.sha256[:12]}...",
             allowed=f"{str(robot_record.get('sha256'))[:12]}...",
         )
+    joints = _field(robot_record, "joints", list, file, "robot.joints")
+    if joints != list(robot.joint_names):
+        raise PlanFileError(
+            "are not those of the URDF",
+            file=file,
+            key="robot.joints",
+            found=joints,
+            allowed=", ".join(robot.joint_names),
+        )
     scene = _scene(content, file)
     trajectory = _trajectory(content, file, robot.n)
     method = _field(content, "method", str, file)
@@ -247,7 +258,7 @@ def _trajectory(content: Mapping[str, Any], file: Path, n: int) -> Trajectory:
     for key in ("time", "q", "v"):
         try:
             arrays[key] = np.array(_field(record, key, list, file, f"trajectory.{key}"), dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise PlanFileError("is not a table of numbers", file=file, key=f"trajectory.{key}") from None
     for key in ("q", "v"):
         if arrays[key].ndim != 2 or arrays[key].shape[1] != n:

@@ -185,7 +185,8 @@ class _Planning:
         outside = np.flatnonzero((start < limits.lower) | (start > limits.upper))
         if len(outside):
             told = "; ".join(
-                f"{names[j]} starts at {start[j]:.4g}, allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g}"
+                f"{names[j]} starts at {start[j]:.4g}, "
+                f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} (radians or metres)"
                 for j in outside
             )
             return _Outcome(_standing(start), "outside_limits", told, {"joints": [names[j] for j in outside]})

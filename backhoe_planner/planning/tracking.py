@@ -103,6 +103,7 @@ def track_path(
     between = np.zeros(len(trajectory))
     between[:-1] = sagitta
     between[1:] = np.maximum(between[1:], sagitta)
+    between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
     on = (error + between <= tolerance) & (angle <= ANGLE_TOLERANCE)
     if not on.any():
         nearest = int(np.argmin(error))
@@ -119,6 +120,8 @@ def track_path(
     on[:first] = False  # brushing past during the approach is not following
     _close_gaps(on, first, last, station, 2.0 * tolerance)
     detours = _detours(on, first, last, station, error, tips, trajectory.time)
+    detours += _skips(on, first, station, tips, trajectory.time, tolerance)
+    detours.sort(key=lambda detour: detour.time_from)
     skipped = sum(detour.path_to - detour.path_from for detour in detours)
     missing = []
     if station[first] > tolerance:
@@ -160,13 +163,44 @@ def _follow(
             s, distance = path.nearest(at.tip_position, low=reached, high=min(reached + _LOOK_AHEAD, path.length))
             if distance > tolerance:  # it may rejoin further on
                 further, nearer = path.nearest(at.tip_position, low=reached)
-                if nearer <= tolerance:
-                    s, distance = further, nearer
+                s, distance = (further if nearer <= tolerance else s), nearer
             if distance <= tolerance:
                 reached = s
         station[row], error[row] = s, distance
         angle[row] = path.target(s).distances(at)[1] if path.asks_orientation else 0.0
     return station, error, angle, tips
+
+
+def _cut_corners(path: BucketPath, station: Vector, tips: NDArray[np.float64]) -> Vector:
+    """(T - 1,) how far the chord from sample to sample passes from the path's corners [m]."""
+    found = np.zeros(len(station) - 1)
+    for mark, corner in zip(path.stations[1:-1], path.points[1:-1], strict=True):
+        for row in np.flatnonzero((station[:-1] < mark) & (station[1:] > mark)):
+            step = tips[row + 1] - tips[row]
+            square = float(step @ step)
+            part = float(np.clip((corner - tips[row]) @ step / square, 0.0, 1.0)) if square > 0.0 else 0.0
+            found[row] = max(found[row], float(np.linalg.norm(tips[row] + part * step - corner)))
+    return found
+
+
+def _skips(
+    on: NDArray[np.bool_], first: int, station: Vector, tips: NDArray[np.float64], time: Vector, tolerance: float
+) -> list[Detour]:
+    """Where the tip gets on along the path by more than it moves: that part was not followed."""
+    way = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    skips = on[:-1] & on[1:] & (np.diff(station) > 1.5 * way + 4.0 * tolerance)
+    return [
+        Detour(
+            time_from=float(time[row]),
+            time_to=float(time[row + 1]),
+            path_from=float(station[row]),
+            path_to=float(station[row + 1]),
+            length=float(way[row]),
+            max_deviation=0.0,
+        )
+        for row in np.flatnonzero(skips).tolist()
+        if row >= first
+    ]
 
 
 def _close_gaps(on: NDArray[np.bool_], first: int, last: int, station: Vector, shortest: float) -> None:

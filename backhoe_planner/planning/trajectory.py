@@ -46,6 +46,8 @@ class Trajectory:
             if not np.all(np.isfinite(values)):
                 raise InputError("holds a number that is not finite", key=f"trajectory.{name}")
             values.setflags(write=False)
+        if self.time[0] != 0.0:
+            raise InputError("does not start at 0", key="trajectory.time", found=float(self.time[0]))
         if np.any(np.diff(self.time) <= 0.0):
             raise InputError("does not increase", key="trajectory.time")
 

@@ -27,7 +27,7 @@ __all__ = ["Obstacle", "build_obstacle", "build_obstacles"]
 Vector = NDArray[np.float64]
 
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up
-_TERRAIN_DEPTH = 5.0  # m below the lowest point
+_TERRAIN_DEPTH = 50.0  # m below the lowest point
 _MOST_PIECES = 20_000
 
 

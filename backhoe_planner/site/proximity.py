@@ -35,7 +35,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_NONSENSE = -1e3  # m: no pair is this deep inside each other
+_NONSENSE = -1e7  # m: no pair is this deep inside each other
 _CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
 _TOLERANCE = 1e-12  # of coal's iterations [m]
 

@@ -48,12 +48,15 @@ __all__ = [
 ]
 
 # strict: neither true nor "0.3" is a number
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
+# and what a machine of metres cannot mean is refused before arithmetic ends
+_LARGEST = 1e5
+Finite = Annotated[float, Field(strict=True, ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 PitchRange = tuple[Finite, Finite]
+AnyLength = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
 _ROUNDING = 1e-14  # a length this near 1 is 1: what was normalised once stays as it is
 
@@ -106,6 +109,8 @@ class Pose(_Record):
         given = [key for key in ("pitch", "rpy", "quaternion") if getattr(self, key) is not None]
         if len(given) > 1:
             raise ValueError(f"only one of pitch, rpy, quaternion may be given, here are {' and '.join(given)}")
+        if self.pitch is not None and max(map(abs, np.atleast_1d(self.pitch))) > 2.0 * math.pi:
+            raise ValueError(f"pitch is in radians, within one turn either way; {self.pitch} looks like degrees")
         if isinstance(self.pitch, tuple) and self.pitch[0] > self.pitch[1]:
             raise ValueError(f"pitch range [low, high] is reversed: {list(self.pitch)}")
         return self
@@ -164,6 +169,8 @@ class PathTask(_Record):
     def _waypoints_or_file(self) -> PathTask:
         if (self.waypoints is None) == (self.file is None):
             raise ValueError("exactly one of waypoints, file must be given")
+        if self.speed is not None and self.speed < 1e-4:
+            raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
         if self.waypoints is not None:
             if len(self.waypoints) < 2:
                 raise ValueError(f"a path needs at least 2 waypoints, this one has {len(self.waypoints)}")
@@ -277,7 +284,7 @@ class HalfSpace(_Obstacle):
     shape: Literal["halfspace"]
     point: Vector3
     """On the plane [m]."""
-    normal: Vector3
+    normal: tuple[AnyLength, AnyLength, AnyLength]
     """Away from the solid; any length but 0."""
 
     @field_validator("normal")

@@ -19,6 +19,9 @@ __all__ = ["KeyPath", "read_yaml"]
 KeyPath = tuple[str | int, ...]
 
 
+_MOST_KEYS = 200_000
+
+
 class _Loader(yaml.SafeLoader):
     """SafeLoader with the scalars of YAML 1.2's core schema."""
 
@@ -87,6 +90,8 @@ def read_yaml(path: Path) -> tuple[dict[str, Any], dict[KeyPath, int]]:
 
 
 def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: Path) -> None:
+    if len(lines) > _MOST_KEYS:
+        raise SceneError(f"holds more than {_MOST_KEYS} entries, its aliases written out", file=path)
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             place = (*at, str(key.value))
