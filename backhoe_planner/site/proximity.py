@@ -314,17 +314,18 @@ class Proximity:
             nx, ny, nz = result.normal.tolist()
             px, py, pz = result.getNearestPoint1().tolist()
             flat += (result.min_distance, nx, ny, nz, px, py, pz)
-            flat += result.getNearestPoint2().tolist()
             flat += (py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
-        raw = np.array(flat).reshape(-1, 13)
+            px, py, pz = result.getNearestPoint2().tolist()
+            flat += (px, py, pz, py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
+        raw = np.array(flat).reshape(-1, 16)
         pair = np.array(found, dtype=np.intp)
-        distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 7:10]
+        distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 10:13]
         # the speed of a point p along n is n . v + (p x n) . omega
         J = self._data.J.reshape(6, self.robot.n)  # of one joint alone it is 1-D
         along = normal @ J[:3]
-        gradient = (along + raw[:, 10:] @ J[3:]) * self._minus_mask_link[pair]
+        gradient = (along + raw[:, 7:10] @ J[3:]) * self._minus_mask_link[pair]
         if self._other_joint[pair].any():
-            gradient += (along + np.cross(point_2, normal) @ J[3:]) * self._mask_other[pair]
+            gradient += (along + raw[:, 13:] @ J[3:]) * self._mask_other[pair]
         drift = np.einsum("ki,ki->k", normal, self._velocity[pair]) if self._moving else np.zeros(len(found))
         return Nearby(
             pair=pair,
