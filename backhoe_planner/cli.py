@@ -7,6 +7,7 @@ What a command computes is one call of the library; here it is only asked for an
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import math
 import sys
@@ -50,6 +51,9 @@ PlanUrdf = Annotated[
 
 def main() -> NoReturn:
     """Entry point of `backhoe-planner`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name may not fit the terminal's alphabet
     try:
         status = app(standalone_mode=False)
     except bp.InputError as error:
