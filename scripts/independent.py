@@ -86,8 +86,7 @@ def least_distances(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> 
     robot, scene, motion = plan.robot, plan.scene, plan.trajectory
     bodies = _bodies(robot)
     time = _finer(motion.time, refine)
-    q = np.column_stack([np.interp(time, motion.time, column) for column in motion.q.T])
-    placements = _placements(robot, q)
+    placements = _placements(robot, motion.at(time))
     found = []
     for spec in scene.obstacles:
         distance = _obstacle(spec, scene)

@@ -88,7 +88,6 @@ class _Plane:
     """The tip in the upright plane: radius from the first axis, and height."""
 
     def __init__(self, robot: Robot) -> None:
-        self._robot = robot
         self._kinematics = Kinematics(robot)
         middle = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
         at = self._kinematics.at(middle)

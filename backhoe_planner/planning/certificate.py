@@ -304,8 +304,7 @@ def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vec
     time = np.unique(np.concatenate((trajectory.time, sorted(moments))))
     if len(time) == len(trajectory.time):
         return trajectory.time, trajectory.q
-    q = np.column_stack([np.interp(time, trajectory.time, column) for column in trajectory.q.T])
-    return time, q
+    return time, trajectory.at(time)
 
 
 def segment_is_clear(

@@ -69,9 +69,12 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.time)
 
-    def at(self, time: float) -> Vector:
-        """(n,) joint positions at `time` [s]; at rest before the start and after the end."""
-        return np.array([np.interp(time, self.time, column) for column in self.q.T])
+    def at(self, time: float | Vector) -> Matrix:
+        """(n,) joint positions at `time` [s], or (k, n) at (k,) times.
+
+        At rest before the start and after the end.
+        """
+        return np.stack([np.interp(time, self.time, column) for column in self.q.T], axis=-1)
 
     def segment_velocities(self) -> Matrix:
         """(T - 1, n) the constant velocity between neighbouring samples."""
