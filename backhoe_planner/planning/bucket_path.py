@@ -92,6 +92,16 @@ class BucketPath:
                 best = (s0 + part * (s1 - s0), distance)
         return best
 
+    def corners(self, angle: float) -> Vector:
+        """(C,) arc lengths at which the path bends by more than `angle` [rad], [m]."""
+        found = []
+        for mark in self.stations[1:-1].tolist():
+            before, after = self(mark - 1e-6, 1), self(mark + 1e-6, 1)
+            size = float(np.linalg.norm(before) * np.linalg.norm(after))
+            if size < 1e-12 or float(before @ after) / size < np.cos(angle):
+                found.append(mark)
+        return np.array(found)
+
     def _locate(self, s: float) -> tuple[int, float]:
         s = float(np.clip(s, 0.0, self.length))
         leg = int(np.clip(np.searchsorted(self.stations, s, side="right") - 1, 0, len(self.points) - 2))

@@ -22,6 +22,7 @@ Matrix = NDArray[np.float64]
 
 _PERIOD = 0.02  # s between samples
 _SPARE = 0.999
+_LENGTH_OF_TURN = 0.1  # m that a radian counts as, so that the curve goes on where the tip stands
 
 
 def time_along(
@@ -31,13 +32,16 @@ def time_along(
 
     Parameters
     ----------
-    stations: (K,) increasing arc lengths of the tip [m]; q: (K, n) joints there.
+    stations: (K,) arc lengths of the tip [m], not decreasing: it may stand while the
+        joints turn; q: (K, n) joints there.
     speed: of the tip along the path at most [m/s], None for no such limit.
     period: between the samples of the result [s].
     """
     if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
         return Trajectory.from_steps(np.zeros(1), q[:1])
-    time, samples = _time_optimal(stations, q, limits, speed, period)
+    turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    along = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-6))))
+    time, samples = _time_optimal(along, stations, q, limits, speed, period)
     for _ in range(4):
         trajectory = Trajectory.from_steps(time, samples)
         over = _over(trajectory, limits)
@@ -48,7 +52,7 @@ def time_along(
 
 
 def _time_optimal(
-    stations: Vector, q: Matrix, limits: JointLimits, speed: float | None, period: float
+    along: Vector, stations: Vector, q: Matrix, limits: JointLimits, speed: float | None, period: float
 ) -> tuple[Vector, Matrix]:
     import toppra
     import toppra.algorithm
@@ -57,18 +61,18 @@ def _time_optimal(
     logging.getLogger("toppra").setLevel(logging.CRITICAL)
     # arc length rides along as one more coordinate, so that its rate is the tip's speed
     points = np.column_stack((q, stations))
-    curve = toppra.SplineInterpolator(stations, points, bc_type="not-a-knot" if len(stations) > 3 else "natural")
+    curve = toppra.SplineInterpolator(along, points, bc_type="not-a-knot" if len(along) > 3 else "natural")
     fastest = np.append(limits.velocity, 1e3 if speed is None else speed) * _SPARE
     hardest = np.append(limits.acceleration, 1e4) * _SPARE
     constraints = [
         toppra.constraint.JointVelocityConstraint(np.column_stack((-fastest, fastest))),
         toppra.constraint.JointAccelerationConstraint(np.column_stack((-hardest, hardest))),
     ]
-    grid = np.linspace(stations[0], stations[-1], max(2 * len(stations) + 1, 101))
+    grid = np.linspace(along[0], along[-1], max(2 * len(along) + 1, 101))
     solver = toppra.algorithm.TOPPRA(constraints, curve, gridpoints=grid, parametrizer="ParametrizeConstAccel")
     timed = solver.compute_trajectory(0.0, 0.0)
     if timed is None:
-        return _ramp(stations, q, limits)  # a curve that toppra cannot time
+        return _ramp(along, q, limits)  # a curve that toppra cannot time
     duration = float(timed.duration)
     time = np.linspace(0.0, duration, max(int(np.ceil(duration / period)) + 1, 3))
     samples = np.asarray(timed(time))[:, :-1]
