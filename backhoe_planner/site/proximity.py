@@ -262,6 +262,11 @@ class Proximity:
         self._place(q, time)
         return float(self._measure(pair).min_distance)
 
+    def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
+        """(K,) signed distances [m] of `pairs` (K,), whether or not their obstacles have appeared."""
+        self._place(q, time)
+        return np.array([self._measure(index).min_distance for index in pairs.tolist()])
+
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""
         obstacle = self.obstacles[index]
