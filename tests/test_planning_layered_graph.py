@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def never(a: Matrix, b: Matrix, span: float) -> Matrix:
 def graph(layers: list[list[float]], *, detours: bool = False, turning: float = 1e-9) -> LayeredGraph:
     """Layers 1 m apart of nodes with one joint; turning is forbiddingly dear unless asked."""
     nodes = [np.array(layer, dtype=float).reshape(-1, 1) for layer in layers]
-    return LayeredGraph(np.arange(len(layers)), nodes, cost=quadratic, turning=turning, detours=detours)
+    return LayeredGraph(np.arange(float(len(layers))), nodes, cost=quadratic, turning=turning, detours=detours)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -43,7 +43,7 @@ def test_equals_an_exhaustive_search(seed: int) -> None:
         if any((k, choice[k], choice[k + 1]) in forbidden for k in range(4)):
             continue
         points = [layer[index] for layer, index in zip(layers, choice, strict=True)]
-        best = min(best, sum(float(np.sum((q - p) ** 2)) for p, q in zip(points[:-1], points[1:], strict=True)))
+        best = min(best, sum(float(np.sum((q - p) ** 2)) for p, q in pairwise(points)))
     route = searched.best_route()
     if not np.isfinite(best):
         assert route is None

@@ -11,7 +11,7 @@ from backhoe_planner.planning.reactive import approach_goal
 from backhoe_planner.planning.stepping import Stepper
 from backhoe_planner.planning.transit import find_transit
 
-__all__ = ["find_goal_postures", "plan_to_goal"]
+__all__ = ["find_goal_postures", "plan_to_goal", "swerve_to_goal"]
 
 _SEARCH = 48  # starting points of the inverse kinematics for a goal
 _LONG_SEARCH = 400  # before a goal is said to be in collision
@@ -47,3 +47,11 @@ def plan_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome
         message = f"{outcome.message}; {transit.told}"
         return Outcome(outcome.trajectory, outcome.reason, message, dict(outcome.details) | {"sampled": transit.told})
     return outcome
+
+
+def swerve_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome | None:
+    """On to the goal by the completed law, from a motion that need not be at rest; None where it does not arrive."""
+    attempt = next(iter(approach_goal(stepper, goal, (), deadline=context.deadline)))
+    if not attempt.arrived:
+        return None
+    return Outcome(attempt.stepper.trajectory(), details={"way": attempt.way})

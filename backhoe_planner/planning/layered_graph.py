@@ -81,7 +81,8 @@ class LayeredGraph:
 
     Parameters
     ----------
-    stations: (L,) arc length of each layer [m], increasing.
+    stations: (L,) arc length of each layer [m], not decreasing; no step leads from one
+        layer to the next where they are at the same.
     layers: (N_l, n) configurations of each; a layer may be empty.
     cost: (A, n), (B, n) and the arc length between them [m] to the (A, B) costs of
         the motions; infinite where there is none.
@@ -249,7 +250,10 @@ class LayeredGraph:
         """(A, B) from the layer before to `layer`."""
         if layer not in self._steps:
             span = float(self.stations[layer] - self.stations[layer - 1])
-            self._steps[layer] = self._cost(self.layers[layer - 1], self.layers[layer], span)
+            before, nodes = self.layers[layer - 1], self.layers[layer]
+            self._steps[layer] = (
+                self._cost(before, nodes, span) if span > 0.0 else np.full((len(before), len(nodes)), np.inf)
+            )
         return self._steps[layer]
 
     def _turn_costs(self, layer: int) -> Matrix:

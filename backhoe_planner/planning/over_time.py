@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 from backhoe_planner.planning.certificate import segment_is_clear
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.problem import Problem
 from backhoe_planner.planning.stepping import Stepper
 from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.site.obstacles import Obstacle, swept
 from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["Planned", "plan_over_time"]
+__all__ = ["Planned", "changes", "plan_over_time"]
 
 Vector = NDArray[np.float64]
 
@@ -34,7 +36,9 @@ PlanOnce = Callable[[Context, Stepper], Outcome]
 Swerve = Callable[[Context, Stepper], Outcome | None]
 
 _WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s
-_HORIZON = 15.0  # s ahead for which the space of what moves is kept free
+_HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of what moves is kept free
+_REFUGES = 60  # postures that are looked at
+_ROOM = 0.02  # m of margin in a refuge
 _PERIOD = 0.02  # s
 _SLOWEST_BRAKING = 0.05  # 1/s^2
 _TOUCH = 2e-5  # m
@@ -59,9 +63,9 @@ def plan_over_time(context: Context, asked: Planned, stepper: Stepper) -> Outcom
 
     Where no obstacle appears or moves it is what `asked.once` gives.
     """
-    obstacles = context.problem.obstacles
-    if not any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in obstacles):
+    if not changes(context.problem):
         return asked.once(context, stepper)
+    obstacles = context.problem.obstacles
     reactions: list[dict[str, Any]] = []
     outcome = _among_known(context, asked, stepper)
     known_until = stepper.time
@@ -87,6 +91,11 @@ def plan_over_time(context: Context, asked: Planned, stepper: Stepper) -> Outcom
             break
     details = dict(outcome.details) | ({"reactions": reactions} if reactions else {})
     return replace(outcome, details=details)
+
+
+def changes(problem: Problem) -> bool:
+    """Whether any obstacle moves or appears."""
+    return any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in problem.obstacles)
 
 
 def _told(reaction: dict[str, Any], message: str) -> str:
@@ -137,13 +146,43 @@ def _ways(
     swerved = asked.swerve(context, stepper.branch(attempt=2))
     if swerved is not None:
         yield swerved
-    taken = [swept(o, stepper.time, stepper.time + _HORIZON) if o.moves else o for o in known]
-    yield asked.once(context.in_world([_standing(o) for o in taken]), stepper.branch(attempt=3))
-    for wait in _WAITS[1::2]:
+    for horizon in _HORIZONS:
+        world = _swept_world(known, stepper.time, horizon)
+        yield asked.once(context.in_world(world), stepper.branch(attempt=3))
+    for wait in _WAITS[1::3]:
         aside = stepper.branch(attempt=4)
-        if not aside.give_way(stepper.time + wait):
-            return
-        yield asked.once(context.in_world(still), aside)
+        if aside.give_way(stepper.time + wait):
+            yield asked.once(context.in_world(still), aside)
+    for refuge in _refuges(context, stepper, known):
+        yield asked.once(context.in_world(still), refuge)
+
+
+def _swept_world(known: list[Obstacle], since: float, horizon: float) -> list[Obstacle]:
+    """What stands, and all the space that what moves takes up for a time [s]."""
+    return [swept(o, since, since + horizon) if o.moves else _standing(o) for o in known]
+
+
+def _refuges(context: Context, stepper: Stepper, known: list[Obstacle]) -> Iterator[Stepper]:
+    """Motions to where nothing will pass, at rest there until everything has."""
+    robot = context.problem.robot
+    rng = np.random.default_rng(context.seed)
+    passed = context.in_world(_swept_world(known, stepper.time, _HORIZONS[-1]))
+    clear = []
+    for spread in np.linspace(0.1, 1.0, _REFUGES):
+        q = stepper.q + spread * (robot.random_q(rng) - stepper.q)
+        contact = passed.postures.contact(q)
+        if contact is None or contact.margin > _ROOM:
+            clear.append(q)
+    if not clear:
+        return
+    for horizon in _HORIZONS[:-1]:
+        world = context.in_world(_swept_world(known, stepper.time, horizon))
+        transit = find_transit(world, stepper, clear)
+        if transit.stepper is None:
+            continue
+        if _is_clear(context, known, transit.stepper.trajectory(), stepper.time):
+            transit.stepper.rest(stepper.time + _HORIZONS[-1])
+            yield transit.stepper
 
 
 def _stands_clear(context: Context, known: list[Obstacle], stepper: Stepper, wait: float) -> bool:
@@ -164,6 +203,8 @@ def _delayed(motion: Trajectory, since: float, wait: float) -> Trajectory:
 def _react(context: Context, asked: Planned, motion: Trajectory, moment: float) -> tuple[Outcome, dict[str, Any]]:
     """A motion that is `motion` up to `moment` and goes on otherwise; and what was done."""
     known = _known(context, moment)
+    # it is seen at the next sample, where the motion may change without a shorter step
+    moment = float(motion.time[np.searchsorted(motion.time, moment - 1e-9)])
     moving = context.stepper(motion.q[0])
     moving.replay(motion, moment)
     swerved = asked.swerve(context, moving.branch(attempt=1))
@@ -174,7 +215,10 @@ def _react(context: Context, asked: Planned, motion: Trajectory, moment: float) 
         stopped = moving.branch(attempt=2)
         if not stopped.give_way(moment):
             return Outcome(stopped.trajectory(), "blocked", "contact cannot be avoided"), {}
-    return _among_known(context, asked, stopped), {"way": "stopped and planned anew", "stopped_at": stopped.time}
+    outcome = _among_known(context, asked, stopped)
+    if outcome.reason and outcome.trajectory.duration < stopped.time:
+        outcome = replace(outcome, trajectory=stopped.trajectory())
+    return outcome, {"way": "stopped and planned anew", "stopped_at": stopped.time}
 
 
 def _brake(context: Context, known: list[Obstacle], motion: Trajectory, moment: float) -> Stepper | None:

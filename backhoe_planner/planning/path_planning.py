@@ -54,34 +54,40 @@ def out_of_reach(context: Context, path: BucketPath) -> Outcome | None:
     return None
 
 
-def plan_along_path(context: Context, path: BucketPath, *, stepper: Stepper | None) -> Outcome:
-    """To the beginning of the path and along it.
+def plan_along_path(
+    context: Context, path: BucketPath, *, stepper: Stepper | None, since: float | None = None
+) -> Outcome:
+    """To the path and along it to its end.
 
     Parameters
     ----------
     stepper: a motion that is at rest; None where the machine may begin anywhere on the
         beginning of the path.
+    since: arc length up to which the motion has followed the path already [m]; None
+        where it has not begun to.
     """
-    task = context.problem.scene.task.path
-    assert task is not None
+    low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
     resolver = PathResolver(
         context.problem,
         path,
         proximity=context.world,
+        since=low,
         time=time,
         deadline=context.deadline,
         find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
     )
-    on_path = stepper is not None and max(path.target(0.0).distances(context.kinematics.at(stepper.q))) < _ON_PATH
-    if not len(resolver.first_layer) and not on_path:
+    on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
+    if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
         found = context.postures.at(path.target(0.0), near=near, count=_SEARCH, time=time)
         failure = no_posture(context, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
-    begin = stepper.q if stepper is not None and on_path else None
-    return _Along(context, path, resolver, stepper).plan(begin)
+    along = _Along(context, path, resolver, stepper)
+    if stepper is None or (since is None and not on_path):
+        return along.plan(None)
+    return along.plan(stepper.q, off_path=not on_path)
 
 
 class _Along:
@@ -96,12 +102,17 @@ class _Along:
         assert task is not None
         self._speed, self._may_leave = task.speed, task.detour
 
-    def plan(self, begin: Vector | None) -> Outcome:
-        """The motion, from the joints `begin` (n,) on the path, or from wherever the machine is."""
-        resolved = self._resolver.resolve(begin, detours=False, price=self._price)
+    def plan(self, begin: Vector | None, *, off_path: bool = False) -> Outcome:
+        """The motion, from the joints `begin` (n,) where the tip begins to follow, or from wherever it is.
+
+        Parameters
+        ----------
+        off_path: with the joints at `begin` the tip is not on the path.
+        """
+        resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
         if not resolved.complete and not resolved.out_of_time:
             # also where detours are not allowed: then to say what one would take
-            around = self._resolver.resolve(begin, detours=True, price=self._price)
+            around = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
             resolved = around if around.complete or self._may_leave else resolved
         pieces = self._smoothed(resolved, begin)
         if not pieces:
@@ -111,7 +122,9 @@ class _Along:
         stepper = self._stepper
         if stepper is None:
             stepper = self._context.stepper(first.q[0])
-        elif begin is None:
+        elif begin is not None:
+            stepper = stepper.branch(attempt=stepper.attempt)
+        else:
             transit = find_transit(self._context, stepper, [first.q[0]])
             if transit.stepper is None:
                 return self._from_elsewhere(stepper, resolved, transit.told)

@@ -129,6 +129,7 @@ class PathResolver:
 
     Parameters
     ----------
+    since: arc length from which on it is resolved [m].
     time: at which the obstacles are taken to be where they are [s].
     deadline: on `time.monotonic`.
     find_detour: (n,) from, (n,) to, arc lengths there, to the way between them or None.
@@ -141,6 +142,7 @@ class PathResolver:
         *,
         proximity: Proximity,
         find_detour: FindDetour,
+        since: float = 0.0,
         time: float = 0.0,
         deadline: float = np.inf,
         cost: StepCost = velocity_norm_cost,
@@ -155,21 +157,27 @@ class PathResolver:
         self._deadline = deadline
         self._cost = cost
         self._kinematics = BatchKinematics(problem.robot)
-        count = max(int(np.ceil(path.length / layer)), 1)
-        self._stations = np.linspace(0.0, path.length, min(count, _MOST_LAYERS) + 1)
+        count = max(int(np.ceil((path.length - since) / layer)), 1)
+        self._stations = np.linspace(since, path.length, min(count, _MOST_LAYERS) + 1)
         self._targets = [path.target(float(s)) for s in self._stations]
         self._all = PathLayers(problem.robot, grid=grid).at(self._stations, self._targets)
         self._layers = [self._free(nodes) for nodes in self._all]
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Detouring, Stretch]] = {}
+        self._off_path = False
 
     @property
     def first_layer(self) -> Matrix:
-        """(N, n) clear configurations at the beginning of the path."""
+        """(N, n) clear configurations at the beginning of what is resolved."""
         return self._layers[0]
 
     def resolve(
-        self, begin: Vector | None, *, detours: bool, price: Callable[[Matrix], Vector] | None = None
+        self,
+        begin: Vector | None,
+        *,
+        detours: bool,
+        off_path: bool = False,
+        price: Callable[[Matrix], Vector] | None = None,
     ) -> Resolved:
         """The cheapest resolution, of those that leave out least of the path.
 
@@ -177,15 +185,21 @@ class PathResolver:
         ----------
         begin: (n,) joints on the beginning of the path, or None where they are free.
         detours: whether the path may be left.
+        off_path: `begin` is not on the path; it is joined by a detour.
         price: what it costs to begin at each node of the first layer, (N, n) to (N,).
         """
-        layers = list(self._layers)
+        layers, stations = list(self._layers), self._stations
         costs = price(layers[0]) if price is not None and begin is None else np.zeros(len(layers[0]))
-        if begin is not None:
+        if begin is not None and off_path:
+            layers, stations = [begin[None, :], *layers], np.append(stations[0], stations)
+            costs = np.zeros(1)
+        elif begin is not None:
             layers[0] = np.vstack((begin[None, :], layers[0]))
             costs = np.append(0.0, np.full(len(layers[0]) - 1, np.inf))
         self._motions, self._ways = {}, {}
-        graph = LayeredGraph(self._stations, layers, cost=self._cost, turning=float(self._stations[1]), detours=detours)
+        turning = float(self._stations[1] - self._stations[0])
+        graph = LayeredGraph(stations, layers, cost=self._cost, turning=turning, detours=detours)
+        self._off_path = off_path
         failures: dict[tuple[int, int], int] = {}
         while clock.monotonic() < self._deadline:
             route = graph.best_route(costs)
@@ -202,7 +216,7 @@ class PathResolver:
 
     def _free(self, nodes: Matrix) -> Matrix:
         keeps = [self._margin_kept(q) for q in nodes]
-        return nodes[np.array(keeps, dtype=bool)]
+        return np.asarray(nodes[np.array(keeps, dtype=bool)])
 
     def _margin_kept(self, q: Vector) -> bool:
         least = self._proximity.clearance - _TOUCH
@@ -287,7 +301,7 @@ class PathResolver:
         """A detour, with what is still followed before it and already after it."""
         a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
         low, high = (float(graph.stations[node[0]]) for node in (edge.start, edge.end))
-        if edge.start[0] == edge.end[0]:
+        if low == high or (self._off_path and edge.start[0] == 0):
             blame = self._blame(a, low)
             before, after = Stretch(np.array([low]), a[None, :]), Stretch(np.array([high]), b[None, :])
         else:
@@ -377,8 +391,8 @@ class PathResolver:
             if not self._driven(graph, route):
                 continue
             layer, index = route.nodes[-1]
-            low = float(self._stations[layer])
-            high = float(self._stations[min(layer + 1, len(self._stations) - 1)])
+            low = float(graph.stations[layer])
+            high = float(graph.stations[min(layer + 1, len(graph.stations) - 1)])
             further, blame = self._extend(low, high, graph.layers[layer][index])
             joined = list(self._pieces(graph, route))
             _append(joined, further)

@@ -22,14 +22,16 @@ from backhoe_planner.planning.as_printed import run_iteration
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import Certificate, certify_problem
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal
+from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
 from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture
+from backhoe_planner.planning.over_time import Planned, changes, plan_over_time
 from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
 from backhoe_planner.planning.plan import METHODS, Method, Plan, Reason
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.stepping import Stepper, Watcher
 from backhoe_planner.planning.timing import time_polyline
+from backhoe_planner.planning.tracking import progress
 from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.site.scene import Scene
 
@@ -139,7 +141,10 @@ class _Planning:
             if failure is not None:
                 return failure
             if self._problem.start_q is None and self._problem.start_target is None:
-                return self._follow(path, None)
+                outcome = self._follow(path, None)
+                if self._method != "auto" or outcome.reason or not changes(self._problem):
+                    return outcome
+                return plan_over_time(self._context, self._asked(), self._context.stepper(outcome.trajectory.q[0]))
         start = self._start()
         if isinstance(start, Outcome):
             return start
@@ -147,7 +152,25 @@ class _Planning:
         if failure is not None:
             return failure
         stepper = self._context.stepper(start)
+        if self._method == "auto":
+            return plan_over_time(self._context, self._asked(), stepper)
         return self._reach(stepper) if path is None else self._follow(path, stepper)
+
+    def _asked(self) -> Planned:
+        """The task, as something that can be planned from any state of the motion."""
+        goal, path, task = self._problem.goal, self._problem.path, self._problem.scene.task.path
+        if goal is not None:
+            return Planned(
+                once=lambda context, stepper: plan_to_goal(context, stepper, goal),
+                swerve=lambda context, stepper: swerve_to_goal(context, stepper, goal),
+            )
+        assert path is not None and task is not None
+
+        def follow_on(context: Context, stepper: Stepper) -> Outcome:
+            since = progress(path, task.tolerance, stepper.trajectory(), context.kinematics)
+            return plan_along_path(context, path, stepper=stepper, since=since)
+
+        return Planned(once=follow_on, swerve=lambda context, stepper: None)
 
     def _start(self) -> Vector | Outcome:
         """(n,) where the joints stand at first."""

@@ -220,7 +220,7 @@ class _Search:
 
 def _validator(base: Any, space_information: Any, n: int, allows: Callable[[list[float], list[float]], bool]) -> Any:
     class Validator(base.MotionValidator):  # type: ignore[misc]
-        def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802 - OMPL's name
+        def checkMotion(self, a: Any, b: Any) -> bool:
             return allows(a[0:n], b[0:n])
 
     return Validator(space_information)

@@ -163,6 +163,11 @@ class Stepper:
             self._last_dt = self._times[-1] - self._times[-2]
             self.v = (self._path[-1] - self._path[-2]) / self._last_dt
 
+    def rest(self, until: float) -> None:
+        """Stand, where the motion is at rest, until the time `until` [s]."""
+        if until > self.time:
+            self._take(self.q, until - self.time, None)
+
     def stopped(self) -> bool:
         """Whether the machine can be at rest after one more step."""
         return bool(np.all(np.abs(self.v) <= self.problem.limits.acceleration * STEP + 1e-12))

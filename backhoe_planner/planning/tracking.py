@@ -18,7 +18,7 @@ from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.trajectory import Trajectory
 
-__all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "track_goal", "track_path"]
+__all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "progress", "track_goal", "track_path"]
 
 Vector = NDArray[np.float64]
 
@@ -139,6 +139,22 @@ def track_path(
         approach_time=float(trajectory.time[first]),
         detours=tuple(detours),
     )
+
+
+def progress(path: BucketPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:
+    """Arc length up to which a motion has followed a path [m]; None where it has not begun to.
+
+    Parameters
+    ----------
+    tolerance: within which the tip counts as on the path [m].
+    """
+    station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
+    begun = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
+    if not begun.any():
+        return None
+    on = (error <= tolerance) & (angle <= ANGLE_TOLERANCE)
+    on[: int(np.argmax(begun))] = False
+    return float(np.max(station[on], initial=0.0))
 
 
 def _follow(
