@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise, product
 from typing import Any
 
@@ -136,8 +137,9 @@ class _Habitat:
     fixtures: Callable[[np.random.Generator], list[Record]]
 
 
+@cache
 def load_machine(machine: str) -> bp.Robot:
-    """The robot for which the sites of a machine are drawn."""
+    """The robot for which the sites of a machine are drawn; loaded once in a process."""
     habitat = _HABITATS[machine]
     return bp.load_robot(habitat.source, tip=habitat.tip)
 
@@ -173,7 +175,7 @@ class _Workshop:
         form, built = self.key.kind, list[Record]()
         asked: Callable[[Vector, Vector], bool] = lambda start, goal: True  # noqa: E731
         if self.key.kind == "narrow":
-            form, built, asked = _NARROW[self.key.machine](self.rng)
+            form, built, asked = _NARROW[self.key.machine](self.key.index, self.rng)
         fixed = self._proximity(built)
         ends = self._free_ends(fixed, asked)
         if ends is None:
@@ -239,13 +241,13 @@ class _Workshop:
     # --- paths ---------------------------------------------------------------
 
     def path_site(self) -> Site | None:
-        drawn = self._smooth_motion() if self.key.machine == "panda" else self._bucket_motion()
+        trench = self.key.machine == "backhoe" and self.key.kind == "narrow" and self.key.index % 2 == 0
+        drawn = self._smooth_motion() if self.key.machine == "panda" else self._bucket_motion(radial=trench)
         if drawn is None:
             return None
         waypoints, motion = drawn
         looked = motion[np.unique(np.linspace(0, len(motion) - 1, 50).astype(int))]
         form = self.key.kind
-        trench = self.key.machine == "backhoe" and form == "narrow" and self.rng.random() < 0.5
         wanted = self._count(0)
         if trench:
             form = "trench"
@@ -293,14 +295,21 @@ class _Workshop:
                 return q
         return np.array(motion[0])
 
-    def _bucket_motion(self) -> tuple[list[Record], Matrix] | None:
-        """A path of two or three waypoints, and the joint motion that follows it."""
+    def _bucket_motion(self, *, radial: bool) -> tuple[list[Record], Matrix] | None:
+        """A path of two or three waypoints, and the joint motion that follows it.
+
+        A radial one, for a trench, lies in the plane of the arm and goes below the ground.
+        """
         count = int(self.rng.integers(2, 4))
         proximity = self._proximity([])
         ends: list[Vector] = []
         for _ in range(60):
             q = self._random_q()
+            if radial and ends:
+                q[0] = ends[0][0]
             tip = self.kinematics.at(q).tip_position
+            if radial and len(ends) == 1 and tip[2] > -0.3:
+                continue
             near = not ends or 0.4 < float(np.linalg.norm(tip - self.kinematics.at(ends[-1]).tip_position)) < 3.0
             if near and self._outside_machine(tip) and np.min(self._margins(proximity, q)) > SPARE:
                 ends.append(q)
@@ -648,9 +657,9 @@ def _turned(point: Vector, turn: float) -> Vector:
     return np.array([c * point[0] + s * point[1], -s * point[0] + c * point[1], point[2]])
 
 
-def _narrow_backhoe(rng: np.random.Generator) -> _Built:
+def _narrow_backhoe(index: int, rng: np.random.Generator) -> _Built:
     turn = float(rng.uniform(-1.1, 1.1))
-    form = str(rng.choice(["trench", "gap", "beam", "pipes"]))
+    form = ("trench", "gap", "beam", "pipes")[index % 4]
     if form == "trench":
         return form, _banks(turn, rng), lambda start, goal: bool(start[2] > 0.2 and goal[2] < -0.3)
     if form == "gap":
@@ -683,9 +692,9 @@ def _narrow_backhoe(rng: np.random.Generator) -> _Built:
     return form, [], lambda start, goal: True
 
 
-def _narrow_planar(rng: np.random.Generator) -> _Built:
+def _narrow_planar(index: int, rng: np.random.Generator) -> _Built:
     turn = float(rng.uniform(-np.pi, np.pi))
-    form = str(rng.choice(["gap", "slot", "pipes"]))
+    form = ("gap", "slot", "pipes")[index % 3]
     gap = float(rng.uniform(0.4, 0.8))
     if form == "gap":
         away = float(rng.uniform(1.2, 2.2))
@@ -710,9 +719,9 @@ def _narrow_planar(rng: np.random.Generator) -> _Built:
     return form, [], lambda start, goal: True
 
 
-def _narrow_panda(rng: np.random.Generator) -> _Built:
+def _narrow_panda(index: int, rng: np.random.Generator) -> _Built:
     turn = float(rng.uniform(-np.pi, np.pi))
-    form = str(rng.choice(["gap", "shelf", "beam"]))
+    form = ("gap", "shelf", "beam")[index % 3]
     away, floor = float(rng.uniform(0.4, 0.55)), float(rng.uniform(0.05, 0.4))
     if form == "shelf":
         inside = float(rng.uniform(0.3, 0.45))
@@ -748,7 +757,7 @@ def _narrow_panda(rng: np.random.Generator) -> _Built:
     return form, [beam], under
 
 
-_NARROW: dict[str, Callable[[np.random.Generator], _Built]] = {
+_NARROW: dict[str, Callable[[int, np.random.Generator], _Built]] = {
     "backhoe": _narrow_backhoe,
     "planar4": _narrow_planar,
     "panda": _narrow_panda,
