@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 import backhoe_planner as bp
+from backhoe_planner.machine.reach import tip_travel_bound
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.problem import build_problem
 from backhoe_planner.site.scene import Waypoint
@@ -58,7 +59,8 @@ KINDS = ("open", "cluttered", "narrow")
 TASKS = ("goal", "path")
 
 SPARE = 0.01  # m beyond every clearance that what is called free keeps
-_LEG = 0.05  # m between the configurations that are looked at along a tip path
+_LEG = 0.05  # m between the configurations that are looked at along a tip path, at most
+_SAGITTA = 3e-3  # m that the tip may be off the path between them
 _TRIES = 400
 
 
@@ -338,15 +340,23 @@ class _Workshop:
 
     def _followed(self, path: BucketPath, first: Vector) -> Matrix | None:
         """(W, n) configurations along a path, each near the one before; None where it breaks off."""
-        stations = np.unique(np.concatenate((np.arange(0.0, path.length, _LEG), path.stations)))
-        motion = [first]
-        for station in stations[1:].tolist():
+        stations = np.unique(np.concatenate((np.arange(0.0, path.length, _LEG), path.stations))).tolist()
+        reach = tip_travel_bound(self.robot)
+        motion, station = [first], 0.0
+        ahead = stations[:0:-1]
+        while ahead:
             found = bp.solve_inverse_kinematics(
-                self.robot, path.target(station), start=motion[-1], attempts=1, kinematics=self.kinematics
+                self.robot, path.target(ahead[-1]), start=motion[-1], attempts=1, kinematics=self.kinematics
             )
-            if not found.reached or float(np.max(np.abs(found.q - motion[-1]))) > 0.3:
-                return None
+            step = np.abs(found.q - motion[-1])
+            # the sagitta of the tip's way between the two: where it may leave the path, look in between
+            if not found.reached or 0.125 * float(np.sum(step) * (step @ reach)) > _SAGITTA:
+                if ahead[-1] - station < _LEG / 16.0:
+                    return None
+                ahead.append(0.5 * (station + ahead[-1]))
+                continue
             motion.append(found.q)
+            station = ahead.pop()
         return np.array(motion)
 
     def _smooth_motion(self) -> tuple[list[Record], Matrix] | None:
