@@ -29,10 +29,11 @@ import json
 import multiprocessing
 import signal
 import sys
+import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -174,7 +175,7 @@ class Comparison:
 
 def run_site(key: SiteKey, settings: Settings) -> Row:
     """Draw a site, plan it, and hold the plan against the independent check where asked."""
-    if multiprocessing.parent_process() is not None:
+    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who hands out the sites ends it
     name: dict[str, Any] = {name: getattr(key, name) for name in ("machine", "kind", "task", "index", "seed")}
     known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False}
@@ -236,6 +237,7 @@ def run(
     ----------
     jobs: processes; -1 for one on each core, 1 for this process alone.
     dask: address of a Dask scheduler, or ``local``; instead of processes of its own.
+        backhoe_planner must be installed for its workers; the scripts are sent there.
     told: is called with the number of sites done.
     """
     rows: list[Row] = []
@@ -258,7 +260,15 @@ def _record(key: SiteKey, settings: Settings) -> dict[str, Any]:
     return asdict(run_site(key, settings))
 
 
-def _by_processes(keys: Sequence[SiteKey], settings: Settings, jobs: int) -> Iterator[dict[str, Any]]:
+def _on_worker(key: tuple[Any, ...], settings: tuple[Any, ...]) -> dict[str, Any]:
+    """The same where neither this file nor its records were imported; the scheduler has none of them."""
+    import bench_planning
+
+    record: dict[str, Any] = bench_planning._record(bench_planning.SiteKey(*key), bench_planning.Settings(*settings))
+    return record
+
+
+def _by_processes(keys: Sequence[SiteKey], settings: Settings, jobs: int) -> Generator[dict[str, Any], None, None]:
     if jobs == 1:
         yield from (_record(key, settings) for key in keys)
         return
@@ -272,19 +282,26 @@ def _by_processes(keys: Sequence[SiteKey], settings: Settings, jobs: int) -> Ite
         raise
 
 
-def _by_dask(keys: Sequence[SiteKey], settings: Settings, address: str, jobs: int) -> Iterator[dict[str, Any]]:
+def _by_dask(
+    keys: Sequence[SiteKey], settings: Settings, address: str, jobs: int
+) -> Generator[dict[str, Any], None, None]:
     try:
         from distributed import Client, LocalCluster, as_completed
     except ImportError as error:
         raise SystemExit('--dask needs Dask: pip install "dask[distributed]"') from error
     count = jobs if jobs > 0 else (os.cpu_count() or 1)
     local = address == "local"
-    cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) if local else None
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # the workers of a local cluster inherit it
+    try:
+        cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) if local else None
+    finally:
+        signal.signal(signal.SIGINT, before)
     with Client(cluster or address) as client:
         try:
-            for name in ("random_scenes.py", "independent.py"):  # backhoe_planner itself must be installed there
-                client.upload_file(str(Path(__file__).with_name(name)))
-            futures = client.map(_record, keys, settings=settings, pure=False)
+            for name in ("random_scenes.py", "independent.py", "bench_planning.py"):
+                client.upload_file(str(Path(__file__).with_name(name)), load=False)
+            plain = [astuple(key) for key in keys]
+            futures = client.map(_on_worker, plain, settings=astuple(settings), pure=False)
             try:
                 for future in as_completed(futures):
                     yield future.result()

@@ -281,7 +281,7 @@ class _Workshop:
             path["speed"] = float(self.rng.uniform(0.3, 0.8) * (0.3 if self.key.machine == "panda" else 1.0))
         elsewhere = start is not None and not np.array_equal(start, motion[0])
         scene = self._scene(obstacles, {"path": path}, start)
-        way = not blocked and not (elsewhere and not self._way(proximity, start, motion[0]))
+        way = not blocked and (start is None or not elsewhere or self._way(proximity, start, motion[0]))
         return Site(self.key, scene, form, start, motion[-1], motion, blocked, way)
 
     def _path_start(self, proximity: bp.Proximity, motion: Matrix) -> Vector | None:

@@ -67,6 +67,7 @@ def test_start_and_goal_are_free_with_a_centimetre_to_spare(machine: str, kind: 
         if problem.goal is not None:
             at = bp.Kinematics(problem.robot).at(site.goal_q)
             assert max(problem.goal.distances(at)) < 1e-9
+            assert problem.start_q is not None
             assert np.array_equal(problem.start_q, site.start_q)
 
 
@@ -106,7 +107,7 @@ def test_a_tip_path_has_a_motion_that_the_certificate_accepts_unless_it_is_block
         site = drawn(machine, kind, "path", index)
         scene = site.scene.model_copy(update={"start": None})
         assert site.motion is not None
-        slowly = bp.Trajectory.from_steps(10.0 * np.arange(len(site.motion)), site.motion)
+        slowly = bp.Trajectory.from_steps(np.linspace(0.0, 10.0 * len(site.motion), len(site.motion)), site.motion)
         certificate = bp.certify(robot, scene, slowly)
         if site.blocked:
             blocked += 1
