@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -272,3 +273,9 @@ def test_one_site_is_rerun_by_its_name(capsys: pytest.CaptureFixture[str]) -> No
     assert told.startswith("planar4/open/goal/0, seed 0")
     with pytest.raises(SystemExit, match="no such site"):
         bench.main(["--only", "planar4/open/goals/0"])
+
+
+def test_dask_that_is_not_installed_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(SystemExit, match=r"pip install .dask\[distributed\]"):
+        bench.main(["--sites", "1", "--machines", "planar4", "--dask", "local"])
