@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -27,9 +28,10 @@ import backhoe_planner as bp
 from backhoe_planner.planning.problem import Problem, build_problem
 
 ALL = [(machine, kind, task) for machine in MACHINES for kind in KINDS for task in TASKS]
-SETTINGS = bench.Settings(budget=1.0, refute=True)
+SETTINGS = bench.Settings(budget=0.5, refute=True)
 
 
+@cache
 def drawn(machine: str, kind: str, task: str, index: int) -> Site:
     return random_site(load_machine(machine), SiteKey(machine, kind, task, index))
 
@@ -44,14 +46,14 @@ def least_margin(problem: Problem, q: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("machine", "kind", "task"), ALL)
 def test_a_site_is_what_its_name_says_whatever_was_drawn_before(machine: str, kind: str, task: str) -> None:
-    alone = drawn(machine, kind, task, 2)
-    other = drawn(machine, kind, task, 1) if task == "goal" else drawn(machine, "open", "goal", 1)
-    again = drawn(machine, kind, task, 2)
-    assert alone.scene == again.scene
-    assert np.array_equal(alone.goal_q, again.goal_q)
-    assert alone.scene != other.scene
-    if task == "goal":
-        assert alone.scene != random_site(load_machine(machine), SiteKey(machine, kind, task, 2, seed=1)).scene
+    first = drawn(machine, kind, task, 0)
+    other = drawn(machine, kind, task, 1)
+    again = random_site(load_machine(machine), first.key)
+    assert first.scene == again.scene
+    assert np.array_equal(first.goal_q, again.goal_q)
+    assert first.scene != other.scene
+    if (kind, task) == ("open", "goal"):
+        assert first.scene != random_site(load_machine(machine), SiteKey(machine, kind, task, 0, seed=1)).scene
 
 
 @pytest.mark.parametrize(("machine", "kind", "task"), ALL)
@@ -104,7 +106,7 @@ def test_a_path_of_full_poses_has_a_motion_that_follows_it_free_of_contact(kind:
 def test_a_tip_path_has_a_motion_that_the_certificate_accepts_unless_it_is_blocked(machine: str, kind: str) -> None:
     robot = load_machine(machine)
     blocked = 0
-    for index in range(4):
+    for index in range(3):
         site = drawn(machine, kind, "path", index)
         scene = site.scene.model_copy(update={"start": None})
         assert site.motion is not None
@@ -119,7 +121,7 @@ def test_a_tip_path_has_a_motion_that_the_certificate_accepts_unless_it_is_block
         assert certificate.tracking.done
         assert not certificate.detours
         assert certificate.min_clearance is None or certificate.min_clearance.margin >= SPARE - 1e-3
-    assert blocked < 4
+    assert blocked < 3
 
 
 def test_nothing_stands_inside_the_machine_and_the_whole_language_is_used() -> None:
