@@ -30,7 +30,7 @@ Matrix = NDArray[np.float64]
 _MOST_WAYPOINTS = 64  # of a path are tried before it is planned
 _GUESSES = 32  # for each of them
 _SEARCH = 48
-_ON_PATH = 1e-6  # m and rad
+_ON_PATH = 1e-4  # m and rad
 
 
 def out_of_reach(context: Context, path: BucketPath) -> Outcome | None:

@@ -8,6 +8,7 @@ so what is sampled is checked, and slowed by as much as it is over.
 from __future__ import annotations
 
 import logging
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +139,7 @@ def _parts(way: SmoothWay, begin: float, end: float, limits: JointLimits) -> lis
     if timed is not None:
         return [timed]
     corners = way.corners[(way.stations >= begin) & (way.stations <= end)]
-    return [_straight(a, b, limits) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+    return [_straight(a, b, limits) for a, b in pairwise(corners)]
 
 
 def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Matrix]:
@@ -177,7 +178,11 @@ def _along_smooth(way: SmoothWay, begin: float, end: float, limits: JointLimits)
         path_interval = np.array([begin, end])
 
     knots = way.knots
-    knots = knots[(knots >= begin) & (knots <= end)]
+    knots = knots[(knots > begin) & (knots < end)]
+    # two corners may be cut up to the same point, but for rounding
+    shortest = 1e-9 * (end - begin)
+    knots = knots[(np.diff(knots, prepend=begin) > shortest) & (end - knots > shortest)]
+    knots = np.concatenate(([begin], knots, [end]))
     fractions = np.arange(_PER_PIECE) / _PER_PIECE
     grid = np.append((knots[:-1, None] + np.diff(knots)[:, None] * fractions).ravel(), knots[-1])
     fastest, hardest = limits.velocity * _SPARE, limits.acceleration * _SPARE
