@@ -80,6 +80,8 @@ def _time_optimal(
     time = np.linspace(0.0, duration, max(int(np.ceil(duration / period)) + 1, 3))
     samples = np.asarray(timed(time))[:, :-1]
     samples[0], samples[-1] = q[0], q[-1]
+    # a spline may swing a little beyond a limit at which its samples stand
+    samples = np.clip(samples, limits.lower, limits.upper)
     return time, samples
 
 
