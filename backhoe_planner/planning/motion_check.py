@@ -17,6 +17,7 @@ from __future__ import annotations
 import time as clock
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,7 @@ Condition = Callable[[Vector], bool]
 
 _SLOPE = 0.05  # by which the spare grows per metre of travel away from a tight end
 _ROUNDING = 5e-7  # m
+_SELF_SPARE = 0.002  # m: the bodies of a machine are built to pass each other closely
 _MOST_HALVINGS = 250  # of one motion, after which it counts as not clear
 _REMEMBERED = 20_000  # configurations
 _KEEP_EVERY = 0.02  # s of the slowest joint between two looks at the extra condition
@@ -59,7 +61,7 @@ class MotionCheck:
     problem: its limits are kept, and its velocities weigh the joints.
     proximity: distances of the problem; its working memory is used.
     ends: (n,) configurations at which a way may begin or end.
-    spare: kept beyond every clearance [m].
+    spare: kept beyond every clearance [m]; between bodies of the machine 2 mm are enough.
     time: at which the obstacles are taken to stand still [s].
     keep: a further condition on configurations. It is looked at closely along a motion
         (every 0.02 s of the slowest joint), not proven.
@@ -89,8 +91,8 @@ class MotionCheck:
         self._time = time
         self._keep = keep
         self._deadline = deadline
-        self._spare = spare
         self._pairs = np.flatnonzero(proximity.appears_at <= time)
+        self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
         self._clearance = proximity.clearance[self._pairs]
         self._travel = proximity.travel[self._pairs] * (1.0 + _SLOPE)
         self._transposed = np.ascontiguousarray(self._travel.T)
@@ -206,10 +208,7 @@ class MotionCheck:
     def _kept(self, point: Callable[[float], Vector], rate: Vector) -> bool:
         assert self._keep is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _KEEP_EVERY)) + 1
-        # the ends and the middle first: what fails, mostly fails there
-        parts = np.linspace(0.0, 1.0, steps + 1)
-        order = np.argsort([_turned(k) for k in range(steps + 1)], kind="stable")
-        return all(self._keep(point(float(parts[k]))) for k in (steps, *order.tolist()))
+        return all(self._keep(point(part)) for part in _places(steps))
 
     # --- what is known -----------------------------------------------------------
 
@@ -255,8 +254,8 @@ class MotionCheck:
         self.measured += 1
         margin = self.proximity.distances_of(self._pairs[rows], q, time=self._time) - self._clearance[rows]
         if not self._tight_ends or not self._tight[rows].any():
-            return np.asarray(margin - self._spare)
-        spare = np.full(len(rows), self._spare)
+            return np.asarray(margin - self._spare[rows])
+        spare = self._spare[rows]
         for end, at_end in self._tight_ends:
             away = np.abs(q - end) @ self._transposed[:, rows]
             np.minimum(spare, at_end[rows] + (_SLOPE / (1.0 + _SLOPE)) * away, out=spare)
@@ -268,7 +267,7 @@ class MotionCheck:
         if not len(self._pairs):
             return True
         margin = self.proximity.distances_of(self._pairs, q, time=self._time) - self._clearance
-        if margin.min() < 0.0:
+        if margin.min() < -0.5 * _ROUNDING:
             return False
         allowed = np.minimum(0.5 * margin, margin - _ROUNDING)
         tight = allowed < self._spare
@@ -276,6 +275,13 @@ class MotionCheck:
             self._tight |= tight
             self._tight_ends.append((q, np.where(tight, allowed, np.inf)))
         return True
+
+
+@lru_cache(maxsize=1024)
+def _places(steps: int) -> tuple[float, ...]:
+    """0 to 1 in equal steps; the ends and the middle first: what fails, mostly fails there."""
+    inner = sorted(range(1, steps), key=_turned)
+    return (1.0, 0.0, *(k / steps for k in inner))
 
 
 def _turned(index: int) -> float:

@@ -7,6 +7,7 @@ so what is sampled is checked, and slowed by as much as it is over.
 
 from __future__ import annotations
 
+import itertools
 import logging
 
 import numpy as np
@@ -23,6 +24,7 @@ Matrix = NDArray[np.float64]
 
 _PERIOD = PERIOD  # s between samples
 _SPARE = 0.999
+_SAME_PLACE = 1e-9
 _PER_PIECE = 12  # intervals of toppra on every leg and corner of a way
 
 
@@ -134,7 +136,7 @@ def _parts(way: SmoothWay, begin: float, end: float, limits: JointLimits) -> lis
     if timed is not None:
         return [timed]
     corners = way.corners[(way.stations >= begin) & (way.stations <= end)]
-    return [_straight(a, b, limits) for a, b in zip(corners[:-1], corners[1:], strict=True)]
+    return [_straight(a, b, limits) for a, b in itertools.pairwise(corners)]
 
 
 def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Matrix]:
@@ -173,7 +175,9 @@ def _along_smooth(way: SmoothWay, begin: float, end: float, limits: JointLimits)
         path_interval = np.array([begin, end])
 
     knots = way.knots
-    knots = knots[(knots >= begin) & (knots <= end)]
+    apart = _SAME_PLACE * way.length  # where corners share a leg, they may end in one place but for rounding
+    knots = knots[(knots > begin + apart) & (knots < end - apart)]
+    knots = np.concatenate(([begin], knots[np.diff(knots, prepend=begin) > apart], [end]))
     fractions = np.arange(_PER_PIECE) / _PER_PIECE
     grid = np.append((knots[:-1, None] + np.diff(knots)[:, None] * fractions).ravel(), knots[-1])
     fastest, hardest = limits.velocity * _SPARE, limits.acceleration * _SPARE
