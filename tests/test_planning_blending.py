@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -46,7 +47,7 @@ def smooth(planar4: Robot) -> SmoothWay:
 
 
 def on_polyline(q: Vector) -> bool:
-    for a, b in zip(CORNERS[:-1], CORNERS[1:], strict=True):
+    for a, b in itertools.pairwise(CORNERS):
         t = float(np.clip((q - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0))
         if np.max(np.abs(q - a - t * (b - a))) < 1e-6:
             return True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import subprocess
 import sys
@@ -58,7 +59,7 @@ def least_margin(proximity: Proximity, q: Matrix, *, time: float = 0.0, pieces: 
     """Over all pairs, on a dense row of configurations of a polyline."""
     every = [
         proximity.distances(a + t * (b - a), time=time) - proximity.clearance
-        for a, b in zip(q[:-1], q[1:], strict=True)
+        for a, b in itertools.pairwise(q)
         for t in np.linspace(0.0, 1.0, pieces)
     ]
     return float(np.min(every))

@@ -36,6 +36,8 @@ _ROUNDING = 5e-7  # m
 _SELF_SPARE = 0.002  # m: the bodies of a machine are built to pass each other closely
 _MOST_HALVINGS = 250  # of one motion, after which it counts as not clear
 _REMEMBERED = 20_000  # configurations
+_ANCHORS = 100  # of them with every pair measured, from which others are judged
+_ANCHOR_FROM = 0.4  # part of the pairs that had to be measured anyway
 _KEEP_EVERY = 0.02  # s of the slowest joint between two looks at the extra condition
 
 
@@ -98,6 +100,7 @@ class MotionCheck:
         self._transposed = np.ascontiguousarray(self._travel.T)
         self._nothing = np.zeros(len(self._pairs))
         self._known: dict[bytes, _Known] = {}
+        self._anchors: list[tuple[Vector, Vector]] = []
         self._tight = np.zeros(len(self._pairs), dtype=bool)
         self._tight_ends: list[tuple[Vector, Vector]] = []
         self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
@@ -156,7 +159,7 @@ class MotionCheck:
         if q_b.tobytes() in self._known and q_a.tobytes() not in self._known:
             q_a, q_b, forward = q_b, q_a, point
             point = lambda t: forward(1.0 - t)  # noqa: E731
-        known_a = self._at(q_a)
+        known_a = self._at(q_a, bound + more)
         margin_a = known_a.margin - more
         if margin_a.min() < 0.0:
             self._make_exact(known_a, q_a, margin_a < 0.0)
@@ -212,14 +215,26 @@ class MotionCheck:
 
     # --- what is known -----------------------------------------------------------
 
-    def _at(self, q: Vector) -> _Known:
+    def _at(self, q: Vector, enough: Vector) -> _Known:
+        """What is known at `q`: of each pair its margin, or that it is at least `enough`."""
         key = q.tobytes()
         known = self._known.get(key)
         if known is None:
-            every = np.arange(len(self._pairs))
-            known = _Known(self._measure(every, q), np.ones(len(every), dtype=bool))
+            known = _Known(self._bounds_at(q), np.zeros(len(enough), dtype=bool))
+            self._make_exact(known, q, known.margin < enough)
+            if len(self._anchors) < _ANCHORS and np.mean(known.exact) > _ANCHOR_FROM:
+                self._make_exact(known, q, ~known.exact)
+                self._anchors.append((q, known.margin))
             self._remember(key, known)
         return known
+
+    def _bounds_at(self, q: Vector) -> Vector:
+        """(P,) lower bounds of the margins from where everything was measured."""
+        if not self._anchors:
+            return np.full(len(self._pairs), -np.inf)
+        away = np.abs(np.array([anchor for anchor, _ in self._anchors]) - q)
+        nearest = int(np.argmin(np.sum(away / self.rate, axis=1)))
+        return np.asarray(self._anchors[nearest][1] - away[nearest] @ self._transposed)
 
     def _toward(self, q: Vector, from_: _Known, bound: Vector, needed: NDArray[np.bool_]) -> _Known | None:
         """What is known at `q`, at least of the pairs that are `needed`; None where one is too near."""
