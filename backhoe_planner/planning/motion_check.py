@@ -17,6 +17,7 @@ from __future__ import annotations
 import time as clock
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +33,11 @@ Condition = Callable[[Vector], bool]
 
 _SLOPE = 0.05  # by which the spare grows per metre of travel away from a tight end
 _ROUNDING = 5e-7  # m
+_SELF_SPARE = 0.002  # m: the bodies of a machine are built to pass each other closely
 _MOST_HALVINGS = 250  # of one motion, after which it counts as not clear
 _REMEMBERED = 20_000  # configurations
+_ANCHORS = 100  # of them with every pair measured, from which others are judged
+_ANCHOR_FROM = 0.4  # part of the pairs that had to be measured anyway
 _KEEP_EVERY = 0.02  # s of the slowest joint between two looks at the extra condition
 
 
@@ -59,7 +63,7 @@ class MotionCheck:
     problem: its limits are kept, and its velocities weigh the joints.
     proximity: distances of the problem; its working memory is used.
     ends: (n,) configurations at which a way may begin or end.
-    spare: kept beyond every clearance [m].
+    spare: kept beyond every clearance [m]; between bodies of the machine 2 mm are enough.
     time: at which the obstacles are taken to stand still [s].
     keep: a further condition on configurations. It is looked at closely along a motion
         (every 0.02 s of the slowest joint), not proven.
@@ -89,13 +93,14 @@ class MotionCheck:
         self._time = time
         self._keep = keep
         self._deadline = deadline
-        self._spare = spare
         self._pairs = np.flatnonzero(proximity.appears_at <= time)
+        self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
         self._clearance = proximity.clearance[self._pairs]
         self._travel = proximity.travel[self._pairs] * (1.0 + _SLOPE)
         self._transposed = np.ascontiguousarray(self._travel.T)
         self._nothing = np.zeros(len(self._pairs))
         self._known: dict[bytes, _Known] = {}
+        self._anchors: list[tuple[Vector, Vector]] = []
         self._tight = np.zeros(len(self._pairs), dtype=bool)
         self._tight_ends: list[tuple[Vector, Vector]] = []
         self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
@@ -154,7 +159,7 @@ class MotionCheck:
         if q_b.tobytes() in self._known and q_a.tobytes() not in self._known:
             q_a, q_b, forward = q_b, q_a, point
             point = lambda t: forward(1.0 - t)  # noqa: E731
-        known_a = self._at(q_a)
+        known_a = self._at(q_a, bound + more)
         margin_a = known_a.margin - more
         if margin_a.min() < 0.0:
             self._make_exact(known_a, q_a, margin_a < 0.0)
@@ -206,21 +211,30 @@ class MotionCheck:
     def _kept(self, point: Callable[[float], Vector], rate: Vector) -> bool:
         assert self._keep is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _KEEP_EVERY)) + 1
-        # the ends and the middle first: what fails, mostly fails there
-        parts = np.linspace(0.0, 1.0, steps + 1)
-        order = np.argsort([_turned(k) for k in range(steps + 1)], kind="stable")
-        return all(self._keep(point(float(parts[k]))) for k in (steps, *order.tolist()))
+        return all(self._keep(point(part)) for part in _places(steps))
 
     # --- what is known -----------------------------------------------------------
 
-    def _at(self, q: Vector) -> _Known:
+    def _at(self, q: Vector, enough: Vector) -> _Known:
+        """What is known at `q`: of each pair its margin, or that it is at least `enough`."""
         key = q.tobytes()
         known = self._known.get(key)
         if known is None:
-            every = np.arange(len(self._pairs))
-            known = _Known(self._measure(every, q), np.ones(len(every), dtype=bool))
+            known = _Known(self._bounds_at(q), np.zeros(len(enough), dtype=bool))
+            self._make_exact(known, q, known.margin < enough)
+            if len(self._anchors) < _ANCHORS and np.mean(known.exact) > _ANCHOR_FROM:
+                self._make_exact(known, q, ~known.exact)
+                self._anchors.append((q, known.margin))
             self._remember(key, known)
         return known
+
+    def _bounds_at(self, q: Vector) -> Vector:
+        """(P,) lower bounds of the margins from where everything was measured."""
+        if not self._anchors:
+            return np.full(len(self._pairs), -np.inf)
+        away = np.abs(np.array([anchor for anchor, _ in self._anchors]) - q)
+        nearest = int(np.argmin(np.sum(away / self.rate, axis=1)))
+        return np.asarray(self._anchors[nearest][1] - away[nearest] @ self._transposed)
 
     def _toward(self, q: Vector, from_: _Known, bound: Vector, needed: NDArray[np.bool_]) -> _Known | None:
         """What is known at `q`, at least of the pairs that are `needed`; None where one is too near."""
@@ -255,8 +269,8 @@ class MotionCheck:
         self.measured += 1
         margin = self.proximity.distances_of(self._pairs[rows], q, time=self._time) - self._clearance[rows]
         if not self._tight_ends or not self._tight[rows].any():
-            return np.asarray(margin - self._spare)
-        spare = np.full(len(rows), self._spare)
+            return np.asarray(margin - self._spare[rows])
+        spare = self._spare[rows]
         for end, at_end in self._tight_ends:
             away = np.abs(q - end) @ self._transposed[:, rows]
             np.minimum(spare, at_end[rows] + (_SLOPE / (1.0 + _SLOPE)) * away, out=spare)
@@ -268,7 +282,7 @@ class MotionCheck:
         if not len(self._pairs):
             return True
         margin = self.proximity.distances_of(self._pairs, q, time=self._time) - self._clearance
-        if margin.min() < 0.0:
+        if margin.min() < -0.5 * _ROUNDING:
             return False
         allowed = np.minimum(0.5 * margin, margin - _ROUNDING)
         tight = allowed < self._spare
@@ -276,6 +290,13 @@ class MotionCheck:
             self._tight |= tight
             self._tight_ends.append((q, np.where(tight, allowed, np.inf)))
         return True
+
+
+@lru_cache(maxsize=1024)
+def _places(steps: int) -> tuple[float, ...]:
+    """0 to 1 in equal steps; the ends and the middle first: what fails, mostly fails there."""
+    inner = sorted(range(1, steps), key=_turned)
+    return (1.0, 0.0, *(k / steps for k in inner))
 
 
 def _turned(index: int) -> float:

@@ -7,6 +7,7 @@ are about times.
 
 from __future__ import annotations
 
+import itertools
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -185,7 +186,7 @@ class _Search:
     def _proven(self, q: Matrix) -> Way | None:
         """The way, if it is still proven where the rounding of the scaling has moved its ends."""
         try:
-            clear = all(self._check.segment_is_clear(a, b) for a, b in zip(q[:-1], q[1:], strict=True))
+            clear = all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
         except OutOfTime:
             return None
         return Way(q) if clear else None

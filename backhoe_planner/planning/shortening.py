@@ -6,6 +6,8 @@ for all joints or for one alone (partial shortcuts, Geraerts and Overmars 2007).
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -91,4 +93,4 @@ def _shortcut(check: MotionCheck, q: Matrix, rng: np.random.Generator) -> Matrix
     if float(np.min(np.linalg.norm(np.diff(found, axis=0) / check.rate, axis=1))) < _SHORTEST:
         return None
     # what lies outside is part of what was proven
-    return found if all(check.segment_is_clear(a, b) for a, b in zip(new[:-1], new[1:], strict=True)) else None
+    return found if all(check.segment_is_clear(a, b) for a, b in itertools.pairwise(new)) else None

@@ -7,8 +7,8 @@ so what is sampled is checked, and slowed by as much as it is over.
 
 from __future__ import annotations
 
+import itertools
 import logging
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ Matrix = NDArray[np.float64]
 
 _PERIOD = PERIOD  # s between samples
 _SPARE = 0.999
+_SAME_PLACE = 1e-9
 _PER_PIECE = 12  # intervals of toppra on every leg and corner of a way
 _LENGTH_OF_TURN = 0.1  # m that a radian counts as, so that the curve goes on where the tip stands
 
@@ -141,7 +142,7 @@ def _parts(way: SmoothWay, begin: float, end: float, limits: JointLimits) -> lis
     if timed is not None:
         return [timed]
     corners = way.corners[(way.stations >= begin) & (way.stations <= end)]
-    return [_straight(a, b, limits) for a, b in pairwise(corners)]
+    return [_straight(a, b, limits) for a, b in itertools.pairwise(corners)]
 
 
 def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Matrix]:
@@ -180,11 +181,9 @@ def _along_smooth(way: SmoothWay, begin: float, end: float, limits: JointLimits)
         path_interval = np.array([begin, end])
 
     knots = way.knots
-    knots = knots[(knots > begin) & (knots < end)]
-    # two corners may be cut up to the same point, but for rounding
-    shortest = 1e-9 * (end - begin)
-    knots = knots[(np.diff(knots, prepend=begin) > shortest) & (end - knots > shortest)]
-    knots = np.concatenate(([begin], knots, [end]))
+    apart = _SAME_PLACE * way.length  # where corners share a leg, they may end in one place but for rounding
+    knots = knots[(knots > begin + apart) & (knots < end - apart)]
+    knots = np.concatenate(([begin], knots[np.diff(knots, prepend=begin) > apart], [end]))
     fractions = np.arange(_PER_PIECE) / _PER_PIECE
     grid = np.append((knots[:-1, None] + np.diff(knots)[:, None] * fractions).ravel(), knots[-1])
     fastest, hardest = limits.velocity * _SPARE, limits.acceleration * _SPARE
