@@ -105,7 +105,7 @@ class LayeredGraph:
         self._known: frozenset[Edge] | None = None
 
     def forbid(self, edge: Edge) -> None:
-        """This edge cannot be driven."""
+        """Take an edge out, because it cannot be driven."""
         (layer_a, a), (layer_b, b) = edge.start, edge.end
         if edge.kind is EdgeKind.STEP:
             self._step_costs(layer_b)[a, b] = np.inf

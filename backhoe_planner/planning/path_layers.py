@@ -10,7 +10,7 @@ With none there are the branches of the inverse kinematics.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,18 @@ __all__ = ["PathLayers", "redundancy_of"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _SAME = 0.01  # rad or m: solutions nearer than this are one
 _BRANCHES = 8  # guesses per grid value where branches are looked for
 _SEED_EVERY = 0.4  # m of path from one search for branches to the next
 _SAMPLES = 256  # of the redundancy, where it has several dimensions
 _RANK = 1e-6
+_FOLLOWED = 0.2  # rad or m: a node with another this near in the next layer is followed there
+_CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer
+_MOST = 500  # nodes in a layer to which no more are added
+_SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning
+_AROUND = 16  # guesses for each
 
 
 class PathLayers:
@@ -51,17 +57,65 @@ class PathLayers:
         upper = np.where(np.isfinite(robot.limits.upper), robot.limits.upper, np.pi)
         self._box = (lower, upper)
 
-    def at(self, stations: Vector, targets: Sequence[TipTarget]) -> list[Matrix]:
-        """(N_l, n) solutions for each of L targets at `stations` (L,) of a path, within the limits."""
+    def at(self, stations: Vector, targets: Sequence[TipTarget], *, begin: Vector | None = None) -> list[Matrix]:
+        """(N_l, n) solutions for each of L targets at `stations` (L,) of a path, within the limits.
+
+        Parameters
+        ----------
+        begin: (n,) a solution for the first target, around which and from which on more are looked for.
+        """
         if not len(targets):
             return []
         batch = TargetBatch.of(targets)
         redundancy = redundancy_of(self._robot, targets[0])
         if redundancy >= 2:
-            return self._sampled(batch)
-        if redundancy == 1 and self._pitch_is_free(targets):
-            return self._on_grid(stations, batch, pitch=True)
-        return self._on_grid(stations, batch, pitch=False, joint=self._freest_joint(targets) if redundancy else None)
+            found = self._sampled(batch)
+            free = np.ones(self._robot.n, dtype=bool)
+        else:
+            pitch = redundancy == 1 and self._pitch_is_free(targets)
+            joint = self._freest_joint(targets) if redundancy == 1 and not pitch else None
+            found = self._on_grid(stations, batch, pitch=pitch, joint=joint)
+            free = np.arange(self._robot.n) != (-1 if joint is None else joint)
+        if begin is not None:
+            found[0] = _distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
+        self._carry(batch, found, range(1, len(found)), -1, free)
+        self._carry(batch, found, range(len(found) - 2, -1, -1), 1, free)
+        return found
+
+    def _around(self, batch: TargetBatch, begin: Vector) -> Matrix:
+        """(N, n) solutions for the first target near and far from `begin` (n,)."""
+        rng = np.random.default_rng(0)
+        spread = np.repeat(_SPREADS, _AROUND)[:, None]
+        guesses = begin + spread * rng.standard_normal((len(spread), self._robot.n))
+        q, reached = solve_batch(self._kinematics, batch.take(np.zeros(len(guesses), dtype=int)), guesses)
+        return q[reached]
+
+    def _carry(self, batch: TargetBatch, found: list[Matrix], rows: Iterable[int], back: int, free: Mask) -> None:
+        """Carry every node on to the next layer, where no node is near it already.
+
+        So a branch that was found anywhere is followed as far as it goes.
+        """
+        for row in rows:
+            before, here = found[row + back], found[row]
+            if not len(before) or len(here) >= _MOST:
+                continue
+            alone = np.ones(len(before), dtype=bool)
+            if len(here):
+                alone = np.min(np.max(np.abs(before[:, None] - here[None]), axis=2), axis=1) > _FOLLOWED
+            if not alone.any():
+                continue
+            targets = batch.take(np.full(int(alone.sum()), row))
+            held = None if free.all() else ~free
+            q, reached = solve_batch(self._kinematics, targets, before[alone], held=held, iterations=10)
+            if held is not None and not reached.all():
+                # where the held joint stands in the way all of them may move
+                missed = np.flatnonzero(~reached)
+                again, found_again = solve_batch(
+                    self._kinematics, targets.take(missed), before[alone][missed], iterations=10
+                )
+                q[missed], reached[missed] = again, found_again
+            near = np.max(np.abs(q - before[alone]), axis=1) < _CARRIED
+            found[row] = _distinct(np.vstack((here, q[reached & near])))
 
     def _pitch_is_free(self, targets: Sequence[TipTarget]) -> bool:
         return self._robot.has_pitch and all(target.rotation is None for target in targets)

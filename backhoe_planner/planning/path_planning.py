@@ -68,16 +68,17 @@ def plan_along_path(
     """
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
+    on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
     resolver = PathResolver(
         context.problem,
         path,
         proximity=context.world,
         since=low,
+        begin=stepper.q if stepper is not None and on_path else None,
         time=time,
         deadline=context.deadline,
         find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
     )
-    on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
         found = context.postures.at(path.target(0.0), near=near, count=_SEARCH, time=time)

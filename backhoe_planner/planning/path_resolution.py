@@ -34,6 +34,7 @@ FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 _LAYER = 0.05  # m of path between layers
 _MOST_LAYERS = 160
 _GRID = np.radians(5.0)  # of the free parameter
+_LENGTH_OF_TURN = 0.25  # m that a radian of the tip's own turning counts as
 _FINE = 0.01  # m of path between the samples of a stretch
 _FINE_TURN = 0.03  # rad between them
 _WIDEST_STEP = 0.7  # rad or m that one joint may move from layer to layer
@@ -130,6 +131,7 @@ class PathResolver:
     Parameters
     ----------
     since: arc length from which on it is resolved [m].
+    begin: (n,) joints with the tip on the path there, from which it is to be followed.
     time: at which the obstacles are taken to be where they are [s].
     deadline: on `time.monotonic`.
     find_detour: (n,) from, (n,) to, arc lengths there, to the way between them or None.
@@ -143,6 +145,7 @@ class PathResolver:
         proximity: Proximity,
         find_detour: FindDetour,
         since: float = 0.0,
+        begin: Vector | None = None,
         time: float = 0.0,
         deadline: float = np.inf,
         cost: StepCost = velocity_norm_cost,
@@ -157,10 +160,9 @@ class PathResolver:
         self._deadline = deadline
         self._cost = cost
         self._kinematics = BatchKinematics(problem.robot)
-        count = max(int(np.ceil((path.length - since) / layer)), 1)
-        self._stations = np.linspace(since, path.length, min(count, _MOST_LAYERS) + 1)
+        self._stations = _layer_stations(path, since, layer)
         self._targets = [path.target(float(s)) for s in self._stations]
-        self._all = PathLayers(problem.robot, grid=grid).at(self._stations, self._targets)
+        self._all = PathLayers(problem.robot, grid=grid).at(self._stations, self._targets, begin=begin)
         self._layers = [self._free(nodes) for nodes in self._all]
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Detouring, Stretch]] = {}
@@ -405,6 +407,17 @@ class PathResolver:
         if blame is None:
             blame = self._blame(self._problem.robot.middle, left)
         return Resolved(pieces, False, left, again, blame, out_of_time)
+
+
+def _layer_stations(path: BucketPath, since: float, spacing: float) -> Vector:
+    """(L,) arc lengths from `since` to the end of a path, so dense that the tip neither goes nor turns far between [m]."""
+    fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
+    turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]
+    measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + _LENGTH_OF_TURN * np.array(turns))))
+    count = min(max(int(np.ceil(measure[-1] / spacing)), 1), _MOST_LAYERS)
+    found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
+    found[0], found[-1] = since, path.length
+    return np.asarray(found)
 
 
 def _append(pieces: list[Stretch | Detouring], motion: Stretch) -> None:

@@ -164,7 +164,8 @@ class _Planning:
                 once=lambda context, stepper: plan_to_goal(context, stepper, goal),
                 swerve=lambda context, stepper: swerve_to_goal(context, stepper, goal),
             )
-        assert path is not None and task is not None
+        assert path is not None
+        assert task is not None
 
         def follow_on(context: Context, stepper: Stepper) -> Outcome:
             since = progress(path, task.tolerance, stepper.trajectory(), context.kinematics)
