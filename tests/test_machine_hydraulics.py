@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.cli import main
 from backhoe_planner.machine.digging import digging_forces
 from backhoe_planner.machine.dynamics import Dynamics
 from backhoe_planner.machine.hydraulics import Hydraulics
@@ -229,6 +231,17 @@ def test_lengths_and_joints_are_inverse_to_each_other(hydraulics: Hydraulics, po
         np.testing.assert_allclose(hydraulics.lengths(hydraulics.joints(whole))[:, i], whole[:, i], atol=1e-9)
 
 
+def test_arrays_of_any_shape_go_through(hydraulics: Hydraulics, postures: Array) -> None:
+    flat, block = postures[:30], postures[:30].reshape(5, 2, 3, 4)
+    lengths = hydraulics.lengths(block)
+    assert lengths.shape == (5, 2, 3, 6)
+    assert hydraulics.moment_arms(block).shape == (5, 2, 3, 6, 4)
+    np.testing.assert_allclose(hydraulics.joints(lengths), block, atol=1e-9)
+    np.testing.assert_array_equal(hydraulics.power(block, block, block).ravel(), hydraulics.power(flat, flat, flat))
+    whole, one = hydraulics.velocity_limits(block).negative, hydraulics.velocity_limits(flat[7]).negative
+    np.testing.assert_allclose(whole.reshape(30, 4)[7], one, rtol=1e-12)
+
+
 def test_lengths_that_no_posture_has_give_nan(hydraulics: Hydraulics) -> None:
     lengths = hydraulics.lengths(np.array([0.5, 0.2, -1.0, 0.1]))
     lengths[0] += 0.01  # the left swing cylinder alone
@@ -301,6 +314,17 @@ def test_the_digging_force_of_the_bucket_by_virtual_displacement(backhoe: bp.Rob
     rod = hydraulics.lengths(after)[5] - hydraulics.lengths(at)[5]
     push = hydraulics.pressure * math.pi / 4.0 * 0.1016**2
     assert found.bucket == pytest.approx(push * rod / teeth, rel=1e-4)
+
+
+def test_the_digging_force_of_the_stick_by_virtual_displacement(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
+    found = digging_forces(backhoe)
+    assert found is not None
+    at = np.array([0.0, 0.0, found.stick_at, found.bucket_at])
+    after = at - [0.0, 0.0, 1e-6, 0.0]
+    kinematics = bp.Kinematics(backhoe)
+    teeth = np.linalg.norm(kinematics.at(after).tip_position - kinematics.at(at).tip_position)
+    rod = hydraulics.lengths(after)[4] - hydraulics.lengths(at)[4]
+    assert found.stick == pytest.approx(hydraulics.pressure * math.pi / 4.0 * 0.127**2 * rod / teeth, rel=1e-4)
 
 
 def test_strokes_cover_the_joints_limits_and_little_more(backhoe: bp.Robot, hydraulics: Hydraulics) -> None:
@@ -460,6 +484,10 @@ BAD: dict[str, tuple[Callable[[Data], None], list[str]]] = {
         cylinder(4, child=[0.3, 0.0, 0.163]),
         ["cylinders[4] (stick)", "dead centre near", "allowed: a lever from -140.0 deg to -10.0 deg"],
     ),
+    "dead centre of both of two": (
+        lambda data: [one.update(child=[0.4, one["child"][1], -1.1]) for one in data["cylinders"][2:4]],
+        ["cylinders[2] (boom left)", "dead centre near"],
+    ),
     "later version": (at("version", 2), ["version", "input should be 1", "found 2"]),
 }
 
@@ -507,3 +535,14 @@ def test_the_shipped_description_is_beside_the_urdf_and_complete(backhoe: bp.Rob
     assert hydraulics.file == DESCRIPTION
     assert {cylinder.joint for cylinder in hydraulics.cylinders} == set(backhoe.joint_names)
     HydraulicsRecord.model_validate(content())
+
+
+def test_inspect_tells_the_cylinders(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["backhoe-planner", "inspect", "example:backhoe"])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    said = capsys.readouterr().out
+    assert caught.value.code == 0
+    assert re.search(r"bucket +bucket +1\.155 to 1\.887 +-160\.9 to 46\.0 +184\.8 +126\.3", said)
+    assert "pump 163 l/min at 228 bar, 53.6 kW" in said
+    assert "bucket 65.3 kN, stick 38.2 kN" in said

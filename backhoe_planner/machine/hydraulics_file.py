@@ -39,6 +39,7 @@ Vector = NDArray[np.float64]
 _LARGEST = 1e9
 _SAMPLES = 1441  # of a joint's range, in which a linkage is tried
 _ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever
+_NO_LEVER = 2e-3  # of the longest; between two samples a lever falls by less
 
 Length = Annotated[float, Field(strict=True, gt=0.0, le=1e3, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(strict=True, ge=-1e3, le=1e3, allow_inf_nan=False)]
@@ -357,9 +358,10 @@ def _check_linkages(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float, 
                 found=f"open at {at:.4f} rad",
                 allowed=f"closed from {_degrees(lower)} to {_degrees(upper)}",
             )
-    sense = np.sign(arms)
-    # one cylinder alone is stuck where its lever changes sides; of two, one helps the other over
-    stuck = sense[0] != sense[0, len(angles) // 2] if len(cylinders) == 1 else np.all(np.abs(arms) < 1e-6, axis=0)
+    # one cylinder alone is stuck where its lever changes sides; of two, one may help the other over
+    alone = len(cylinders) == 1
+    sense, levers = np.sign(arms[0]), np.max(np.abs(arms), axis=0)
+    stuck = sense != sense[len(angles) // 2] if alone else levers < _NO_LEVER * np.max(levers)
     if np.any(stuck):
         at = float(angles[int(np.argmin(np.where(stuck, np.abs(angles - angles[len(angles) // 2]), np.inf)))])
         raise cylinders[0][1].wrong(
