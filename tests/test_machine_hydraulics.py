@@ -171,10 +171,33 @@ def test_the_four_bar_passes_through_the_pins_of_the_file(hydraulics: Hydraulics
     """With the joint at 0 the pins lie where they are drawn: x from the bucket's pin outward, z up."""
     spec = content()["cylinders"][-1]
     bar, still = bucket_bar(hydraulics), np.zeros(())
-    np.testing.assert_allclose(bar.rocker_pin(still), [1.418 - 1.8, 0.349], atol=1e-12)
-    np.testing.assert_allclose(bar.joint_pin(still), [0.047, 0.322], atol=1e-12)
+    np.testing.assert_allclose(bar.rocker_pin(still), [1.395 - 1.8, 0.383], atol=1e-12)
+    np.testing.assert_allclose(bar.joint_pin(still), [0.068, 0.278], atol=1e-12)
     length = np.linalg.norm(np.array(spec["rocker"]["cylinder"]) - spec["parent"])
     np.testing.assert_allclose(hydraulics.lengths(np.zeros(4))[-1], length, atol=1e-12)
+
+
+def test_a_machine_built_the_other_way_round_moves_the_same(hydraulics: Hydraulics, tmp_path: Path) -> None:
+    """The bucket's axis turned round: its rocker then stands on the other side of its line of pins."""
+    whole = (ROOT / "models" / "backhoe.urdf").read_text(encoding="utf-8")
+    begin = whole.index('<joint name="bucket"')
+    joint = whole[begin : whole.index("</joint>", begin)]
+    turned = joint.replace('"0 -1 0"', '"0 1 0"').replace(
+        'lower="-2.7925" upper="0.7854"', 'lower="-0.7854" upper="2.7925"'
+    )
+    assert turned.count("2.7925") == 1
+    (tmp_path / "turned.urdf").write_text(whole.replace(joint, turned), encoding="utf-8")
+    again = load(tmp_path, content(), str(tmp_path / "turned.urdf"))
+    assert again.hydraulics is not None
+    q = np.linspace([-1.5, -1.0, -2.4, -2.7], [1.5, 1.3, -0.2, 0.7], 50)
+    np.testing.assert_allclose(again.hydraulics.lengths(q * [1.0, 1.0, 1.0, -1.0]), hydraulics.lengths(q), atol=1e-12)
+    np.testing.assert_allclose(
+        again.hydraulics.joint_range("bucket"), -np.array(hydraulics.joint_range("bucket"))[::-1]
+    )
+    found, straight = digging_forces(again), digging_forces(load(tmp_path, content()))
+    assert found is not None
+    assert straight is not None
+    assert (found.bucket, found.stick) == pytest.approx((straight.bucket, straight.stick), rel=1e-6)
 
 
 @pytest.mark.parametrize("drawn_at", [-1.0, 0.4])
@@ -428,6 +451,14 @@ def cylinder(index: int, **keys: Any) -> Callable[[Data], None]:
     return change
 
 
+def both(*changes: Callable[[Data], None]) -> Callable[[Data], None]:
+    def change(data: Data) -> None:
+        for one in changes:
+            one(data)
+
+    return change
+
+
 def at(path: str, value: Any) -> Callable[[Data], None]:
     def change(data: Data) -> None:
         *folders, key = path.split(".")
@@ -461,8 +492,8 @@ BAD: dict[str, tuple[Callable[[Data], None], list[str]]] = {
     ),
     "no lever": (cylinder(4, child=[0, 0.2, 0]), ["cylinders[4].child (stick)", "no lever"]),
     "link too short to close": (
-        at("cylinders.5.rocker.link", [1.75, 0.0, 0.349]),
-        ["cylinders[5].rocker (bucket)", "cannot close the four-bar at", "deg", "allowed: closed from -160.0 deg"],
+        at("cylinders.5.rocker.link", [1.85, 0.0, 0.29]),
+        ["cylinders[5].rocker (bucket)", "cannot close the four-bar at -160.0 deg", "allowed: closed from -160.0 deg"],
     ),
     "stroke ends too early": (
         cylinder(4, open=1.7),
@@ -485,7 +516,7 @@ BAD: dict[str, tuple[Callable[[Data], None], list[str]]] = {
         ["cylinders[4] (stick)", "dead centre near", "allowed: a lever from -140.0 deg to -10.0 deg"],
     ),
     "dead centre of both of two": (
-        lambda data: [one.update(child=[0.4, one["child"][1], -1.1]) for one in data["cylinders"][2:4]],
+        both(cylinder(2, child=[0.4, 0.062, -1.1]), cylinder(3, child=[0.4, -0.062, -1.1])),
         ["cylinders[2] (boom left)", "dead centre near"],
     ),
     "later version": (at("version", 2), ["version", "input should be 1", "found 2"]),
@@ -504,6 +535,29 @@ def test_what_is_wrong_is_said_with_file_key_found_and_allowed(
     assert message.startswith(str(tmp_path / "own.yaml"))
     for fragment in said:
         assert any(either in message for either in fragment.split("|")), message
+
+
+@pytest.mark.parametrize(
+    ("end", "said"),
+    [
+        # shortest at 45.6 deg, where link and crank line up
+        (1.11, r"cylinders\[0\] \(ram\): the linkage passes a dead centre near 45\.\d deg"),
+        # no turn of the crank brings it that far
+        (1.13, r"cylinders\[0\] \(ram\): the strokes do not end the joint's range .* found ends at no angle"),
+    ],
+)
+def test_a_stroke_that_goes_on_where_the_rocker_turns_back(tmp_path: Path, end: float, said: str) -> None:
+    """A crank of 0.2 m whose rocker only sways, so that no stroke beyond its sway can end the range."""
+
+    def pin(x: float, z: float) -> list[float]:
+        return [x * math.cos(0.3), x * math.sin(0.3), 2.0 + z]
+
+    rod = pin(-0.4225, 0.4674)
+    data = copy.deepcopy(RIGHT)
+    data["cylinders"][0] |= {"closed": 0.95, "open": end, "parent": pin(-1.2, -0.2), "child": [0.0, 0.0, 0.2]}
+    data["cylinders"][0]["rocker"] = {"pivot": pin(-0.6, 0.0), "cylinder": rod, "link": rod}
+    with pytest.raises(bp.RobotError, match=said):
+        hinge(tmp_path, data)
 
 
 BAD_TEXT = {
@@ -543,6 +597,6 @@ def test_inspect_tells_the_cylinders(capsys: pytest.CaptureFixture[str], monkeyp
         main()
     said = capsys.readouterr().out
     assert caught.value.code == 0
-    assert re.search(r"bucket +bucket +1\.155 to 1\.887 +-160\.9 to 46\.0 +184\.8 +126\.3", said)
+    assert re.search(r"bucket +bucket +1\.147 to 1\.993 +-161\.0 to 46\.0 +184\.8 +126\.3", said)
     assert "pump 163 l/min at 228 bar, 53.6 kW" in said
-    assert "bucket 65.3 kN, stick 38.2 kN" in said
+    assert "bucket 65.4 kN, stick 38.2 kN" in said
