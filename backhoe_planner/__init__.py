@@ -19,6 +19,8 @@ from backhoe_planner.errors import (
     RobotError,
     SceneError,
 )
+from backhoe_planner.machine.digging import DiggingForces, digging_forces
+from backhoe_planner.machine.hydraulics import BothWays, Hydraulics
 from backhoe_planner.machine.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
 from backhoe_planner.machine.kinematics import Configuration, Kinematics
 from backhoe_planner.machine.robot import JointLimits, Robot, load_robot
@@ -34,8 +36,11 @@ from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene import Scene, load_scene, scene_from_dict, scene_schema
 
 __all__ = [
+    "BothWays",
     "Certificate",
     "Configuration",
+    "DiggingForces",
+    "Hydraulics",
     "InputError",
     "InverseKinematics",
     "JointLimits",
@@ -54,6 +59,7 @@ __all__ = [
     "Trajectory",
     "build_obstacles",
     "certify",
+    "digging_forces",
     "load_plan",
     "load_robot",
     "load_scene",

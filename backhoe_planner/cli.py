@@ -174,13 +174,14 @@ def inspect(
     tip: Annotated[str | None, typer.Option(metavar="LINK", help="The link that is moved.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the working envelope.")] = None,
 ) -> int:
-    """Show joints, limits, frames, Denavit-Hartenberg table and working envelope."""
+    """Show joints, limits, frames, Denavit-Hartenberg table, working envelope and cylinders."""
     if plot is not None:
         check_writable(plot)
     robot = bp.load_robot(urdf, tip=tip)
     _tell_joints(robot)
     _tell_dh(robot)
     _tell_envelope(robot)
+    _tell_hydraulics(robot)
     if plot is not None:
         from backhoe_planner.show.plots import plot_envelope
 
@@ -398,3 +399,36 @@ def _tell_envelope(robot: bp.Robot) -> None:
     for name, value, unit in rows:
         if value is not None:
             _out.print(f"  {name:<28}{value:.2f} {unit}")
+
+
+def _tell_hydraulics(robot: bp.Robot) -> None:
+    from backhoe_planner.machine.digging import digging_forces
+
+    hydraulics = robot.hydraulics
+    if hydraulics is None:
+        return
+    table = Table(
+        "cylinder", "joint", "length [m]", "joint range [deg]", "push [kN]", "pull [kN]", box=None, pad_edge=False
+    )
+    forces = hydraulics.force_limits
+    for i, cylinder in enumerate(hydraulics.cylinders):
+        lower, upper = hydraulics.joint_ranges[i]
+        table.add_row(
+            cylinder.name,
+            cylinder.joint,
+            f"{cylinder.closed:.3f} to {cylinder.open:.3f}",
+            f"{_DEGREES * lower:.1f} to {_DEGREES * upper:.1f}",
+            f"{1e-3 * forces.positive[i]:.1f}",
+            f"{1e-3 * forces.negative[i]:.1f}",
+        )
+    _out.print("\nhydraulics")
+    _out.print(table)
+    _out.print(
+        f"  pump {6e4 * hydraulics.pump_flow:.0f} l/min at {1e-5 * hydraulics.pressure:.0f} bar, "
+        f"{1e-3 * hydraulics.power_limit:.1f} kW from the engine"
+    )
+    digging = digging_forces(robot)
+    if digging is not None:
+        _out.print(
+            f"  digging force at the teeth  bucket {1e-3 * digging.bucket:.1f} kN, stick {1e-3 * digging.stick:.1f} kN"
+        )

@@ -18,7 +18,7 @@ import backhoe_planner
 
 ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
-FLOORS = ["errors", "machine", "site", "redundancy", "planning", "show", "cli"]
+FLOORS = ["errors", "yaml_text", "schema", "machine", "site", "redundancy", "planning", "show", "cli"]
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 

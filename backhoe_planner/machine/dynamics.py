@@ -2,10 +2,13 @@
 
     tau = M(q) a + C(q, v) v + g(q) - J_tip^T F
 
-with F the weight of the payload at the tip.
+with F what acts on the tip from outside, such as the soil. A payload is part of the last
+body: its weight and its inertia are in M, C and g.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +16,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["Dynamics", "motion_costs"]
+__all__ = ["GRAVITY", "Dynamics", "MotionEnergy", "motion_costs", "motion_energy"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -37,10 +40,20 @@ class Dynamics:
             load = pin.Inertia(payload, np.zeros(3), np.zeros((3, 3)))
             self._model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
         self._data = self._model.createData()
+        self._tip = robot.tip_frame
 
-    def torques(self, q: Vector, v: Vector, a: Vector) -> Vector:
-        """(n,) joint torques or forces [N m or N] for q, v, a (n,)."""
-        return np.array(pin.rnea(self._model, self._data, q, v, a))
+    def torques(self, q: Vector, v: Vector, a: Vector, *, tip_force: Vector | None = None) -> Vector:
+        """(n,) joint torques or forces [N m or N] for q, v, a (n,).
+
+        Parameters
+        ----------
+        tip_force: (3,) force that acts on the tip from outside [N], world.
+        """
+        tau = np.array(pin.rnea(self._model, self._data, q, v, a))
+        if tip_force is not None:
+            J = pin.computeFrameJacobian(self._model, self._data, q, self._tip, pin.LOCAL_WORLD_ALIGNED)
+            tau -= J.reshape(6, len(tau))[:3].T @ tip_force  # of one joint alone it is 1-D
+        return tau
 
     def kinetic_energy(self, q: Vector, v: Vector) -> float:
         """[J]"""
@@ -51,27 +64,112 @@ class Dynamics:
         return float(pin.computePotentialEnergy(self._model, self._data, q))
 
 
+@dataclass(frozen=True, eq=False)
+class MotionEnergy:
+    """Torque, power and energy over the T samples of a motion.
+
+    Attributes
+    ----------
+    time: (T,) [s].
+    torque: (T, n) of the joints [N m or N].
+    joint_power: (T, n) tau_i v_i, what each joint puts in [W]; negative where it brakes.
+    power: (T,) sum of max(tau_i v_i, 0) [W]: hydraulics give nothing back.
+    work: (T,) integral of `power` up to that time [J].
+    kinetic, potential: (T,) [J], the potential energy from the first sample on.
+    hydraulic_power: (T,) what a load-sensing pump puts in, the highest pressure times the
+        whole flow [W]; None for a machine without a hydraulic description.
+    hydraulic: (T,) its integral [J], or None.
+    """
+
+    time: Vector
+    torque: Matrix
+    joint_power: Matrix
+    power: Vector
+    work: Vector
+    kinetic: Vector
+    potential: Vector
+    hydraulic_power: Vector | None
+    hydraulic: Vector | None
+
+
+def motion_energy(
+    robot: Robot,
+    time: Vector,
+    *,
+    q: Matrix,
+    v: Matrix,
+    a: Matrix,
+    payload: float = 0.0,
+    tip_force: Matrix | None = None,
+) -> MotionEnergy:
+    """Torque, power and energy along a sampled motion.
+
+    Parameters
+    ----------
+    time: (T,) [s]; q, v, a: (T, n).
+    payload: mass at the tip [kg].
+    tip_force: (T, 3) on the tip from outside [N], world, as the soil's.
+    """
+    dynamics = Dynamics(robot, payload=payload)
+    outside = [None] * len(time) if tip_force is None else list(tip_force)
+    torque = np.array(
+        [dynamics.torques(*row, tip_force=force) for *row, force in zip(q, v, a, outside, strict=True)]
+    ).reshape(q.shape)
+    potential = np.array([dynamics.potential_energy(row) for row in q])
+    joint_power = torque * v
+    power = np.sum(np.maximum(joint_power, 0.0), axis=1)
+    hydraulic_power = None if robot.hydraulics is None else robot.hydraulics.load_sensing_power(q, v, torque)
+    return MotionEnergy(
+        time=time,
+        torque=torque,
+        joint_power=joint_power,
+        power=power,
+        work=_integral(power, time),
+        kinetic=np.array([dynamics.kinetic_energy(*row) for row in zip(q, v, strict=True)]),
+        potential=potential - potential[:1],
+        hydraulic_power=hydraulic_power,
+        hydraulic=None if hydraulic_power is None else _integral(hydraulic_power, time),
+    )
+
+
 def motion_costs(
-    robot: Robot, time: Vector, q: Matrix, v: Matrix, a: Matrix, *, payload: float = 0.0
+    robot: Robot,
+    time: Vector,
+    q: Matrix,
+    v: Matrix,
+    a: Matrix,
+    *,
+    payload: float = 0.0,
+    tip_force: Matrix | None = None,
 ) -> dict[str, float]:
     """What a sampled motion costs, by the names of the objectives.
 
     Parameters
     ----------
     time: (T,) [s]; q, v, a: (T, n).
+    payload: mass at the tip [kg].
+    tip_force: (T, 3) on the tip from outside [N], world, as the soil's.
 
     Returns
     -------
     velocity_norm: integral of v.v [rad^2/s]; kinetic: integral of the kinetic energy
     [J s]; effort: integral of tau.tau [N^2 m^2 s]; work: integral of
-    sum_i max(tau_i v_i, 0) [J], hydraulics give nothing back.
+    sum_i max(tau_i v_i, 0) [J], hydraulics give nothing back; hydraulic: what a
+    load-sensing pump puts in [J], for a machine with a hydraulic description.
     """
-    dynamics = Dynamics(robot, payload=payload)
-    torque = np.array([dynamics.torques(*row) for row in zip(q, v, a, strict=True)])
-    kinetic = np.array([dynamics.kinetic_energy(*row) for row in zip(q, v, strict=True)])
-    return {
+    energy = motion_energy(robot, time, q=q, v=v, a=a, payload=payload, tip_force=tip_force)
+    costs = {
         "velocity_norm": float(np.trapezoid(np.sum(v * v, axis=1), time)),
-        "kinetic": float(np.trapezoid(kinetic, time)),
-        "effort": float(np.trapezoid(np.sum(torque * torque, axis=1), time)),
-        "work": float(np.trapezoid(np.sum(np.maximum(torque * v, 0.0), axis=1), time)),
+        "kinetic": float(np.trapezoid(energy.kinetic, time)),
+        "effort": float(np.trapezoid(np.sum(energy.torque * energy.torque, axis=1), time)),
+        "work": float(energy.work[-1]),
     }
+    if energy.hydraulic is not None:
+        costs["hydraulic"] = float(energy.hydraulic[-1])
+    return costs
+
+
+def _integral(rate: Vector, time: Vector) -> Vector:
+    """(T,) integral up to each sample, by trapezia."""
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)
+    return np.concatenate((np.zeros(1), np.cumsum(steps)))

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 from backhoe_planner.errors import InputError, RobotError, nearest_name
 from backhoe_planner.machine import shapes
 from backhoe_planner.machine.convex import convex_cover, load_mesh
+from backhoe_planner.machine.hydraulics import Hydraulics
+from backhoe_planner.machine.hydraulics_file import description_beside, read_hydraulics
 from backhoe_planner.machine.urdf import Urdf, read_urdf
 
 __all__ = ["JointLimits", "LinkPiece", "Robot", "Visual", "load_robot"]
@@ -113,6 +115,7 @@ class Robot:
     model: Pinocchio's model of them (nq = nv = n). Not to be written on.
     pieces: the collision shape of every link.
     visuals: what to draw.
+    hydraulics: cylinders and pump, where the machine has a description of them.
     """
 
     name: str
@@ -124,6 +127,7 @@ class Robot:
     model: pin.Model
     pieces: tuple[LinkPiece, ...]
     visuals: tuple[Visual, ...]
+    hydraulics: Hydraulics | None = None
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, tip={self.tip!r}, joints={self.joint_names})"
@@ -200,7 +204,7 @@ class Robot:
         """The same machine moved at another tip; itself if `tip` is None or the same."""
         if tip is None or tip == self.tip:
             return self
-        return _build(self.urdf, tip)
+        return _build(self.urdf, tip, None if self.hydraulics is None else self.hydraulics.file)
 
     def check_q(self, q: object, *, what: str = "q") -> Vector:
         """(n,) a finite copy of `q`.
@@ -228,17 +232,21 @@ class Robot:
         return values
 
 
-def load_robot(source: str | os.PathLike[str], *, tip: str | None = None) -> Robot:
-    """Load a machine from a URDF.
+def load_robot(
+    source: str | os.PathLike[str], *, tip: str | None = None, hydraulics: str | os.PathLike[str] | None = None
+) -> Robot:
+    """Load a machine from a URDF, and its hydraulic description where it has one.
 
     Parameters
     ----------
     source: a path, or ``example:NAME``.
     tip: the link to be moved; by default ``bucket_tip``, else the only leaf link.
+    hydraulics: the description of cylinders and pump; by default ``NAME.hydraulics.yaml``
+        beside ``NAME.urdf``, if there is such a file.
 
     Raises
     ------
-    RobotError: see `read_urdf`; also an unknown or ambiguous tip, a tip that no joint
+    RobotError: see `read_urdf` and `read_hydraulics`; also an unknown or ambiguous tip, a tip that no joint
         moves, and a mimic joint between the root and the tip.
 
     Examples
@@ -247,10 +255,14 @@ def load_robot(source: str | os.PathLike[str], *, tip: str | None = None) -> Rob
     >>> robot.joint_names
     ('swing', 'boom', 'stick', 'bucket')
     """
-    return _build(read_urdf(source), tip)
+    urdf = read_urdf(source)
+    if hydraulics is not None:
+        return _build(urdf, tip, Path(hydraulics))
+    beside = description_beside(urdf.path)
+    return _build(urdf, tip, beside if beside.is_file() else None)
 
 
-def _build(urdf: Urdf, tip: str | None) -> Robot:
+def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
     tip = _checked_tip(urdf, tip)
     chain = [joint for joint in urdf.chain(tip) if joint.type != "fixed"]
     for joint in chain:
@@ -264,16 +276,18 @@ def _build(urdf: Urdf, tip: str | None) -> Robot:
     if not chain:
         raise RobotError("no joint moves the tip", file=urdf.path, key="tip", found=tip)
     model = _chain_model(urdf, {joint.name for joint in chain})
+    joint_names = tuple(str(name) for name in model.names[1:])
     return Robot(
         name=str(urdf.robot.name),
         urdf=urdf,
         tip=tip,
         tip_frame=int(model.getFrameId(tip, pin.FrameType.BODY)),
-        joint_names=tuple(str(name) for name in model.names[1:]),
+        joint_names=joint_names,
         limits=_limits(urdf, model),
         model=model,
         pieces=_link_pieces(urdf, model),
         visuals=_visuals(urdf, model),
+        hydraulics=None if hydraulics is None else read_hydraulics(hydraulics, urdf, joint_names),
     )
 
 

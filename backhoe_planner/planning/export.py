@@ -10,6 +10,7 @@ from typing import IO, Any
 
 import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from backhoe_planner.errors import OutputError
 from backhoe_planner.planning.plan import Plan
@@ -17,12 +18,17 @@ from backhoe_planner.planning.plan_file import whole_file
 
 __all__ = ["FORMATS", "export_plan"]
 
+Matrix = NDArray[np.float64]
+
 
 def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     """Write the motion as the file's ending says, whole or not at all.
 
-    ``.csv``: a header, then time [s], position and velocity of every joint.
-    ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,).
+    ``.csv``: a header, then time [s], position and velocity of every joint; where the
+    machine has a hydraulic description, then length [m], speed [m/s] and flow [m^3/s] of
+    every cylinder.
+    ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,); with a hydraulic
+    description also lengths, rod_speeds and flows (T, m), cylinders (m,).
     ``.yaml``: a ROS 2 trajectory_msgs/JointTrajectory message.
 
     Raises
@@ -38,17 +44,41 @@ def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
 
 
 def _write_csv(plan: Plan, stream: IO[Any]) -> None:
-    names = plan.robot.joint_names
+    motion, names = plan.trajectory, plan.robot.joint_names
+    header = ["time", *(f"{name}.position" for name in names), *(f"{name}.velocity" for name in names)]
+    columns = [motion.time[:, None], motion.q, motion.v]
+    hydraulics = plan.robot.hydraulics
+    if hydraulics is not None:
+        for quantity, values in _cylinders(plan).items():
+            header += [f"{name}.{_CSV_NAMES[quantity]}" for name in hydraulics.cylinder_names]
+            columns.append(values)
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["time", *(f"{name}.position" for name in names), *(f"{name}.velocity" for name in names)])
-    motion = plan.trajectory
-    for time, q, v in zip(motion.time.tolist(), motion.q.tolist(), motion.v.tolist(), strict=True):
-        writer.writerow([repr(number) for number in (time, *q, *v)])
+    writer.writerow(header)
+    for row in np.hstack(columns).tolist():
+        writer.writerow([repr(number) for number in row])
 
 
 def _write_npz(plan: Plan, stream: IO[Any]) -> None:
-    motion = plan.trajectory
-    np.savez(stream, time=motion.time, q=motion.q, v=motion.v, joints=np.array(plan.robot.joint_names))
+    motion, hydraulics = plan.trajectory, plan.robot.hydraulics
+    arrays = {"time": motion.time, "q": motion.q, "v": motion.v, "joints": np.array(plan.robot.joint_names)}
+    if hydraulics is not None:
+        arrays |= _cylinders(plan) | {"cylinders": np.array(hydraulics.cylinder_names)}
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
+
+
+_CSV_NAMES = {"lengths": "length", "rod_speeds": "speed", "flows": "flow"}
+
+
+def _cylinders(plan: Plan) -> dict[str, Matrix]:
+    """Lengths, speeds and flows (T, m) of the cylinders."""
+    motion, hydraulics = plan.trajectory, plan.robot.hydraulics
+    if hydraulics is None:
+        return {}
+    return {
+        "lengths": hydraulics.lengths(motion.q),
+        "rod_speeds": hydraulics.rod_speeds(motion.q, motion.v),
+        "flows": hydraulics.flows(motion.q, motion.v),
+    }
 
 
 def _write_ros(plan: Plan, stream: IO[Any]) -> None:

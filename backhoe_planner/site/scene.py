@@ -16,11 +16,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
-from backhoe_planner.errors import SceneError, nearest_name
+from backhoe_planner.errors import SceneError
 from backhoe_planner.machine.urdf import shipped
-from backhoe_planner.site.yaml_text import KeyPath, read_yaml
+from backhoe_planner.schema import Record, explain, say
+from backhoe_planner.yaml_text import KeyPath, read_yaml
 
 __all__ = [
     "Box",
@@ -61,14 +62,6 @@ AnyLength = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 _ROUNDING = 1e-14  # a length this near 1 is 1: what was normalised once stays as it is
 
 
-class _Record(BaseModel):
-    """Keys that are not in the contract are refused; nothing changes after reading."""
-
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True
-    )
-
-
 def _unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
     if quaternion is None:
         return None
@@ -90,7 +83,7 @@ def _rotation(rpy: Vector3 | None, quaternion: Quaternion | None) -> NDArray[np.
     return None
 
 
-class Pose(_Record):
+class Pose(Record):
     """A pose of the tip, as much of it as is specified."""
 
     position: Vector3
@@ -136,7 +129,7 @@ class Waypoint(Pose):
     """A point of the bucket's path."""
 
 
-class Start(_Record):
+class Start(Record):
     """Where the machine stands at time 0: by its joints, or by its tip."""
 
     joints: dict[str, Finite] | None = None
@@ -151,7 +144,7 @@ class Start(_Record):
         return self
 
 
-class PathTask(_Record):
+class PathTask(Record):
     """A path that the tip is to follow, straight from waypoint to waypoint."""
 
     waypoints: tuple[Waypoint, ...] | None = None
@@ -191,7 +184,7 @@ def _orientation_kind(pose: Pose) -> str:
     return "position" if pose.rotation is None else "orientation"
 
 
-class Task(_Record):
+class Task(Record):
     """What is to be done: exactly one of goal, path."""
 
     goal: Goal | None = None
@@ -204,7 +197,7 @@ class Task(_Record):
         return self
 
 
-class _Obstacle(_Record):
+class _Obstacle(Record):
     name: Annotated[str, Field(min_length=1)]
     """Unique; appears in reports and in the viewer."""
     clearance: NonNegative | None = None
@@ -334,7 +327,7 @@ ObstacleSpec = Annotated[
 ]
 
 
-class Gains(_Record):
+class Gains(Record):
     """Gains of equation (12), set by hand."""
 
     s_e: NonNegative = 1.0
@@ -345,7 +338,7 @@ class Gains(_Record):
     """Of the directionality term, by joint name."""
 
 
-class Limits(_Record):
+class Limits(Record):
     """What of the machine's limits is to be used."""
 
     velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
@@ -354,7 +347,7 @@ class Limits(_Record):
     """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
 
 
-class Soil(_Record):
+class Soil(Record):
     """What the bucket digs in (fundamental earthmoving equation)."""
 
     density: Positive = 1700.0
@@ -375,7 +368,7 @@ class Soil(_Record):
     """Of the blade [m]; the bucket's by default."""
 
 
-class Scene(_Record):
+class Scene(Record):
     """A task, and the site in which it is to be done."""
 
     version: Literal[1]
@@ -439,7 +432,7 @@ class Scene(_Record):
         try:
             PathTask(waypoints=waypoints)
         except ValidationError as error:
-            raise SceneError(_say(error.errors()[0], ()), file=file) from None
+            raise SceneError(say(error.errors()[0]), file=file) from None
         return waypoints
 
     def to_dict(self) -> dict[str, Any]:
@@ -479,7 +472,7 @@ def scene_from_dict(
     try:
         scene = Scene.model_validate(content)
     except ValidationError as error:
-        raise SceneError(_explain(error, content, lines or {}), file=file) from None
+        raise SceneError(explain(error, content, lines or {}, root=Scene, variants=_SHAPES), file=file) from None
     scene._folder = Path(folder)
     scene._file = file
     return scene
@@ -493,71 +486,7 @@ def scene_schema() -> dict[str, Any]:
     return schema
 
 
-# --- saying what is wrong -----------------------------------------------------
-
-
-def _explain(error: ValidationError, content: Mapping[str, Any], lines: Mapping[KeyPath, int]) -> str:
-    problems = []
-    for detail in error.errors(include_url=False):
-        place = _place_in_file(detail["loc"], content)
-        line = next((lines[place[:k]] for k in range(len(place), 0, -1) if place[:k] in lines), None)
-        where = _spell(place) + (f" (line {line})" if line is not None else "")
-        problems.append(": ".join(part for part in (where, _say(detail, place)) if part))
-    unique = list(dict.fromkeys(problems))
-    if len(unique) == 1:
-        return unique[0]
-    return f"{len(unique)} problems\n" + "\n".join(f"  - {problem}" for problem in unique)
-
-
-def _place_in_file(loc: tuple[str | int, ...], content: Any) -> KeyPath:
-    """The key path without the names that pydantic adds for union members."""
-    place: list[str | int] = []
-    node = content
-    for position, part in enumerate(loc):
-        last = position == len(loc) - 1
-        if isinstance(node, Mapping) and part in node:  # noqa: SIM114
-            node = node[part]
-        elif isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node):
-            node = node[part]
-        elif isinstance(node, Mapping) and isinstance(part, str) and last and "[" not in part:
-            pass  # a key that is missing
-        elif isinstance(node, (list, tuple)) and isinstance(part, int):
-            pass
-        else:
-            continue
-        place.append(part)
-    return tuple(place)
-
-
-def _spell(place: KeyPath) -> str:
-    text = ""
-    for part in place:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text
-
-
-def _say(detail: Any, place: KeyPath) -> str:
-    kind, found = detail["type"], detail.get("input")
-    if kind == "extra_forbidden":
-        allowed = _keys_at(detail["loc"])
-        near = nearest_name(str(place[-1]), allowed)
-        hint = f"; did you mean {near!r}?" if near else "."
-        return f"there is no such key{hint} Allowed: {', '.join(sorted(allowed))}"
-    if kind == "missing":
-        return "is missing"
-    if kind == "union_tag_not_found":
-        return f"shape is missing; allowed: {_shapes()}"
-    if kind == "union_tag_invalid":
-        tag = found.get("shape") if isinstance(found, Mapping) else found
-        near = nearest_name(str(tag), _SHAPES)
-        return f"there is no shape {tag!r}{f'; did you mean {near!r}?' if near else '.'} Allowed: {_shapes()}"
-    if kind == "value_error":
-        return str(detail["ctx"]["error"])
-    shown = f"; found {found!r}" if not isinstance(found, (Mapping, list)) or len(str(found)) < 80 else ""
-    return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
-
-
-_SHAPES: dict[str, type[_Obstacle]] = {
+_SHAPES: dict[str, type[BaseModel]] = {
     "box": Box,
     "capsule": Capsule,
     "cylinder": Cylinder,
@@ -567,41 +496,6 @@ _SHAPES: dict[str, type[_Obstacle]] = {
     "pointcloud": PointCloud,
     "sphere": Sphere,
 }
-
-
-def _shapes() -> str:
-    return ", ".join(_SHAPES)
-
-
-def _keys_at(loc: tuple[str | int, ...]) -> list[str]:
-    """The keys that may stand where `loc` points, from the schema itself."""
-    node: Any = Scene
-    for part in loc[:-1]:
-        if isinstance(part, int):
-            continue
-        if part in _SHAPES and node is not None and not _field(node, part):
-            node = _SHAPES[part]
-            continue
-        field = _field(node, part)
-        if field is not None:
-            models = list(_models_in(field.annotation))
-            node = models[0] if models else node
-    return [field.alias or name for name, field in node.model_fields.items()]
-
-
-def _field(model: type[BaseModel], key: str) -> Any:
-    for name, field in model.model_fields.items():
-        if key in (name, field.alias):
-            return field
-    return None
-
-
-def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        yield annotation
-    for argument in getattr(annotation, "__args__", ()):
-        yield from _models_in(argument)
-
 
 # --- the path file ------------------------------------------------------------
 
@@ -620,7 +514,7 @@ def _read_path_file(path: Path) -> Iterator[Waypoint]:
         try:
             yield Waypoint(position=(row["x"], row["y"], row["z"]), **orientation)
         except ValidationError as error:
-            raise SceneError(_say(error.errors()[0], ()), file=path, key=f"line {number}") from None
+            raise SceneError(say(error.errors()[0]), file=path, key=f"line {number}") from None
 
 
 def read_csv_table(

@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from backhoe_planner.errors import SceneError
+from backhoe_planner.errors import InputError, SceneError
 
 __all__ = ["KeyPath", "read_yaml"]
 
@@ -49,65 +49,72 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _plain_int)
 _Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
 
 
-def read_yaml(path: Path) -> tuple[dict[str, Any], dict[KeyPath, int]]:
+def read_yaml(
+    path: Path, *, what: str = "scene", keys: str = "version, task, ...", error: type[InputError] = SceneError
+) -> tuple[dict[str, Any], dict[KeyPath, int]]:
     """The mapping in a YAML file, and the line (from 1) of every key in it.
+
+    Parameters
+    ----------
+    what, keys: for messages, what the file holds, and by which keys it is known.
+    error: what is raised.
 
     Raises
     ------
-    SceneError: the file cannot be read, is empty, is not YAML, or names a key twice.
+    error: the file cannot be read, is empty, is not YAML, or names a key twice.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise SceneError("no such scene file", file=path) from None
+        raise error(f"no such {what} file", file=path) from None
     except IsADirectoryError:
-        raise SceneError("is a folder, not a scene file", file=path) from None
-    except UnicodeDecodeError as error:
-        raise SceneError(f"is not UTF-8 text: {error.reason} at byte {error.start}", file=path) from error
-    except OSError as error:
-        raise SceneError(f"cannot be read: {error.strerror}", file=path) from error
+        raise error(f"is a folder, not a {what} file", file=path) from None
+    except UnicodeDecodeError as problem:
+        raise error(f"is not UTF-8 text: {problem.reason} at byte {problem.start}", file=path) from problem
+    except OSError as problem:
+        raise error(f"cannot be read: {problem.strerror}", file=path) from problem
     if not text.strip():
-        raise SceneError("the file is empty", file=path, allowed="a scene")
+        raise error("the file is empty", file=path, allowed=f"a {what}")
     loader: _Loader | None = None
     try:
         loader = _Loader(text)
         node = loader.get_single_node()
         if not isinstance(node, yaml.MappingNode):
-            raise SceneError("does not hold keys and values", file=path, allowed="a scene: version, task, ...")
+            raise error("does not hold keys and values", file=path, allowed=f"a {what}: {keys}")
         lines: dict[KeyPath, int] = {}
-        _note_lines(node, (), lines, path)
+        _note_lines(node, (), lines, path, error)
         content = loader.construct_document(node)
-    except yaml.YAMLError as error:
-        raise SceneError(_say(error), file=path) from error
-    except SceneError:
+    except yaml.YAMLError as problem:
+        raise error(_say(problem), file=path) from problem
+    except InputError:
         raise
-    except (ValueError, RecursionError) as error:
-        raise SceneError(f"cannot be understood: {error}", file=path) from error
+    except (ValueError, RecursionError) as problem:
+        raise error(f"cannot be understood: {problem}", file=path) from problem
     finally:
         if loader is not None:
             loader.dispose()
     return content, lines
 
 
-def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: Path) -> None:
+def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: Path, error: type[InputError]) -> None:
     if len(lines) > _MOST_KEYS:
-        raise SceneError(f"holds more than {_MOST_KEYS} entries, its aliases written out", file=path)
+        raise error(f"holds more than {_MOST_KEYS} entries, its aliases written out", file=path)
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             place = (*at, str(key.value))
             if place in lines:
-                raise SceneError(
+                raise error(
                     "the key stands twice",
                     file=path,
                     key=".".join(map(str, place)),
                     found=f"line {lines[place]} and line {key.start_mark.line + 1}",
                 )
             lines[place] = key.start_mark.line + 1
-            _note_lines(value, place, lines, path)
+            _note_lines(value, place, lines, path, error)
     elif isinstance(node, yaml.SequenceNode):
         for index, value in enumerate(node.value):
             lines[(*at, index)] = value.start_mark.line + 1
-            _note_lines(value, (*at, index), lines, path)
+            _note_lines(value, (*at, index), lines, path, error)
 
 
 def _say(error: yaml.YAMLError) -> str:

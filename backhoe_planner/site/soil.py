@@ -1,0 +1,217 @@
+"""What the ground does to the teeth: the fundamental earthmoving equation.
+
+A blade of width w at depth d pushes a wedge of soil ahead of it, up along a plane of
+failure at the angle beta. With gamma = rho g the soil's weight, c its cohesion, q the load
+on the ground, c_a the adhesion to the blade, phi and delta the friction angles within the
+soil and on the blade, and alpha the rake (0 a blade lying flat, pi/2 upright),
+
+    F = w (gamma d^2 N_gamma + c d N_c + q d N_q + c_a d N_a)
+    D = cos(alpha + delta) + sin(alpha + delta) cot(beta + phi)
+    N_gamma = (cot alpha + cot beta) / (2 D),           N_q = 2 N_gamma
+    N_c = (1 + cot beta cot(beta + phi)) / D
+    N_a = (1 - cot alpha cot(beta + phi)) / D
+
+(A. R. Reece, The fundamental equation of earth-moving mechanics, Proc. IMechE 179, 1964;
+E. McKyes, Soil Cutting and Tillage, 1985.) The soil fails where it resists least: beta
+makes F smallest. F lies at the angle delta to the blade's normal; adhesion c_a w d / sin
+alpha acts along the blade besides.
+
+The equation is for a blade drawn level through level ground at any slow speed. What lies
+in the bucket, its side plates and the ground's slope are left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.dynamics import GRAVITY
+from backhoe_planner.machine.kinematics import Kinematics
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.scene import Soil
+
+__all__ = ["LIP", "SoilReaction", "blade_force", "bucket_width", "failure_angle", "soil_force"]
+
+Array = NDArray[np.float64]
+
+LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
+_FLATTEST = np.radians(10.0)  # a flatter blade only slides
+_CREEP = 0.01  # m/s: below, the force fades, so that it is continuous where the motion turns round
+_SHALLOWEST = 1e-9  # m
+
+
+def blade_force(depth: Array, rake: Array, soil: Soil, *, width: float) -> Array:
+    """F of the fundamental earthmoving equation [N], 0 or more; 0 at depth 0 and above the ground.
+
+    Parameters
+    ----------
+    depth: of the blade's edge below the ground [m]. rake: alpha [rad]; any shapes that
+        broadcast. Between 10 degrees and upright: beyond, a body of soil stands before
+        the blade, and the nearest of these is taken.
+    width: w [m].
+    """
+    depth, alpha = np.broadcast_arrays(np.maximum(depth, 0.0), _usable(rake, soil))
+    return width * depth * _resistance(failure_angle(depth, alpha, soil), depth, alpha, soil)
+
+
+def failure_angle(depth: Array, rake: Array, soil: Soil) -> Array:
+    """The angle beta of the plane of failure [rad] that makes F smallest.
+
+    As a function of x = 2 beta, F is a quotient of two expressions n0 + n1 cos x +
+    n2 sin x, so that dF/dx = 0 reads P sin x + Q cos x + R = 0.
+    """
+    depth, alpha = np.broadcast_arrays(np.maximum(depth, _SHALLOWEST), _usable(rake, soil))
+    phi, delta = soil.friction, _tool_friction(soil)
+    K, C, A = _per_depth(depth, soil)
+    k, adhesive = 0.5 * K / np.sin(alpha), 0.5 * A / np.sin(alpha)
+    turned = alpha + phi
+    n0 = k * np.cos(alpha - phi) + C * np.cos(phi) + adhesive * np.sin(turned)
+    n1 = -k * np.cos(turned) - adhesive * np.sin(turned)
+    n2 = k * np.sin(turned) - adhesive * np.cos(turned)
+    d0, d1, d2 = 0.5 * np.cos(turned + delta), -0.5 * np.cos(turned + delta), 0.5 * np.sin(turned + delta)
+    P, Q, R = n0 * d1 - n1 * d0, n2 * d0 - n0 * d2, n2 * d1 - n1 * d2
+    middle = np.arctan2(P, Q)
+    spread = np.arccos(np.clip(-R / np.hypot(P, Q), -1.0, 1.0))
+    beta = np.stack((middle + spread, middle - spread)) / 2.0 % np.pi
+    with np.errstate(divide="ignore", invalid="ignore"):
+        force = _resistance(beta, depth, alpha, soil)
+    fails = (beta > 0.0) & (beta + phi + alpha + delta < np.pi) & np.isfinite(force)
+    best = np.argmin(np.where(fails, force, np.inf), axis=0)
+    return np.asarray(np.take_along_axis(beta, best[None], axis=0)[0])
+
+
+def soil_force(
+    tip_position: Array,
+    tip_velocity: Array,
+    *,
+    pitch: Array,
+    forward: Array,
+    soil: Soil,
+    width: float,
+    lip: float = LIP,
+) -> Array:
+    """(..., 3) the force of the soil on the teeth [N], world.
+
+    It acts while the teeth are below the ground and the blade's face moves level into the
+    soil, never drives the motion (F . v <= 0), and is continuous in all arguments.
+
+    Parameters
+    ----------
+    tip_position, tip_velocity: (..., 3) [m], [m/s], world.
+    pitch: (...) of the line bucket pin to tip [rad].
+    forward: (..., 3) level unit vector out along the arm, world.
+    width: of the blade [m].
+    lip: angle from the line bucket pin to tip down to the cutting plate [rad].
+    """
+    velocity, forward = np.asarray(tip_velocity, dtype=float), np.asarray(forward, dtype=float)
+    depth = np.maximum(soil.surface - np.asarray(tip_position, dtype=float)[..., 2], 0.0)
+    # the face's normal into the bucket: (faces, -cos) out along the arm and up
+    tilt = np.asarray(pitch, dtype=float) - lip
+    faces = np.sin(tilt)
+    alpha = _usable(np.arccos(np.clip(-np.cos(tilt), -1.0, 1.0)), soil)
+    into = faces * np.sum(velocity * forward, axis=-1)
+    acting = np.maximum(into, 0.0) / np.hypot(into, _CREEP)
+    F = acting * blade_force(depth, alpha, soil, width=width)
+    stuck = acting * soil.adhesion * width * depth
+    delta = _tool_friction(soil)
+    back = F * np.sin(alpha + delta) + stuck / np.tan(alpha)
+    down = F * np.cos(alpha + delta) - stuck
+    force = -(back * np.sign(faces))[..., None] * forward - down[..., None] * np.array([0.0, 0.0, 1.0])
+    driving = np.maximum(np.sum(force * velocity, axis=-1, keepdims=True), 0.0)
+    squared = np.sum(velocity * velocity, axis=-1, keepdims=True)
+    return np.asarray(force - driving / np.maximum(squared, 1e-300) * velocity)
+
+
+class SoilReaction:
+    """The soil's force on one machine's teeth; own working memory.
+
+    Raises
+    ------
+    InputError: pitch is not defined for the machine, or the scene gives no width and the
+        machine's last link has no collision shape to measure.
+    """
+
+    def __init__(self, robot: Robot, soil: Soil, *, lip: float = LIP) -> None:
+        if not robot.has_pitch:
+            raise InputError("soil acts on a bucket, whose last joint's axis stays level", key="soil", found=robot.name)
+        self._soil, self._lip = soil, lip
+        self._width = bucket_width(robot) if soil.width is None else soil.width
+        self._kinematics = Kinematics(robot)
+
+    def force(self, q: Array, v: Array) -> Array:
+        """(..., 3) on the tip [N], world, at q, v (..., n)."""
+        return self._over(q, v)[0]
+
+    def torques(self, q: Array, v: Array) -> Array:
+        """(..., n) J^T F, what the soil does to the joints [N m], at q, v (..., n)."""
+        return self._over(q, v)[1]
+
+    def _over(self, q: Array, v: Array) -> tuple[Array, Array]:
+        q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
+        rates = v.reshape(-1, v.shape[-1])
+        at = [self._kinematics.at(own) for own in q.reshape(-1, q.shape[-1])]
+        J = np.array([posture.jacobian[:3] for posture in at])
+        axis = np.array([posture.robot.pitch_sense * posture.J_world[3:, -1] for posture in at])
+        forward = np.column_stack((-axis[:, 1], axis[:, 0], np.zeros(len(at))))
+        force = soil_force(
+            np.array([posture.tip_position for posture in at]),
+            np.einsum("tij,tj->ti", J, rates),
+            pitch=np.array([posture.pitch for posture in at]),
+            forward=forward / np.linalg.norm(forward, axis=1, keepdims=True),
+            soil=self._soil,
+            width=self._width,
+            lip=self._lip,
+        )
+        torque = np.einsum("tij,ti->tj", J, force)
+        return force.reshape(*q.shape[:-1], 3), torque.reshape(q.shape)
+
+
+def bucket_width(robot: Robot) -> float:
+    """How wide the collision shape beyond the last joint is along that joint's axis [m].
+
+    Raises
+    ------
+    InputError: there is no such shape.
+    """
+    joint = next(joint for joint in robot.urdf.robot.joints if joint.name == robot.joint_names[-1])
+    axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
+    axis = axis / np.linalg.norm(axis)
+    ends = [
+        float(np.max(sign * (piece.piece.hull @ axis)) + piece.piece.radius)
+        for sign in (1.0, -1.0)
+        for piece in robot.pieces
+        if piece.joint == robot.n
+    ]
+    if not ends:
+        raise InputError("the bucket has no collision shape to measure", key="soil.width", allowed="a width in metres")
+    half = len(ends) // 2
+    return max(ends[:half]) + max(ends[half:])
+
+
+def _resistance(beta: Array, depth: Array, alpha: Array, soil: Soil) -> Array:
+    """F / (w d) at any angle of failure [Pa]."""
+    phi, delta = soil.friction, _tool_friction(soil)
+    K, C, A = _per_depth(depth, soil)
+    cot_fail = 1.0 / np.tan(beta + phi)
+    D = np.cos(alpha + delta) + np.sin(alpha + delta) * cot_fail
+    weight = K * (1.0 / np.tan(alpha) + 1.0 / np.tan(beta))
+    cohesion = C * (1.0 + cot_fail / np.tan(beta))
+    adhesion = A * (1.0 - cot_fail / np.tan(alpha))
+    return np.asarray(np.maximum(weight + cohesion + adhesion, 0.0) / D)
+
+
+def _per_depth(depth: Array, soil: Soil) -> tuple[Array, float, float]:
+    """Weight and load, cohesion, adhesion, per depth and width [Pa]."""
+    return 0.5 * soil.density * GRAVITY * depth + soil.surcharge, soil.cohesion, soil.adhesion
+
+
+def _tool_friction(soil: Soil) -> float:
+    return 2.0 / 3.0 * soil.friction if soil.tool_friction is None else soil.tool_friction
+
+
+def _usable(rake: Array, soil: Soil) -> Array:
+    """The rake within which a wedge can slide up the blade."""
+    room = np.pi - soil.friction - _tool_friction(soil)
+    steepest = min(0.5 * np.pi, 0.9 * room)
+    return np.clip(rake, min(_FLATTEST, 0.5 * steepest), steepest)
