@@ -14,12 +14,14 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.planning.deadline import check_deadline
 
 __all__ = ["PathLayers", "redundancy_of"]
 
@@ -36,6 +38,7 @@ _FOLLOWED = 0.2  # rad or m: a node with another this near in the next layer is 
 _CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer
 _MOST = 500  # nodes in a layer to which no more are added
 _SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning
+_PORTION = 4000  # configurations that are solved for at once
 _AROUND = 16  # guesses for each
 
 
@@ -46,13 +49,15 @@ class PathLayers:
     ----------
     grid: step of the free parameter, where there is one [rad, or 1/50 of a slide's range].
     samples: configurations per layer where the redundancy has several dimensions.
+    deadline: on `time.monotonic`.
     """
 
-    def __init__(self, robot: Robot, *, grid: float, samples: int = _SAMPLES) -> None:
+    def __init__(self, robot: Robot, *, grid: float, samples: int = _SAMPLES, deadline: float = np.inf) -> None:
         self._robot = robot
         self._kinematics = BatchKinematics(robot)
         self._grid = grid
         self._samples = samples
+        self._deadline = deadline
         lower = np.where(np.isfinite(robot.limits.lower), robot.limits.lower, -np.pi)
         upper = np.where(np.isfinite(robot.limits.upper), robot.limits.upper, np.pi)
         self._box = (lower, upper)
@@ -76,6 +81,7 @@ class PathLayers:
             joint = self._freest_joint(targets) if redundancy == 1 and not pitch else None
             found = self._on_grid(stations, batch, pitch=pitch, joint=joint)
             free = np.arange(self._robot.n) != (-1 if joint is None else joint)
+        check_deadline(self._deadline)
         if begin is not None:
             found[0] = _distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
         self._carry(batch, found, range(1, len(found)), -1, free)
@@ -96,12 +102,13 @@ class PathLayers:
         So a branch that was found anywhere is followed as far as it goes.
         """
         for row in rows:
+            check_deadline(self._deadline)
             before, here = found[row + back], found[row]
             if not len(before) or len(here) >= _MOST:
                 continue
             alone = np.ones(len(before), dtype=bool)
             if len(here):
-                alone = np.min(np.max(np.abs(before[:, None] - here[None]), axis=2), axis=1) > _FOLLOWED
+                alone = cKDTree(here).query(before, p=np.inf)[0] > _FOLLOWED
             if not alone.any():
                 continue
             targets = batch.take(np.full(int(alone.sum()), row))
@@ -204,7 +211,7 @@ class PathLayers:
             held = np.arange(self._robot.n) == joint
         elif pitch:
             targets = targets.at_pitch(values)
-        q, reached = solve_batch(self._kinematics, targets, guesses, held=held)
+        q, reached = self._solve_all(targets, guesses, held)
         q, rows = q[reached], rows[reached]
         return {row: _distinct(q[rows == row]) for row in np.unique(rows).tolist()}
 
@@ -222,9 +229,20 @@ class PathLayers:
     def _sampled(self, batch: TargetBatch) -> list[Matrix]:
         guesses = _sobol(self._box, self._samples)
         rows = np.repeat(np.arange(len(batch)), len(guesses))
-        q, reached = solve_batch(self._kinematics, batch.take(rows), np.tile(guesses, (len(batch), 1)))
+        q, reached = self._solve_all(batch.take(rows), np.tile(guesses, (len(batch), 1)), None)
         q, reached = q.reshape(len(batch), len(guesses), -1), reached.reshape(len(batch), len(guesses))
         return [_distinct(q[row][reached[row]]) for row in range(len(batch))]
+
+    def _solve_all(self, targets: TargetBatch, guesses: Matrix, held: Mask | None) -> tuple[Matrix, Mask]:
+        """`solve_batch` in portions, which can be ended by the deadline."""
+        ends, reached = [], []
+        for first in range(0, len(guesses), _PORTION):
+            check_deadline(self._deadline)
+            rows = np.arange(first, min(first + _PORTION, len(guesses)))
+            q, arrived = solve_batch(self._kinematics, targets.take(rows), guesses[rows], held=held)
+            ends.append(q)
+            reached.append(arrived)
+        return np.vstack(ends), np.concatenate(reached)
 
 
 def redundancy_of(robot: Robot, target: TipTarget) -> int:
@@ -253,7 +271,8 @@ def _distinct(q: Matrix) -> Matrix:
     cells = np.round(q / _SAME).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     q = q[np.sort(first)]
-    near = np.max(np.abs(q[:, None, :] - q[None, :, :]), axis=2) < _SAME
-    repeated = np.any(np.tril(near, -1), axis=1)
+    repeated = np.zeros(len(q), dtype=bool)
+    pairs = cKDTree(q).query_pairs(_SAME, p=np.inf, output_type="ndarray")
+    repeated[pairs[:, 1]] = True
     q = q[~repeated]
     return np.asarray(q[np.lexsort(q.T[::-1])])

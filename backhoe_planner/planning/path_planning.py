@@ -13,6 +13,7 @@ from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.deadline import OutOfTime
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.path_timing import time_stretch
@@ -27,8 +28,8 @@ __all__ = ["out_of_reach", "plan_along_path"]
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_MOST_WAYPOINTS = 64  # of a path are tried before it is planned
-_GUESSES = 32  # for each of them
+_MOST_WAYPOINTS = 32  # of a path are tried before it is planned
+_GUESSES = 24  # for each of them
 _SEARCH = 48
 _ON_PATH = 1e-4  # m and rad
 
@@ -69,16 +70,20 @@ def plan_along_path(
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
-    resolver = PathResolver(
-        context.problem,
-        path,
-        proximity=context.world,
-        since=low,
-        begin=stepper.q if stepper is not None and on_path else None,
-        time=time,
-        deadline=context.deadline,
-        find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
-    )
+    try:
+        resolver = PathResolver(
+            context.problem,
+            path,
+            proximity=context.world,
+            since=low,
+            begin=stepper.q if stepper is not None and on_path else None,
+            time=time,
+            deadline=context.deadline,
+            find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
+        )
+    except OutOfTime:
+        motion = standing(context.problem.robot.middle) if stepper is None else stepper.trajectory()
+        return Outcome(motion, "budget", "time ran out while the configurations along the path were computed")
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
         found = context.postures.at(path.target(0.0), near=near, count=_SEARCH, time=time)
@@ -191,7 +196,8 @@ class _Along:
     # --- what went wrong ---------------------------------------------------------
 
     def _blocked(self, resolved: Resolved, trajectory: Any) -> Outcome:
-        assert resolved.blame is not None
+        if resolved.blame is None:
+            return Outcome(trajectory, "budget", "time ran out while the path was resolved")
         details: dict[str, Any] = {
             "path_from": resolved.blocked_from,
             "path_to": resolved.blocked_to,
@@ -204,12 +210,9 @@ class _Along:
         )
         if not self._may_leave:
             message += ", and detours are not allowed"
-        elif resolved.out_of_time:
-            message = f"time ran out; {message}"
         else:
             message += ", and no way round was found"
-        reason: Reason = "budget" if resolved.out_of_time else "blocked"
-        return Outcome(trajectory, reason, message, details)
+        return Outcome(trajectory, "blocked", message, details)
 
     def _not_allowed(self, detours: Sequence[Detouring], stepper: Stepper) -> Outcome:
         first = detours[0]
