@@ -199,7 +199,8 @@ class PathLayers:
         """Nodes a grid step apart on every curve that is found; carried on from station to station."""
         seeds = _seeds(stations)
         rows = np.repeat(seeds, _CURVE_GUESSES)
-        guesses = np.tile(_sobol(self._box, _CURVE_GUESSES), (len(seeds), 1))
+        # others at every seed: what one misses another finds, and it is carried on
+        guesses = np.vstack([_sobol(self._box, _CURVE_GUESSES, seed) for seed in range(len(seeds))])
         q, reached = self._solve_all(batch.take(rows), guesses)
         q, rows = q[reached], rows[reached]
         traced = [q]
@@ -284,9 +285,9 @@ def redundancy_of(robot: Robot, target: TipTarget) -> int:
     return robot.n - int(np.max(np.linalg.matrix_rank(J, tol=_RANK)))
 
 
-def _sobol(box: tuple[Vector, Vector], count: int) -> Matrix:
+def _sobol(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
     """(count, n) quasi-random configurations, always the same; `count` is a power of 2."""
-    points = qmc.Sobol(len(box[0]), scramble=True, seed=0).random_base2(int(np.ceil(np.log2(count))))
+    points = qmc.Sobol(len(box[0]), scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(count))))
     return np.asarray(box[0] + points * (box[1] - box[0]))
 
 

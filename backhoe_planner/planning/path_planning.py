@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
+from backhoe_planner.planning.blending import PERIOD
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.deadline import OutOfTime
@@ -31,6 +32,8 @@ Matrix = NDArray[np.float64]
 _MOST_WAYPOINTS = 32  # of a path are tried before it is planned
 _GUESSES = 24  # for each of them
 _SEARCH = 48
+_ROOM = 5e-4  # m of margin below which the samples lie closer
+_FINE_PERIOD = 0.004  # s between them then
 _ON_PATH = 1e-4  # m and rad
 
 
@@ -190,8 +193,17 @@ class _Along:
             if isinstance(piece, Detouring):
                 play_way(self._context, stepper, piece.way)
             elif len(piece.q) > 1:
-                for motion in time_stretch(self._path, piece.stations, piece.q, limits, speed=self._speed):
+                period = _FINE_PERIOD if self._is_tight(piece.q, stepper.time) else PERIOD
+                for motion in time_stretch(
+                    self._path, piece.stations, piece.q, limits, speed=self._speed, period=period
+                ):
                     stepper.play(motion)
+
+    def _is_tight(self, q: Matrix, time: float) -> bool:
+        """Whether there is no room for what the chords between the usual samples deviate by."""
+        world = self._context.world
+        floor = world.clearance + _ROOM
+        return any(bool(np.any(world.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)
 
     # --- what went wrong ---------------------------------------------------------
 

@@ -23,6 +23,7 @@ from backhoe_planner.planning.deadline import OutOfTime, check_deadline
 from backhoe_planner.planning.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.path_layers import PathLayers
 from backhoe_planner.planning.problem import Problem
+from backhoe_planner.site.clearance_screen import ClearanceScreen
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["Blame", "Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
@@ -46,6 +47,7 @@ _DEPTH = 9
 _EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
 _MOST_DETOURS = 24  # that are tried in vain
 _TRIES = 2  # between two layers
+_FEW = 8  # nodes of a layer that are followed back to where the path is free again
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,8 @@ class PathResolver:
         self._all = PathLayers(problem.robot, grid=grid, deadline=deadline).at(
             self._stations, self._targets, begin=begin
         )
-        self._layers = [self._free(nodes) for nodes in self._all]
+        screen = ClearanceScreen(proximity)
+        self._layers = [self._free(screen, nodes) for nodes in self._all]
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Detouring, Stretch]] = {}
         self._off_path = False
@@ -229,15 +232,9 @@ class PathResolver:
 
     # --- nodes -------------------------------------------------------------------
 
-    def _free(self, nodes: Matrix) -> Matrix:
+    def _free(self, screen: ClearanceScreen, nodes: Matrix) -> Matrix:
         check_deadline(self._deadline)
-        keeps = [self._margin_kept(q) for q in nodes]
-        return np.asarray(nodes[np.array(keeps, dtype=bool)])
-
-    def _margin_kept(self, q: Vector) -> bool:
-        least = self._proximity.clearance - _TOUCH
-        lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=least)
-        return bool(np.all((lower >= least) | (self._proximity.appears_at > self._time)))
+        return np.asarray(nodes[screen.keeps(nodes, time=self._time, spare=-_TOUCH)])
 
     # --- edges ---------------------------------------------------------------------
 
@@ -375,6 +372,17 @@ class PathResolver:
         pair = self._proximity.pairs[index]
         return Blame(pair.link, pair.obstacle, float(margins[index])) if np.isfinite(margins[index]) else None
 
+    def _free_again(self, left: float) -> float:
+        """The first arc length after `left` at which the tip can be on the path again [m], else the path's end."""
+        for layer, nodes in enumerate(self._layers):
+            station = float(self._stations[layer])
+            if station <= left + 1e-9 or not len(nodes):
+                continue
+            before = max(float(self._stations[layer - 1]), left)
+            few = nodes[:: max(len(nodes) // _FEW, 1)]
+            return min(float(self._extend(station, before, q)[0].stations[-1]) for q in few)
+        return self._path.length
+
     # --- what comes out ----------------------------------------------------------------
 
     def _pieces(self, graph: LayeredGraph, route: Route) -> tuple[Stretch | Detouring, ...]:
@@ -414,10 +422,7 @@ class PathResolver:
             _append(joined, further)
             pieces, left = tuple(joined), float(further.stations[-1])
             break
-        again = next(
-            (float(s) for s, nodes in zip(self._stations, self._layers, strict=True) if s > left + 1e-9 and len(nodes)),
-            float(self._path.length),
-        )
+        again = self._free_again(left)
         if blame is None:
             blame = self._blame(self._problem.robot.middle, left)
         return Resolved(pieces, False, left, again, blame)
