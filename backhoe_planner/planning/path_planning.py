@@ -85,7 +85,7 @@ def plan_along_path(
             find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
         )
     except OutOfTime:
-        motion = standing(context.problem.robot.middle) if stepper is None else stepper.trajectory()
+        motion = standing(_somewhere(context, path)) if stepper is None else stepper.trajectory()
         return Outcome(motion, "budget", "time ran out while the configurations along the path were computed")
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
@@ -97,6 +97,12 @@ def plan_along_path(
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
+
+
+def _somewhere(context: Context, path: BucketPath) -> Vector:
+    """(n,) joints with the tip on the beginning of the path, clear where that is found at once."""
+    found = context.postures.at(path.target(0.0))
+    return found.clear[0] if found.clear else found.best.q
 
 
 class _Along:
