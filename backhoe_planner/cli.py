@@ -25,6 +25,7 @@ import backhoe_planner as bp
 from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.plan_file import check_writable, plan_to_dict
 from backhoe_planner.planning.planner import DEFAULT_BUDGET
+from backhoe_planner.planning.tracking import Detour
 
 __all__ = ["app", "main"]
 
@@ -322,13 +323,29 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
     for detour in tracking.detours:
         _out.print(
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
-            f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off"
+            f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off{_because(found, detour)}"
+        )
+    for reaction in found.details.get("reactions", ()):
+        stopped = f", stopped at {reaction['stopped_at']:.2f} s" if "stopped_at" in reaction else ""
+        _out.print(
+            f"reaction      {reaction['obstacle']} appears at {reaction['appears_at']:.2f} s: "
+            f"{reaction.get('way', 'no way to stop in time')}{stopped}"
         )
     metrics = found.metrics
     _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
     _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ (gravity, inertia and payload)")
     _out.print(f"planned in    {metrics['planning_time']:.2f} s")
     _out.print(f"plan          {output}")
+
+
+def _because(found: Plan, detour: Detour) -> str:
+    """What the planner left the path for, where it says so."""
+    middle = 0.5 * (detour.path_from + detour.path_to)
+    for known in found.details.get("detours", ()):
+        if known["path_from"] - 0.05 <= middle <= known["path_to"] + 0.05:
+            limit = known["link"] == "joint"
+            return f", for the limit of joint {known['obstacle']}" if limit else f", around {known['obstacle']}"
+    return ""
 
 
 def _asks_angle(found: Plan) -> bool:

@@ -19,7 +19,8 @@ from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.blending import blend
 from backhoe_planner.planning.certificate import certify_problem
-from backhoe_planner.planning.motion_check import MotionCheck, OutOfTime
+from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.motion_check import MotionCheck
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.sampling import Way, find_way, sample_way
 from backhoe_planner.planning.shortening import shorten

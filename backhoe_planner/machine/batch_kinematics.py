@@ -30,6 +30,7 @@ class ConfigurationBatch:
     tip_rotation: (B, 3, 3) R_world_tip.
     axes: (B, n, 3) unit axes of the joints, world.
     origins: (B, n, 3) origins of the joints [m], world.
+    rotations: (B, n, 3, 3) R_world_joint of the frames that turn with the joints.
     prismatic: (n,) which joints slide.
     pitch_sense: see `Robot.pitch_sense`; 0 where pitch is not defined.
     """
@@ -39,6 +40,7 @@ class ConfigurationBatch:
     tip_rotation: Array
     axes: Array
     origins: Array
+    rotations: Array
     prismatic: NDArray[np.bool_]
     pitch_sense: float
 
@@ -94,6 +96,7 @@ class BatchKinematics:
         position = np.zeros((count, 3))
         axes = np.empty((count, self.robot.n, 3))
         origins = np.empty((count, self.robot.n, 3))
+        rotations = np.empty((count, self.robot.n, 3, 3))
         sine, versine = np.sin(q), 1.0 - np.cos(q)
         for joint, (R, p) in enumerate(self._placements):
             position = position + rotation @ p
@@ -109,12 +112,14 @@ class BatchKinematics:
                 )
                 rotation = rotation @ turn
             origins[:, joint] = position
+            rotations[:, joint] = rotation
         return ConfigurationBatch(
             q=q,
             tip_position=position + rotation @ self._tip[1],
             tip_rotation=rotation @ self._tip[0],
             axes=axes,
             origins=origins,
+            rotations=rotations,
             prismatic=self.robot.prismatic,
             pitch_sense=self._sense,
         )

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits
-from backhoe_planner.planning.motion_check import MotionCheck, OutOfTime
+from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.motion_check import MotionCheck
 from backhoe_planner.planning.sampling import Way
 
 __all__ = ["SmoothWay", "blend", "chord_sagitta"]

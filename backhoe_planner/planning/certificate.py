@@ -35,7 +35,7 @@ RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least dist
 _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
 _EFFORT = 200_000  # measurements per obstacle at most
 _EFFORT_REFUTED = 2_000  # where the motion is already known not to keep its clearance
-KEPT_WITHIN = RESOLUTION + 1e-6  # m: a motion at exactly its clearance counts as keeping it
+KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts as keeping it
 _LIMIT_TOLERANCE = 1e-6  # relative, for rounding
 _NEVER = 10.0  # m: clearances above this are not told apart
 

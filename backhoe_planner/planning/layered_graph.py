@@ -27,6 +27,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.planning.deadline import check_deadline
+
 __all__ = ["Edge", "EdgeKind", "LayeredGraph", "Node", "Route"]
 
 Vector = NDArray[np.float64]
@@ -88,16 +90,25 @@ class LayeredGraph:
         the motions; infinite where there is none.
     turning: arc length that a turn is taken to be worth [m].
     detours: whether the path may be left.
+    deadline: on `time.monotonic`, after which every search raises `OutOfTime`.
     """
 
     def __init__(
-        self, stations: Vector, layers: Sequence[Matrix], *, cost: StepCost, turning: float, detours: bool
+        self,
+        stations: Vector,
+        layers: Sequence[Matrix],
+        *,
+        cost: StepCost,
+        turning: float,
+        detours: bool,
+        deadline: float = np.inf,
     ) -> None:
         self.stations = np.asarray(stations, dtype=float)
         self.layers = tuple(layers)
         self._cost = cost
         self._turning = turning
         self._detours = detours
+        self._deadline = deadline
         self._steps: dict[int, Matrix] = {}
         self._turns: dict[int, Matrix] = {}
         self._forbidden: dict[tuple[int, int], set[tuple[int, int]]] = {}
@@ -166,6 +177,7 @@ class LayeredGraph:
         # of every layer, the least total that its nodes have, minus the path up to it
         leaving: list[float] = []
         for layer, nodes in enumerate(self.layers):
+            check_deadline(self._deadline)
             value = np.full(len(nodes), np.inf)
             source = np.zeros((len(nodes), 3), dtype=np.intp)
             if layer == 0:

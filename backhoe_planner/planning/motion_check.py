@@ -14,7 +14,6 @@ have at that end, and grows with the distance from it (by `_SLOPE`, so the bound
 
 from __future__ import annotations
 
-import time as clock
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -22,10 +21,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.planning.deadline import check_deadline
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["MotionCheck", "OutOfTime"]
+__all__ = ["MotionCheck"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -39,10 +39,6 @@ _REMEMBERED = 20_000  # configurations
 _ANCHORS = 100  # of them with every pair measured, from which others are judged
 _ANCHOR_FROM = 0.4  # part of the pairs that had to be measured anyway
 _KEEP_EVERY = 0.02  # s of the slowest joint between two looks at the extra condition
-
-
-class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not an error
-    """The deadline has passed in the middle of a proof."""
 
 
 class _Known:
@@ -149,8 +145,7 @@ class MotionCheck:
 
     def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
         """Of the curve `point` from `q_a` to `q_b`, whose joints change at `rate` (n,) at most."""
-        if clock.monotonic() > self._deadline:
-            raise OutOfTime
+        check_deadline(self._deadline)
         if self._keep is not None and not self._kept(point, rate):
             return False
         if not len(self._pairs):

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
+from backhoe_planner.planning.blending import PERIOD
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.deadline import OutOfTime
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.path_timing import time_stretch
@@ -27,9 +29,11 @@ __all__ = ["out_of_reach", "plan_along_path"]
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_MOST_WAYPOINTS = 64  # of a path are tried before it is planned
-_GUESSES = 32  # for each of them
+_MOST_WAYPOINTS = 32  # of a path are tried before it is planned
+_GUESSES = 24  # for each of them
 _SEARCH = 48
+_ROOM = 5e-4  # m of margin below which the samples lie closer
+_FINE_PERIOD = 0.004  # s between them then
 _ON_PATH = 1e-4  # m and rad
 
 
@@ -69,16 +73,20 @@ def plan_along_path(
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
-    resolver = PathResolver(
-        context.problem,
-        path,
-        proximity=context.world,
-        since=low,
-        begin=stepper.q if stepper is not None and on_path else None,
-        time=time,
-        deadline=context.deadline,
-        find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
-    )
+    try:
+        resolver = PathResolver(
+            context.problem,
+            path,
+            proximity=context.world,
+            since=low,
+            begin=stepper.q if stepper is not None and on_path else None,
+            time=time,
+            deadline=context.deadline,
+            find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
+        )
+    except OutOfTime:
+        motion = standing(_somewhere(context, path)) if stepper is None else stepper.trajectory()
+        return Outcome(motion, "budget", "time ran out while the configurations along the path were computed")
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
         found = context.postures.at(path.target(0.0), near=near, count=_SEARCH, time=time)
@@ -89,6 +97,12 @@ def plan_along_path(
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
+
+
+def _somewhere(context: Context, path: BucketPath) -> Vector:
+    """(n,) joints with the tip on the beginning of the path, clear where that is found at once."""
+    found = context.postures.at(path.target(0.0))
+    return found.clear[0] if found.clear else found.best.q
 
 
 class _Along:
@@ -185,13 +199,23 @@ class _Along:
             if isinstance(piece, Detouring):
                 play_way(self._context, stepper, piece.way)
             elif len(piece.q) > 1:
-                for motion in time_stretch(self._path, piece.stations, piece.q, limits, speed=self._speed):
+                period = _FINE_PERIOD if self._is_tight(piece.q, stepper.time) else PERIOD
+                for motion in time_stretch(
+                    self._path, piece.stations, piece.q, limits, speed=self._speed, period=period
+                ):
                     stepper.play(motion)
+
+    def _is_tight(self, q: Matrix, time: float) -> bool:
+        """Whether there is no room for what the chords between the usual samples deviate by."""
+        world = self._context.world
+        floor = world.clearance + _ROOM
+        return any(bool(np.any(world.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)
 
     # --- what went wrong ---------------------------------------------------------
 
     def _blocked(self, resolved: Resolved, trajectory: Any) -> Outcome:
-        assert resolved.blame is not None
+        if resolved.blame is None:
+            return Outcome(trajectory, "budget", "time ran out while the path was resolved")
         details: dict[str, Any] = {
             "path_from": resolved.blocked_from,
             "path_to": resolved.blocked_to,
@@ -204,12 +228,9 @@ class _Along:
         )
         if not self._may_leave:
             message += ", and detours are not allowed"
-        elif resolved.out_of_time:
-            message = f"time ran out; {message}"
         else:
             message += ", and no way round was found"
-        reason: Reason = "budget" if resolved.out_of_time else "blocked"
-        return Outcome(trajectory, reason, message, details)
+        return Outcome(trajectory, "blocked", message, details)
 
     def _not_allowed(self, detours: Sequence[Detouring], stepper: Stepper) -> Outcome:
         first = detours[0]

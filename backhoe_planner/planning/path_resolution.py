@@ -7,21 +7,23 @@ stretches, on which the tip is exactly on the path, and detours between them.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import segment_is_clear
+from backhoe_planner.planning.deadline import OutOfTime, check_deadline
 from backhoe_planner.planning.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.path_layers import PathLayers
 from backhoe_planner.planning.problem import Problem
+from backhoe_planner.site.clearance_screen import ClearanceScreen
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["Blame", "Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
@@ -32,7 +34,8 @@ Matrix = NDArray[np.float64]
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 
 _LAYER = 0.05  # m of path between layers
-_MOST_LAYERS = 160
+_MANY_LAYERS = 160  # beyond which they lie further apart,
+_WIDEST_LAYER = 0.25  # m, up to this
 _GRID = np.radians(5.0)  # of the free parameter
 _LENGTH_OF_TURN = 0.25  # m that a radian of the tip's own turning counts as
 _FINE = 0.01  # m of path between the samples of a stretch
@@ -44,6 +47,7 @@ _DEPTH = 9
 _EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
 _MOST_DETOURS = 24  # that are tried in vain
 _TRIES = 2  # between two layers
+_FEW = 8  # nodes of a layer that are followed back to where the path is free again
 
 
 @dataclass(frozen=True)
@@ -120,9 +124,10 @@ class Resolved:
 
 def velocity_norm_cost(a: Matrix, b: Matrix, span: float) -> Matrix:
     """(A, B) of sum |dq|^2 / ds, the integral of the squared joint velocities at a tip speed of 1 m/s."""
-    change = b[None, :, :] - a[:, None, :]
-    cost = np.einsum("abn,abn->ab", change, change) / span
-    return np.where(np.max(np.abs(change), axis=2) > _WIDEST_STEP, np.inf, cost)
+    if not len(a) or not len(b):
+        return np.zeros((len(a), len(b)))
+    cost = cdist(a, b, "sqeuclidean") / span
+    return np.where(cdist(a, b, "chebyshev") > _WIDEST_STEP, np.inf, cost)
 
 
 class PathResolver:
@@ -133,7 +138,8 @@ class PathResolver:
     since: arc length from which on it is resolved [m].
     begin: (n,) joints with the tip on the path there, from which it is to be followed.
     time: at which the obstacles are taken to be where they are [s].
-    deadline: on `time.monotonic`.
+    deadline: on `time.monotonic`; where it passes while the configurations along the
+        path are computed, `OutOfTime` is raised.
     find_detour: (n,) from, (n,) to, arc lengths there, to the way between them or None.
     """
 
@@ -162,8 +168,11 @@ class PathResolver:
         self._kinematics = BatchKinematics(problem.robot)
         self._stations = _layer_stations(path, since, layer)
         self._targets = [path.target(float(s)) for s in self._stations]
-        self._all = PathLayers(problem.robot, grid=grid).at(self._stations, self._targets, begin=begin)
-        self._layers = [self._free(nodes) for nodes in self._all]
+        self._all = PathLayers(problem.robot, grid=grid, deadline=deadline).at(
+            self._stations, self._targets, begin=begin
+        )
+        screen = ClearanceScreen(proximity)
+        self._layers = [self._free(screen, nodes) for nodes in self._all]
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Detouring, Stretch]] = {}
         self._off_path = False
@@ -200,36 +209,39 @@ class PathResolver:
             costs = np.append(0.0, np.full(len(layers[0]) - 1, np.inf))
         self._motions, self._ways = {}, {}
         turning = float(self._stations[1] - self._stations[0])
-        graph = LayeredGraph(stations, layers, cost=self._cost, turning=turning, detours=detours)
+        graph = LayeredGraph(
+            stations, layers, cost=self._cost, turning=turning, detours=detours, deadline=self._deadline
+        )
         self._off_path = off_path
+        try:
+            pieces = self._search(graph, costs)
+            return self._as_far(graph, costs) if pieces is None else Resolved(pieces, True)
+        except OutOfTime:
+            return Resolved((), False, float(stations[0]), self._path.length, out_of_time=True)
+
+    def _search(self, graph: LayeredGraph, costs: Vector) -> tuple[Stretch | Detouring, ...] | None:
+        """The pieces of the best route that can be driven, None where there is no route."""
         failures: dict[tuple[int, int], int] = {}
-        while clock.monotonic() < self._deadline:
+        while sum(failures.values()) < _MOST_DETOURS:
             route = graph.best_route(costs)
             if route is None:
-                break
-            if not self._driven(graph, route) or not self._bypassed(graph, route, failures):
-                if sum(failures.values()) >= _MOST_DETOURS:
-                    break
-                continue
-            return Resolved(self._pieces(graph, route), True)
-        return self._as_far(graph, costs)
+                return None
+            if self._driven(graph, route) and self._bypassed(graph, route, failures):
+                return self._pieces(graph, route)
+        return None
 
     # --- nodes -------------------------------------------------------------------
 
-    def _free(self, nodes: Matrix) -> Matrix:
-        keeps = [self._margin_kept(q) for q in nodes]
-        return np.asarray(nodes[np.array(keeps, dtype=bool)])
-
-    def _margin_kept(self, q: Vector) -> bool:
-        least = self._proximity.clearance - _TOUCH
-        lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=least)
-        return bool(np.all((lower >= least) | (self._proximity.appears_at > self._time)))
+    def _free(self, screen: ClearanceScreen, nodes: Matrix) -> Matrix:
+        check_deadline(self._deadline)
+        return np.asarray(nodes[screen.keeps(nodes, time=self._time, spare=-_TOUCH)])
 
     # --- edges ---------------------------------------------------------------------
 
     def _driven(self, graph: LayeredGraph, route: Route) -> bool:
         """Whether all that follows the path can be driven; what cannot is forbidden."""
         edges = [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR]
+        check_deadline(self._deadline)
         fresh = [edge for edge in edges if edge not in self._motions]
         for edge, motion in zip(fresh, self._interpolate(graph, fresh), strict=True):
             self._motions[edge] = motion if motion is not None and self._is_clear(motion.q) else None
@@ -360,6 +372,17 @@ class PathResolver:
         pair = self._proximity.pairs[index]
         return Blame(pair.link, pair.obstacle, float(margins[index])) if np.isfinite(margins[index]) else None
 
+    def _free_again(self, left: float) -> float:
+        """The first arc length after `left` at which the tip can be on the path again [m], else the path's end."""
+        for layer, nodes in enumerate(self._layers):
+            station = float(self._stations[layer])
+            if station <= left + 1e-9 or not len(nodes):
+                continue
+            before = max(float(self._stations[layer - 1]), left)
+            few = nodes[:: max(len(nodes) // _FEW, 1)]
+            return min(float(self._extend(station, before, q)[0].stations[-1]) for q in few)
+        return self._path.length
+
     # --- what comes out ----------------------------------------------------------------
 
     def _pieces(self, graph: LayeredGraph, route: Route) -> tuple[Stretch | Detouring, ...]:
@@ -382,7 +405,6 @@ class PathResolver:
 
     def _as_far(self, graph: LayeredGraph, costs: Vector) -> Resolved:
         """The pieces up to where the path is blocked."""
-        out_of_time = clock.monotonic() >= self._deadline
         graph.only_detours(self._ways)
         pieces: tuple[Stretch | Detouring, ...] = ()
         blame = None
@@ -400,21 +422,19 @@ class PathResolver:
             _append(joined, further)
             pieces, left = tuple(joined), float(further.stations[-1])
             break
-        again = next(
-            (float(s) for s, nodes in zip(self._stations, self._layers, strict=True) if s > left + 1e-9 and len(nodes)),
-            float(self._path.length),
-        )
+        again = self._free_again(left)
         if blame is None:
             blame = self._blame(self._problem.robot.middle, left)
-        return Resolved(pieces, False, left, again, blame, out_of_time)
+        return Resolved(pieces, False, left, again, blame)
 
 
 def _layer_stations(path: BucketPath, since: float, spacing: float) -> Vector:
-    """(L,) arc lengths from `since` to the end of a path, so dense that the tip neither goes nor turns far between [m]."""
+    """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither goes nor turns far between."""
     fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
     turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]
     measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + _LENGTH_OF_TURN * np.array(turns))))
-    count = min(max(int(np.ceil(measure[-1] / spacing)), 1), _MOST_LAYERS)
+    fewer = max(_MANY_LAYERS, int(np.ceil(measure[-1] / _WIDEST_LAYER)))
+    count = min(max(int(np.ceil(measure[-1] / spacing)), 1), fewer)
     found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
     found[0], found[-1] = since, path.length
     return np.asarray(found)

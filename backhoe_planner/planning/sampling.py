@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits
-from backhoe_planner.planning.motion_check import MotionCheck, OutOfTime
+from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.motion_check import MotionCheck
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.proximity import Proximity
 
@@ -27,6 +28,7 @@ __all__ = ["Way", "find_way", "sample_way"]
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
+_MOST_MOTIONS = 30_000
 _RANGE = 1.0  # s: the longest motion that is added to a tree
 _MOST_OF_BOX = 0.4  # and at most this part of the box's diagonal
 
@@ -86,8 +88,21 @@ def find_way(
     return sample_way(check, ends[0], ends[1:], seed=seed, deadline=deadline)
 
 
-def sample_way(check: MotionCheck, start: Vector, goals: Sequence[Vector], *, seed: int, deadline: float) -> Way | None:
-    """The same with a check that was made for these ends, in this order."""
+def sample_way(
+    check: MotionCheck,
+    start: Vector,
+    goals: Sequence[Vector],
+    *,
+    seed: int,
+    deadline: float,
+    most_motions: int = _MOST_MOTIONS,
+) -> Way | None:
+    """The same with a check that was made for these ends, in this order.
+
+    Parameters
+    ----------
+    most_motions: between samples that are looked at before the search is given up.
+    """
     if not check.ends_clear[0]:
         return None
     order = sorted(
@@ -103,12 +118,8 @@ def sample_way(check: MotionCheck, start: Vector, goals: Sequence[Vector], *, se
         return None
     if not open_goals:
         return None
-    return _connect(check, start, open_goals, seed, deadline)
-
-
-def _connect(check: MotionCheck, start: Vector, goals: list[Vector], seed: int, deadline: float) -> Way | None:
     with _quiet():
-        return _Search(check, deadline).run(start, goals, seed)
+        return _Search(check, deadline, most_motions).run(start, open_goals, seed)
 
 
 @contextmanager
@@ -131,9 +142,10 @@ class _Search:
     behind it. Nothing that OMPL owns is kept here, or it would never be freed.
     """
 
-    def __init__(self, check: MotionCheck, deadline: float) -> None:
+    def __init__(self, check: MotionCheck, deadline: float, most_motions: int) -> None:
         self._check = check
         self._deadline = deadline
+        self._motions_left = most_motions
         self._rate = check.rate
         self._raised: BaseException | None = None
 
@@ -206,6 +218,7 @@ class _Search:
 
     def allows(self, a: list[float], b: list[float]) -> bool:
         """Whether OMPL may move from `a` to `b`, in joint times."""
+        self._motions_left -= 1
         if self._raised is not None:
             return False
         try:
@@ -216,7 +229,7 @@ class _Search:
 
     def ended(self) -> bool:
         """Whether OMPL is to stop."""
-        return self._raised is not None or clock.monotonic() > self._deadline
+        return self._raised is not None or self._motions_left <= 0 or clock.monotonic() > self._deadline
 
 
 def _validator(base: Any, space_information: Any, n: int, allows: Callable[[list[float], list[float]], bool]) -> Any:

@@ -11,7 +11,8 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.motion_check import MotionCheck, OutOfTime
+from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.motion_check import MotionCheck
 from backhoe_planner.planning.sampling import Way
 
 __all__ = ["shorten"]

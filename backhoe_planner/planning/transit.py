@@ -25,8 +25,9 @@ Matrix = NDArray[np.float64]
 
 _SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
 _TUBES = (0.25, 0.6, 1.5)  # m, and half of what is left out, that a detour may go off the path
-_SHARE = 0.35  # of the remaining budget that one search may take
-_LONGEST = 4.0  # s
+_TUBE_MOTIONS = 1500  # that are looked at within each
+_DETOUR_MOTIONS = 6000  # and then without
+_SHARE = 0.6  # of the remaining budget that one search may take
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,8 @@ def find_way_near(
             deadline=deadline,
             keep=_near(context, path, low, high, tube + 0.5 * (high - low)) if np.isfinite(tube) else None,
         )
-        way = sample_way(check, start, [end], seed=context.seed, deadline=deadline)
+        most = _TUBE_MOTIONS if np.isfinite(tube) else _DETOUR_MOTIONS
+        way = sample_way(check, start, [end], seed=context.seed, deadline=deadline, most_motions=most)
         if way is not None:
             return np.asarray(shorten(check, way, seed=context.seed).q)
     return None
@@ -100,12 +102,20 @@ def play_way(context: Context, stepper: Stepper, way: Matrix) -> None:
 def _deadline(context: Context) -> float:
     """Until when one search may go on."""
     now = clock.monotonic()
-    return min(context.deadline, now + max(min(_SHARE * (context.deadline - now), _LONGEST), 0.0))
+    return now + _SHARE * max(context.deadline - now, 0.0)
 
 
 def _near(context: Context, path: BucketPath, low: float, high: float, reach: float) -> Callable[[Vector], bool]:
+    """Whether the tip is within `reach` [m] of the path between two arc lengths."""
+    marks = path.stations[(path.stations > low) & (path.stations < high)]
+    corners = np.array([path(float(s)) for s in (low, *marks, high)])
+    steps = np.diff(corners, axis=0)
+    squares = np.maximum(np.einsum("ki,ki->k", steps, steps), 1e-18)
+
     def keep(q: Vector) -> bool:
-        tip = context.kinematics.at(q).tip_position
-        return path.nearest(tip, low=low, high=high)[1] <= reach
+        off = context.kinematics.at(q).tip_position - corners[:-1]
+        part = np.clip(np.einsum("ki,ki->k", off, steps) / squares, 0.0, 1.0)
+        off -= part[:, None] * steps
+        return bool(np.min(np.einsum("ki,ki->k", off, off)) <= reach * reach)
 
     return keep

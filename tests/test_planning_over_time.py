@@ -1,0 +1,105 @@
+"""Obstacles that move and that appear: what is verified keeps clear of them at every moment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from independent import refutations  # type: ignore[import-not-found]
+
+import backhoe_planner as bp
+
+Data = dict[str, Any]
+
+START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+GOAL: Data = {"goal": {"position": [1.5, 4.0, 0.5]}}
+PATH: Data = {"path": {"waypoints": [{"position": [4.0, 0.0, 0.3]}, {"position": [3.0, 2.8, 0.3]}], "speed": 0.4}}
+WORKER: Data = {"name": "worker", "shape": "capsule", "radius": 0.3}
+CROSSING = WORKER | {"from": [3.5, 4.0, -0.5], "to": [3.5, 4.0, 1.0], "velocity": [0.0, -0.4, 0.0]}
+
+
+def site(task: Data, *obstacles: Data) -> bp.Scene:
+    content = {"version": 1, "start": {"joints": START}, "task": task, "clearance": 0.1, "influence": 0.6}
+    return bp.scene_from_dict(content | {"obstacles": list(obstacles)})
+
+
+def plan(robot: bp.Robot, task: Data, *obstacles: Data) -> bp.Plan:
+    """Planned with time enough for a busy machine; what is verified is held against the independent check."""
+    found = bp.plan(robot, site(task, *obstacles), budget=120.0)
+    if found.verified:
+        assert refutations(found) == []
+    return found
+
+
+def test_what_does_not_come_near_changes_nothing(backhoe: bp.Robot) -> None:
+    far = WORKER | {"from": [-8, 0, 0], "to": [-8, 0, 1.8], "velocity": [-0.5, 0.0, 0.0]}
+    later = {"name": "box", "shape": "box", "size": [0.5, 0.5, 0.5], "position": [3.5, 1.4, 0.3], "appears_at": 60.0}
+    alone = plan(backhoe, PATH)
+    np.testing.assert_array_equal(plan(backhoe, PATH, far, later).trajectory.q, alone.trajectory.q)
+
+
+def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot) -> None:
+    """Up to that moment the motion is the one without it; from then on it is another."""
+    moment = 3.0
+    sudden = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [3.5, 1.4, 0.3], "appears_at": moment}
+    alone, found = plan(backhoe, PATH), plan(backhoe, PATH, sudden)
+    assert alone.verified
+    assert found.verified
+    for time in np.linspace(0.0, moment, 31):
+        np.testing.assert_allclose(found.trajectory.at(float(time)), alone.trajectory.at(float(time)), atol=1e-9)
+    [reaction] = found.details["reactions"]
+    assert reaction["obstacle"] == "ball"
+    assert reaction["appears_at"] == moment
+    assert moment < reaction["stopped_at"] < moment + 2.0
+    [detour] = found.certificate.detours
+    assert detour.path_from < np.hypot(0.5, 1.4) < detour.path_to
+
+
+def test_it_waits_or_gives_way_where_somebody_crosses_the_path(backhoe: bp.Robot) -> None:
+    found = plan(backhoe, PATH, CROSSING)
+    assert found.verified
+    assert found.certificate.detours == ()
+    # he walks 8 m at 0.4 m/s, and the path alone takes as long as its length at the asked speed
+    assert found.trajectory.duration > plan(backhoe, PATH).trajectory.duration
+
+
+def test_a_goal_is_reached_behind_somebody_who_walks(backhoe: bp.Robot) -> None:
+    walker = WORKER | {"from": [3.0, 5.0, 0.0], "to": [3.0, 5.0, 1.8], "velocity": [0.0, -0.8, 0.0]}
+    assert plan(backhoe, GOAL, walker).verified
+
+
+def test_somebody_appears_and_walks(backhoe: bp.Robot) -> None:
+    walker = WORKER | {
+        "from": [2.8, 4.0, 0.0], "to": [2.8, 4.0, 1.8], "velocity": [0.0, -0.5, 0.0], "appears_at": 1.0,
+    }  # fmt: skip
+    assert plan(backhoe, GOAL, walker).verified
+
+
+def test_where_there_is_no_way_it_stops_in_time_and_says_so(backhoe: bp.Robot) -> None:
+    """A box appears where the bucket is to go: within its accelerations the machine comes to rest, clear of it."""
+    box = {"name": "box", "shape": "box", "size": [0.6, 0.6, 2.0], "position": [1.5, 4.0, 0.8], "appears_at": 1.0}
+    found = plan(backhoe, GOAL, box)
+    assert found.reason == "goal_in_collision"
+    assert found.message.startswith("box appears at 1.00 s in the way: the machine stops at ")
+    assert found.certificate.safe
+    [reaction] = found.details["reactions"]
+    assert found.trajectory.duration == pytest.approx(reaction["stopped_at"])
+    # the swing needs v / a to stop
+    limits = backhoe.limits
+    assert reaction["stopped_at"] < 1.0 + np.max(limits.velocity / limits.acceleration) + 0.1
+    assert np.all(found.trajectory.v[-1] == 0.0)
+
+
+def test_what_appears_upon_the_machine_is_not_called_safe(backhoe: bp.Robot) -> None:
+    upon = {"name": "boulder", "shape": "sphere", "radius": 0.6, "position": [3.0, 0.3, 0.6], "appears_at": 0.5}
+    found = plan(backhoe, GOAL, upon)
+    assert not found.verified
+    assert not found.certificate.safe
+    assert "boulder" in found.message
+
+
+def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
+    one, other = plan(backhoe, PATH, CROSSING), plan(backhoe, PATH, CROSSING)
+    np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
+    np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)
