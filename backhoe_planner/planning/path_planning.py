@@ -13,6 +13,7 @@ from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.path_timing import time_stretch
@@ -180,12 +181,12 @@ class _Along:
         return found
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Detouring]) -> None:
-        limits = self._context.problem.limits
+        limits, drive = self._context.problem.limits, drive_of(self._context.problem)
         for piece in pieces:
             if isinstance(piece, Detouring):
                 play_way(self._context, stepper, piece.way)
             elif len(piece.q) > 1:
-                for motion in time_stretch(self._path, piece.stations, piece.q, limits, speed=self._speed):
+                for motion in time_stretch(self._path, piece.stations, piece.q, limits, speed=self._speed, drive=drive):
                     stepper.play(motion)
 
     # --- what went wrong ---------------------------------------------------------

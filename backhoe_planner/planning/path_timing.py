@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.drive import Drive
 from backhoe_planner.planning.timing import time_along
 from backhoe_planner.planning.trajectory import Trajectory
 
@@ -21,19 +22,26 @@ _CORNER = np.radians(5.0)  # a sharper corner of the path is stopped at
 
 
 def time_stretch(
-    path: BucketPath, stations: Vector, q: Matrix, limits: JointLimits, *, speed: float | None
+    path: BucketPath,
+    stations: Vector,
+    q: Matrix,
+    limits: JointLimits,
+    *,
+    speed: float | None,
+    drive: Drive | None = None,
 ) -> list[Trajectory]:
     """The motions, each from rest to rest, along joints `q` (K, n) at `stations` (K,) [m].
 
     Parameters
     ----------
     speed: of the tip at most [m/s], None for as fast as the joints allow.
+    drive: what moves the joints, None for no limits but those of the joints.
     """
     marks = {0, len(stations) - 1}
     for corner in path.corners(_CORNER).tolist():
         if stations[0] < corner < stations[-1]:
             marks.add(int(np.argmin(np.abs(stations - corner))))
     return [
-        time_along(stations[first : last + 1], q[first : last + 1], limits, speed=speed)
+        time_along(stations[first : last + 1], q[first : last + 1], limits, speed=speed, drive=drive)
         for first, last in pairwise(sorted(marks))
     ]

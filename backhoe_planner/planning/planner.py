@@ -9,6 +9,7 @@ Every ending is a `Plan`: what can fail in normal use is a reason with its numbe
 from __future__ import annotations
 
 import time as clock
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from backhoe_planner.planning.as_printed import run_iteration
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import Certificate, certify_problem
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
 from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture
@@ -29,6 +31,7 @@ from backhoe_planner.planning.over_time import Planned, changes, plan_over_time
 from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
 from backhoe_planner.planning.plan import METHODS, Method, Plan, Reason
 from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.retiming import retimed
 from backhoe_planner.planning.stepping import Stepper, Watcher
 from backhoe_planner.planning.timing import time_polyline
 from backhoe_planner.planning.tracking import progress
@@ -86,7 +89,7 @@ def plan(
         )
     context = Context(problem, seed=seed, deadline=begun + budget, watch=watch)
     outcome = _Planning(context, checked).run()
-    certificate = certify_problem(problem, outcome.trajectory)
+    outcome, certificate = _driven(problem, outcome)
     reason, message = outcome.reason, outcome.message
     if not reason and not certificate.verified:
         reason, message = _judged(problem, certificate)
@@ -121,9 +124,21 @@ def _checked_method(method: str) -> Method:
 
 def _judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
     """Why a finished motion is not verified, from the certificate alone."""
-    limits = (certificate.position, certificate.velocity, certificate.acceleration)
-    reason: Reason = "blocked" if all(use.kept for use in limits) else "outside_limits"
+    reason: Reason = "blocked" if certificate.limits_kept else "outside_limits"
     return reason, "; ".join(certificate.problems)
+
+
+def _driven(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
+    """The motion, slower where the machine could not drive it, and what is proven of it.
+
+    Among what moves or appears, slower is a motion at other times: it is left as it was
+    where that comes too near to anything.
+    """
+    slower = retimed(outcome.trajectory, problem.limits, drive=drive_of(problem))
+    certificate = certify_problem(problem, slower)
+    if slower is outcome.trajectory or not changes(problem) or certificate.verified:
+        return replace(outcome, trajectory=slower), certificate
+    return outcome, certify_problem(problem, outcome.trajectory)
 
 
 class _Planning:
