@@ -33,7 +33,7 @@ _SPARE = 0.9998  # of every limit: what the sampling of the motion may add
 _WITHIN = 5e-4  # over a limit between the points of the grid that is let be
 _CORRECTIONS = 5
 _POWER_PASSES = 8
-_POWER_SETTLED = 2e-4
+_POWER_SETTLED = 1e-3  # change of the duration; it converges quadratically
 _UP_TO = 1.45  # times the speed at which a load takes all power; a tangent there leaves 1.5 / 1.45 of it at rest
 _NO_CAP = 1e6
 _LEAST_ROOM = 0.02  # of a load that cannot be held: room that is left to time the path all the same
@@ -159,8 +159,7 @@ class _Loads:
             return np.asarray(over)
         soil = 0.5 * (self._soil[:-1] + self._soil[1:]) if self._drive.digs else 0.0
         torque = self._drive.rigid_torques(q, v, a) + soil
-        held = np.maximum(self._held[:-1], self._held[1:])[:, None]
-        effort = np.max(np.where(held, self._drive.effort_use(q, torque), 0.0), axis=1)
+        effort = np.max(self._drive.effort_use(q, torque), axis=1) if self._held else 0.0
         oil = np.maximum(self._drive.flow_use(q, v), self._drive.power_use(q, v, torque))
         return np.asarray(
             np.maximum(np.maximum(over, effort), np.maximum(oil, np.max(self._drive.rod_speed_use(q, v), axis=1)))
@@ -206,13 +205,10 @@ class _Loads:
         return Rows.stacked(found)
 
     @property
-    def _held(self) -> NDArray[np.bool_]:
-        """(N + 1,) where every static load can be held."""
-        loads = [self._gravity, self._gravity + self._soil] if self._drive and self._drive.digs else [self._gravity]
+    def _held(self) -> bool:
+        """Whether every static load can be held everywhere."""
         limits = self._torque_limits
-        return np.asarray(
-            np.all([np.all((load <= limits.positive) & (-load <= limits.negative), axis=1) for load in loads], axis=0)
-        )
+        return all(bool(np.all((load <= limits.positive) & (-load <= limits.negative))) for load in self._loads())
 
     # --- power --------------------------------------------------------------------
 
@@ -248,7 +244,8 @@ class _Loads:
 
     def _power_ceilings(self) -> tuple[Array, Array]:
         """(N + 1,) the x at which the engine can only just keep the speed up; and that beyond
-        which a tangent would leave nothing for the load at rest."""
+        which a tangent would leave nothing for the load at rest.
+        """
         assert self._drive is not None
         assert self._drive.hydraulics is not None
         limit = self._drive.hydraulics.power_limit

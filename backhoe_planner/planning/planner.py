@@ -43,6 +43,8 @@ __all__ = ["DEFAULT_BUDGET", "plan"]
 Vector = NDArray[np.float64]
 
 DEFAULT_BUDGET = 10.0  # s
+_SLOWER = 3  # times that a motion is planned with slower joints
+_TOO_MUCH = 10.0  # times a limit
 _SEARCH = 200  # starting points of the inverse kinematics for a start that is given by the tip
 
 
@@ -87,9 +89,7 @@ def plan(
             found="paper",
             allowed="auto, reactive",
         )
-    context = Context(problem, seed=seed, deadline=begun + budget, watch=watch)
-    outcome = _Planning(context, checked).run()
-    outcome, certificate = _driven(problem, outcome)
+    outcome, certificate = _drivable(problem, checked, seed=seed, deadline=begun + budget, watch=watch)
     reason, message = outcome.reason, outcome.message
     if not reason and not certificate.verified:
         reason, message = _judged(problem, certificate)
@@ -126,6 +126,31 @@ def _judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
     """Why a finished motion is not verified, from the certificate alone."""
     reason: Reason = "blocked" if certificate.limits_kept else "outside_limits"
     return reason, "; ".join(certificate.problems)
+
+
+def _drivable(
+    problem: Problem, method: Method, *, seed: int, deadline: float, watch: Watcher | None
+) -> tuple[Outcome, Certificate]:
+    """A motion that the machine can drive, and what is proven of it.
+
+    Where time cannot be stretched, among what moves, it is planned anew with slower joints.
+    """
+    asked = problem
+    for _ in range(_SLOWER):
+        outcome = _Planning(Context(asked, seed=seed, deadline=deadline, watch=watch), method).run()
+        outcome, certificate = _driven(problem, outcome)
+        loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
+        if not loads or not changes(problem) or outcome.reason or clock.monotonic() > deadline:
+            break
+        over = max(use.ratio for use in loads)
+        if any(use.at_rest > 1.0 for use in loads) or over > _TOO_MUCH:
+            break
+        limits = asked.limits
+        asked = replace(
+            asked,
+            limits=replace(limits, velocity=limits.velocity / over, acceleration=limits.acceleration / over),
+        )
+    return outcome, certificate
 
 
 def _driven(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:

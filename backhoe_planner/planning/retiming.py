@@ -48,7 +48,7 @@ def use_of_drive(trajectory: Trajectory, drive: Drive) -> tuple[Array, Array]:
 def retimed(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) -> Trajectory:
     """The same way, slower where its torques, speeds, flow or power are more than the machine has.
 
-    A static load that cannot be held is let be: no time makes it less.
+    Where a static load cannot be held, torques are let be: no time makes that less.
     """
     if drive is None or not drive.limited or len(trajectory) < 3:
         return trajectory
@@ -68,13 +68,18 @@ def _joints_kept(trajectory: Trajectory, limits: JointLimits) -> bool:
 
 
 def _over(trajectory: Trajectory, drive: Drive) -> float:
-    """The greatest use of the drive, left out where a load could not be held at rest either."""
+    """The greatest use of the drive; without torque, where a load could not be held at rest either."""
     effort, speeds = use_of_drive(trajectory, drive)
+    most = float(np.max(speeds))
+    worst = float(np.max(effort))
+    if worst <= max(most, 1.0):
+        return max(most, worst)
     still = np.zeros_like(trajectory.q)
     load = drive.rigid_torques(trajectory.q, still, still)
-    against = drive.soil_torques(trajectory.q, trajectory.v)
-    held = (drive.effort_use(trajectory.q, load) <= 1.0) & (drive.effort_use(trajectory.q, load + against) <= 1.0)
-    return float(max(np.max(np.where(held, effort, 0.0)), np.max(speeds)))
+    for static in (load, load + drive.soil_torques(trajectory.q, trajectory.v)):
+        if np.any(drive.effort_use(trajectory.q, static) > 1.0):
+            return most
+    return worst
 
 
 def _locally(trajectory: Trajectory, limits: JointLimits, drive: Drive, part: float) -> Trajectory | None:
