@@ -380,3 +380,24 @@ def test_the_plan_file_holds_the_use_of_the_drive(backhoe: Robot, tmp_path: Path
         del content["certificate"]["limits"][kind]
     (tmp_path / "plan.json").write_text(json.dumps(content))
     assert load_plan(tmp_path / "plan.json").certificate.effort == found.certificate.effort
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+@pytest.mark.parametrize("moving", [{}, {"velocity": [0.1, 0.1, 0.0]}, {"appears_at": 1.0}], ids=str)
+def test_what_is_verified_can_be_driven(backhoe: Robot, method: str, moving: dict[str, object]) -> None:
+    """All joints at once at full rate would take more than twice the pump's flow."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.5, -1.5, 2.6]}
+    scene = scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": -1.0, "boom": -0.3, "stick": -1.9, "bucket": -1.6}},
+            "task": {"goal": {"position": [3.2, 2.2, 1.2]}},
+            "obstacles": [ball | moving],
+            "payload": 300.0,
+        }
+    )
+    found = plan(backhoe, scene, method=method)
+    assert found.verified, found.message
+    effort, speeds = use_of_drive(found.trajectory, drive_of(build_problem(backhoe, scene)))
+    assert max(np.max(effort), np.max(speeds)) <= 1.01
+    assert np.max(speeds) > 0.9
