@@ -249,7 +249,7 @@ def test_every_limit_holds_at_ten_times_finer_sampling_and_one_binds(
     """Left out of the second claim: the ends, and the change from one limit to another.
 
     Where the binding limit changes between two points of the grid, for that one interval
-    the speed is that which meets both; those are a few hundredths of all moments.
+    the speed is that which meets both; those are less than a hundredth of all moments.
     """
     robot = strong(backhoe, changes)
     q = smooth_path(robot, seed)
@@ -258,7 +258,7 @@ def test_every_limit_holds_at_ten_times_finer_sampling_and_one_binds(
     usage = limit_usage(problem, motion)
     assert np.max(usage.ratio) <= 1.001
     inside = usage.greatest[2:-2]
-    assert np.mean(inside >= 0.98) >= 0.97
+    assert np.mean(inside >= 0.98) >= 0.99
     assert np.min(inside) > 0.5
 
 
@@ -316,6 +316,7 @@ def test_a_payload_that_cannot_be_held_is_named_with_joint_and_figures(backhoe: 
     assert found.certificate.effort is not None
     assert found.certificate.effort.joint in found.message
     assert found.certificate.effort.at_rest > 1.0
+    assert found.details["effort"]["joint"] == found.certificate.effort.joint
     q = found.trajectory.q[int(np.argmin(np.abs(found.trajectory.time - found.certificate.effort.time)))]
     gravity = Dynamics(backhoe, payload=4000.0).torques(q, np.zeros(4), np.zeros(4))
     joint = backhoe.joint_names.index(found.certificate.effort.joint)

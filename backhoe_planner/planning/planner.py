@@ -9,7 +9,7 @@ Every ending is a `Plan`: what can fail in normal use is a reason with its numbe
 from __future__ import annotations
 
 import time as clock
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -91,8 +91,14 @@ def plan(
         )
     outcome, certificate = _drivable(problem, checked, seed=seed, deadline=begun + budget, watch=watch)
     reason, message = outcome.reason, outcome.message
+    details = dict(outcome.details)
     if not reason and not certificate.verified:
         reason, message = _judged(problem, certificate)
+        details |= {
+            kind: asdict(use)
+            for kind, use in (("effort", certificate.effort), ("hydraulics", certificate.hydraulics))
+            if use is not None and not use.kept
+        }
     return Plan(
         verdict="failed" if reason else "verified",
         reason=reason,
@@ -104,7 +110,7 @@ def plan(
         trajectory=outcome.trajectory,
         certificate=certificate,
         metrics=_metrics(problem, outcome.trajectory, certificate, clock.monotonic() - begun),
-        details=outcome.details,
+        details=details,
     )
 
 
