@@ -164,6 +164,10 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     for kind in ("position", "velocity", "acceleration"):
         use = getattr(certificate, kind)
         _out.print(f"{kind:<13}{100.0 * use.ratio:5.1f} % of its limit at most ({use.joint}, {use.time:.2f} s)")
+    for kind, load in (("torque", certificate.effort), ("hydraulics", certificate.hydraulics)):
+        if load is not None:
+            where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
+            _out.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
     _out.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
     _out.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if certificate.verified else FAILED

@@ -13,6 +13,7 @@ from test_planning_sampling import STRETCHED, TURNED, across_bar, problem_of
 
 from backhoe_planner.machine.reach import travel_bounds
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning import timing
 from backhoe_planner.planning.blending import SmoothWay, blend, chord_sagitta
 from backhoe_planner.planning.motion_check import MotionCheck
 from backhoe_planner.planning.sampling import Way, sample_way
@@ -209,15 +210,13 @@ def test_between_the_samples_the_motion_is_as_near_the_way_as_promised(any_robot
     assert np.max(travel_bounds(any_robot) @ chord_sagitta(limits)) < 0.01  # m
 
 
-def test_where_toppra_has_no_answer_the_motion_stops_in_the_corners(
+def test_where_there_is_no_time_law_the_motion_stops_in_the_corners(
     planar4: Robot, smooth: SmoothWay, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import toppra.algorithm
+    def no_answer(*_: Any, **__: Any) -> None:
+        return None
 
-    def no_answer(*_: Any, **__: Any) -> tuple[None, None, None]:
-        return None, None, None
-
-    monkeypatch.setattr(toppra.algorithm.TOPPRA, "compute_parameterization", no_answer)
+    monkeypatch.setattr(timing, "time_path", no_answer)
     trajectory = time_way(smooth, planar4.limits)
     assert max(over_limits(trajectory, planar4)) <= 1.0
     for corner in CORNERS:

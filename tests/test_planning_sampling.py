@@ -20,6 +20,7 @@ from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.blending import blend
 from backhoe_planner.planning.certificate import certify_problem
 from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.motion_check import MotionCheck
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.sampling import Way, find_way, sample_way
@@ -429,7 +430,7 @@ def test_what_comes_out_in_the_end_is_verified(name: str, request: pytest.Fixtur
     assert not check.segment_is_clear(start, goal)  # the straight line is not the answer
     way = sample_way(check, start, [goal], seed=0, deadline=clock.monotonic() + 60.0)
     assert way is not None
-    trajectory = time_way(blend(check, shorten(check, way, seed=0)), problem.limits)
+    trajectory = time_way(blend(check, shorten(check, way, seed=0)), problem.limits, drive=drive_of(problem))
     certificate = certify_problem(problem, trajectory)
     assert certificate.verified, certificate.problems
     assert certificate.velocity.ratio <= 1.0

@@ -58,10 +58,18 @@ def test_labels_carry_units_and_names(backhoe: Robot, tmp_path: Path) -> None:
     with mpl.rc_context({"svg.fonttype": "none"}):
         plot_plan(a_plan(backhoe, name="_costs $5 or $6"), tmp_path / "plan.svg")
     text = (tmp_path / "plan.svg").read_text()
-    for label in ("joint angle [deg]", "joint rate [deg/s]", "margin [m]", "off the path [mm]", "power [kW]"):
+    for label in (
+        "joint angle [deg]",
+        "joint rate [deg/s]",
+        "margin [m]",
+        "off the path [mm]",
+        "limit used [%]",
+        "power [kW]",
+    ):
         assert label in text
     assert text.count("_costs $5 or $6") >= 2  # title and legend
     assert "swing" in text
+    assert "pump work" in text
     assert "bucket" in text
 
 

@@ -21,13 +21,15 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.reach import tip_travel_bound
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.retiming import DRIVEN_WITHIN, use_of_drive
 from backhoe_planner.planning.tracking import Detour, Tracking, track_goal, track_path
 from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene import Scene
 
-__all__ = ["Certificate", "Clearance", "LimitUse", "certify", "certify_problem", "segment_is_clear"]
+__all__ = ["Certificate", "Clearance", "LimitUse", "LoadUse", "certify", "certify_problem", "segment_is_clear"]
 
 Vector = NDArray[np.float64]
 
@@ -81,6 +83,33 @@ class LimitUse:
 
 
 @dataclass(frozen=True)
+class LoadUse(LimitUse):
+    """How much of a limit of what drives the machine the motion uses, where it uses most.
+
+    Torques belong to a smooth motion through the samples, whose accelerations are known
+    to the second order of the time between them: 1 % is allowed.
+
+    Attributes
+    ----------
+    kind: ``torque``, ``rod speed``, ``pump flow``, or ``engine power``; of the last two
+        `joint` is empty.
+    needed, available: the torque [N m or N], joint velocity [rad/s or m/s], flow [m^3/s]
+        or power [W].
+    at_rest: what of `ratio` it would take to stand there; 0 for all but torque.
+    """
+
+    kind: str
+    needed: float
+    available: float
+    at_rest: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit holds."""
+        return self.ratio <= 1.0 + DRIVEN_WITHIN
+
+
+@dataclass(frozen=True)
 class Certificate:
     """What was proven of a motion.
 
@@ -89,6 +118,9 @@ class Certificate:
     min_clearance: the tightest, by margin; None where nothing can be touched.
     clearances: of every obstacle that comes near, tightest margin first.
     position, velocity, acceleration: use of the joint limits.
+    effort: use of the joints' torques; None for a machine whose torques are not limited.
+    hydraulics: use of rod speeds, pump flow and engine power; None for a machine without
+        a hydraulic description.
     tracking: how the tip keeps to its task.
     problems: what is not as it must be, in words; empty where verified.
     """
@@ -98,6 +130,8 @@ class Certificate:
     position: LimitUse
     velocity: LimitUse
     acceleration: LimitUse
+    effort: LoadUse | None
+    hydraulics: LoadUse | None
     tracking: Tracking
     problems: tuple[str, ...]
 
@@ -110,11 +144,14 @@ class Certificate:
     def safe(self) -> bool:
         """Whether every clearance and limit holds, be the task done or not."""
         tightest = self.min_clearance
-        return (
-            (tightest is None or tightest.margin >= -KEPT_WITHIN)
-            and self.position.kept
-            and self.velocity.kept
-            and self.acceleration.kept
+        return (tightest is None or tightest.margin >= -KEPT_WITHIN) and self.limits_kept
+
+    @property
+    def limits_kept(self) -> bool:
+        """Whether every limit of the machine holds."""
+        return all(
+            use is None or use.kept
+            for use in (self.position, self.velocity, self.acceleration, self.effort, self.hydraulics)
         )
 
     @property
@@ -139,6 +176,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     problem.robot.check_q(trajectory.q[0], what="trajectory.q")
     clearances = _clearances(problem, trajectory)
     position, velocity, acceleration = _limit_use(problem, trajectory)
+    effort, hydraulics = _load_use(problem, trajectory)
     kinematics = Kinematics(problem.robot)
     reach = tip_travel_bound(problem.robot)
     if problem.path is not None:
@@ -154,9 +192,12 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
         position=position,
         velocity=velocity,
         acceleration=acceleration,
+        effort=effort,
+        hydraulics=hydraulics,
         tracking=tracking,
         problems=tuple(
             _problems(problem, trajectory, tightest, (position, velocity, acceleration), tracking, kinematics)
+            + [_load_told(use) for use in (effort, hydraulics) if use is not None and not use.kept]
         ),
     )
 
@@ -364,3 +405,63 @@ def _limit_use(problem: Problem, trajectory: Trajectory) -> tuple[LimitUse, Limi
         return LimitUse(float(ratios[row, joint]), names[int(joint)], float(trajectory.time[row]))
 
     return worst(used), worst(velocity), worst(acceleration)
+
+
+# --- what drives the machine --------------------------------------------------------
+
+
+def _load_use(problem: Problem, trajectory: Trajectory) -> tuple[LoadUse | None, LoadUse | None]:
+    drive = drive_of(problem)
+    if not drive.limited:
+        return None, None
+    names, q, v = problem.robot.joint_names, trajectory.q, trajectory.v
+    effort, speeds = use_of_drive(trajectory, drive)
+    row, joint = (int(index) for index in np.unravel_index(int(np.argmax(effort)), effort.shape))
+    here, still = q[row : row + 1], np.zeros((1, problem.robot.n))
+    acceleration = trajectory.accelerations()[row : row + 1]
+    torque = drive.rigid_torques(here, v[row : row + 1], acceleration) + drive.soil_torques(here, v[row : row + 1])
+    needed = float(torque[0, joint])
+    limits = drive.torque_limits(here)
+    used = LoadUse(
+        ratio=float(effort[row, joint]),
+        joint=names[joint],
+        time=float(trajectory.time[row]),
+        kind="torque",
+        needed=needed,
+        available=_finite((limits.positive if needed > 0.0 else limits.negative)[0, joint]),
+        at_rest=float(drive.effort_use(here, drive.rigid_torques(here, still, still))[0, joint]),
+    )
+    if drive.hydraulics is None:
+        return used, None
+    row, column = (int(index) for index in np.unravel_index(int(np.argmax(speeds)), speeds.shape))
+    ratio = float(speeds[row, column])
+    kinds = [*("rod speed" for _ in names), "pump flow", "engine power"]
+    at = drive.hydraulics.velocity_limits(q[row])
+    rods = at.positive if column >= len(names) or v[row, column] > 0.0 else at.negative
+    available = _finite([*rods, drive.hydraulics.pump_flow, drive.hydraulics.power_limit][column])
+    return used, LoadUse(
+        ratio=ratio,
+        joint=names[column] if column < len(names) else "",
+        time=float(trajectory.time[row]),
+        kind=kinds[column],
+        needed=ratio * available,
+        available=available,
+        at_rest=0.0,
+    )
+
+
+def _finite(value: float) -> float:
+    """Without a limit, 0: nothing of it is used."""
+    return float(value) if np.isfinite(value) else 0.0
+
+
+def _load_told(use: LoadUse) -> str:
+    """A limit that is not kept, in words."""
+    when = f"at {use.time:.2f} s"
+    if use.kind == "torque":
+        figures = f"{abs(use.needed) / 1e3:.3g} kN m of {use.available / 1e3:.3g} kN m ({use.ratio:.3f} of it)"
+        what = "cannot hold the load" if use.at_rest > 1.0 else "has too little torque for the motion"
+        return f"{use.joint} {what} {when}: it takes {figures}"
+    if use.kind == "rod speed":
+        return f"{use.joint} asks its cylinders for {use.ratio:.3f} of their greatest speed {when}"
+    return f"the motion asks for {use.ratio:.3f} of the {use.kind} {when}"

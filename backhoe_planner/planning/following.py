@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.local_resolution import Resolution, resolve_along
 from backhoe_planner.planning.path_timing import time_stretch
 from backhoe_planner.planning.postures import Postures
@@ -112,7 +113,12 @@ class Follower:
 
     def _play(self, stepper: Stepper, resolution: Resolution) -> None:
         for piece in time_stretch(
-            self._path, resolution.stations, resolution.q, stepper.problem.limits, speed=self._speed
+            self._path,
+            resolution.stations,
+            resolution.q,
+            stepper.problem.limits,
+            speed=self._speed,
+            drive=drive_of(stepper.problem),
         ):
             stepper.play(piece)
 

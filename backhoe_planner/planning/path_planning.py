@@ -15,6 +15,7 @@ from backhoe_planner.planning.blending import PERIOD
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.path_timing import time_stretch
@@ -194,14 +195,14 @@ class _Along:
         return found
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Detouring]) -> None:
-        limits = self._context.problem.limits
+        limits, drive = self._context.problem.limits, drive_of(self._context.problem)
         for piece in pieces:
             if isinstance(piece, Detouring):
                 play_way(self._context, stepper, piece.way)
             elif len(piece.q) > 1:
                 period = _FINE_PERIOD if self._is_tight(piece.q, stepper.time) else PERIOD
                 for motion in time_stretch(
-                    self._path, piece.stations, piece.q, limits, speed=self._speed, period=period
+                    self._path, piece.stations, piece.q, limits, speed=self._speed, period=period, drive=drive
                 ):
                     stepper.play(motion)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.planning.blending import PERIOD
 from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.drive import Drive
 from backhoe_planner.planning.timing import time_along
 from backhoe_planner.planning.trajectory import Trajectory
 
@@ -22,7 +23,14 @@ _CORNER = np.radians(5.0)  # a sharper corner of the path is stopped at
 
 
 def time_stretch(
-    path: BucketPath, stations: Vector, q: Matrix, limits: JointLimits, *, speed: float | None, period: float = PERIOD
+    path: BucketPath,
+    stations: Vector,
+    q: Matrix,
+    limits: JointLimits,
+    *,
+    speed: float | None,
+    period: float = PERIOD,
+    drive: Drive | None = None,
 ) -> list[Trajectory]:
     """The motions, each from rest to rest, along joints `q` (K, n) at `stations` (K,) [m].
 
@@ -30,12 +38,13 @@ def time_stretch(
     ----------
     speed: of the tip at most [m/s], None for as fast as the joints allow.
     period: between the samples of the motions [s].
+    drive: what moves the joints, None for no limits but those of the joints.
     """
     marks = {0, len(stations) - 1}
     for corner in path.corners(_CORNER).tolist():
         if stations[0] < corner < stations[-1]:
             marks.add(int(np.argmin(np.abs(stations - corner))))
     return [
-        time_along(stations[first : last + 1], q[first : last + 1], limits, speed=speed, period=period)
+        time_along(stations[first : last + 1], q[first : last + 1], limits, speed=speed, period=period, drive=drive)
         for first, last in pairwise(sorted(marks))
     ]

@@ -26,6 +26,7 @@ __all__ = ["certificate_to_dict", "check_writable", "load_plan", "plan_to_dict",
 
 FORMAT = "backhoe-planner/plan"
 VERSION = 1
+_LIMITS = ("position", "velocity", "acceleration", "effort", "hydraulics")
 
 
 @contextlib.contextmanager
@@ -129,7 +130,7 @@ def certificate_to_dict(plan: Plan) -> dict[str, Any]:
     return {
         "min_clearance": None if tightest is None else asdict(tightest),
         "clearances": [asdict(clearance) for clearance in certificate.clearances],
-        "limits": {kind: asdict(getattr(certificate, kind)) for kind in ("position", "velocity", "acceleration")},
+        "limits": {kind: asdict(use) for kind in _LIMITS if (use := getattr(certificate, kind)) is not None},
         "tip_error": {"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
         "path": {"length": tracking.path_length, "followed": tracking.followed},
         "detours": [asdict(detour) for detour in tracking.detours],

@@ -9,6 +9,7 @@ Every ending is a `Plan`: what can fail in normal use is a reason with its numbe
 from __future__ import annotations
 
 import time as clock
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from backhoe_planner.planning.as_printed import run_iteration
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import Certificate, certify_problem
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
 from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture
@@ -29,6 +31,7 @@ from backhoe_planner.planning.over_time import Planned, changes, plan_over_time
 from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
 from backhoe_planner.planning.plan import METHODS, Method, Plan, Reason
 from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.retiming import retimed
 from backhoe_planner.planning.stepping import Stepper, Watcher
 from backhoe_planner.planning.timing import time_polyline
 from backhoe_planner.planning.tracking import progress
@@ -40,6 +43,8 @@ __all__ = ["DEFAULT_BUDGET", "plan"]
 Vector = NDArray[np.float64]
 
 DEFAULT_BUDGET = 10.0  # s
+_SLOWER = 3  # times that a motion is planned with slower joints
+_TOO_MUCH = 10.0  # times a limit
 _SEARCH = 200  # starting points of the inverse kinematics for a start that is given by the tip
 
 
@@ -84,12 +89,16 @@ def plan(
             found="paper",
             allowed="auto, reactive",
         )
-    context = Context(problem, seed=seed, deadline=begun + budget, watch=watch)
-    outcome = _Planning(context, checked).run()
-    certificate = certify_problem(problem, outcome.trajectory)
+    outcome, certificate = _drivable(problem, checked, seed=seed, deadline=begun + budget, watch=watch)
     reason, message = outcome.reason, outcome.message
+    details = dict(outcome.details)
     if not reason and not certificate.verified:
         reason, message = _judged(problem, certificate)
+        details |= {
+            kind: asdict(use)
+            for kind, use in (("effort", certificate.effort), ("hydraulics", certificate.hydraulics))
+            if use is not None and not use.kept
+        }
     return Plan(
         verdict="failed" if reason else "verified",
         reason=reason,
@@ -101,7 +110,7 @@ def plan(
         trajectory=outcome.trajectory,
         certificate=certificate,
         metrics=_metrics(problem, outcome.trajectory, certificate, clock.monotonic() - begun),
-        details=outcome.details,
+        details=details,
     )
 
 
@@ -121,9 +130,46 @@ def _checked_method(method: str) -> Method:
 
 def _judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
     """Why a finished motion is not verified, from the certificate alone."""
-    limits = (certificate.position, certificate.velocity, certificate.acceleration)
-    reason: Reason = "blocked" if all(use.kept for use in limits) else "outside_limits"
+    reason: Reason = "blocked" if certificate.limits_kept else "outside_limits"
     return reason, "; ".join(certificate.problems)
+
+
+def _drivable(
+    problem: Problem, method: Method, *, seed: int, deadline: float, watch: Watcher | None
+) -> tuple[Outcome, Certificate]:
+    """A motion that the machine can drive, and what is proven of it.
+
+    Where time cannot be stretched, among what moves, it is planned anew with slower joints.
+    """
+    asked = problem
+    for _ in range(_SLOWER):
+        outcome = _Planning(Context(asked, seed=seed, deadline=deadline, watch=watch), method).run()
+        outcome, certificate = _driven(problem, outcome)
+        loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
+        if not loads or not changes(problem) or outcome.reason or clock.monotonic() > deadline:
+            break
+        over = max(use.ratio for use in loads)
+        if any(use.at_rest > 1.0 for use in loads) or over > _TOO_MUCH:
+            break
+        limits = asked.limits
+        asked = replace(
+            asked,
+            limits=replace(limits, velocity=limits.velocity / over, acceleration=limits.acceleration / over),
+        )
+    return outcome, certificate
+
+
+def _driven(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
+    """The motion, slower where the machine could not drive it, and what is proven of it.
+
+    Among what moves or appears, slower is a motion at other times: it is left as it was
+    where that comes too near to anything.
+    """
+    slower = retimed(outcome.trajectory, problem.limits, drive=drive_of(problem))
+    certificate = certify_problem(problem, slower)
+    if slower is outcome.trajectory or not changes(problem) or certificate.verified:
+        return replace(outcome, trajectory=slower), certificate
+    return outcome, certify_problem(problem, outcome.trajectory)
 
 
 class _Planning:

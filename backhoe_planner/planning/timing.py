@@ -1,20 +1,22 @@
 """When to be where: joint positions along a path made into a motion from rest to rest.
 
-The time-optimal speed along a smooth curve through the samples comes from toppra
-(Pham and Pham 2018). A curve can exceed a limit between the points where toppra looks,
-so what is sampled is checked, and slowed by as much as it is over.
+The time-optimal speed along a smooth curve through the samples, see `path_limits`. What
+is sampled from it is checked, and slowed by as much as it is over.
 """
 
 from __future__ import annotations
 
 import itertools
-import logging
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.planning.blending import PERIOD, SmoothWay
+from backhoe_planner.planning.drive import Drive
+from backhoe_planner.planning.path_limits import PathShape, time_path
+from backhoe_planner.planning.retiming import retimed
 from backhoe_planner.planning.trajectory import Trajectory
 
 __all__ = ["time_along", "time_polyline", "time_way"]
@@ -25,14 +27,25 @@ Matrix = NDArray[np.float64]
 _PERIOD = PERIOD  # s between samples
 _SPARE = 0.999
 _SAME_PLACE = 1e-9
-_PER_PIECE = 12  # intervals of toppra on every leg and corner of a way
+_PER_PIECE = 12  # intervals on every leg and corner of a way
+_PER_WAY = 300  # intervals on a way between two stops, at least about
+_LEAST_GRID = 1000
+_HALVINGS = 6  # of the first and the last interval
 _LENGTH_OF_TURN = 0.1  # m that a radian counts as, so that the curve goes on where the tip stands
 
 
 def time_along(
-    stations: Vector, q: Matrix, limits: JointLimits, *, speed: float | None = None, period: float = _PERIOD
+    stations: Vector,
+    q: Matrix,
+    limits: JointLimits,
+    *,
+    speed: float | None = None,
+    period: float = _PERIOD,
+    drive: Drive | None = None,
 ) -> Trajectory:
     """The fastest motion through samples of a joint path, from rest to rest.
+
+    Where a load cannot be held even at rest, it is timed as if it just could.
 
     Parameters
     ----------
@@ -40,50 +53,51 @@ def time_along(
         joints turn; q: (K, n) joints there.
     speed: of the tip along the path at most [m/s], None for no such limit.
     period: between the samples of the result [s].
+    drive: what moves the joints, None for no limits but those of the joints.
     """
     if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
         return Trajectory.from_steps(np.zeros(1), q[:1])
     turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
     along = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-6))))
-    time, samples = _time_optimal(along, stations, q, limits, speed, period)
-    for _ in range(4):
-        trajectory = Trajectory.from_steps(time, samples)
-        over = _over(trajectory, limits)
-        if over <= 1.0:
-            break
-        time = time * over / _SPARE
-    return trajectory
-
-
-def _time_optimal(
-    along: Vector, stations: Vector, q: Matrix, limits: JointLimits, speed: float | None, period: float
-) -> tuple[Vector, Matrix]:
-    import toppra
-    import toppra.algorithm
-    import toppra.constraint
-
-    logging.getLogger("toppra").setLevel(logging.CRITICAL)
     # arc length rides along as one more coordinate, so that its rate is the tip's speed
-    points = np.column_stack((q, stations))
-    curve = toppra.SplineInterpolator(along, points, bc_type="not-a-knot" if len(along) > 3 else "natural")
-    fastest = np.append(limits.velocity, 1e3 if speed is None else speed) * _SPARE
-    hardest = np.append(limits.acceleration, 1e4) * _SPARE
-    constraints = [
-        toppra.constraint.JointVelocityConstraint(np.column_stack((-fastest, fastest))),
-        toppra.constraint.JointAccelerationConstraint(np.column_stack((-hardest, hardest))),
-    ]
-    grid = np.linspace(along[0], along[-1], max(2 * len(along) + 1, 101))
-    solver = toppra.algorithm.TOPPRA(constraints, curve, gridpoints=grid, parametrizer="ParametrizeConstAccel")
-    timed = solver.compute_trajectory(0.0, 0.0)
-    if timed is None:
-        return _ramp(along, q, limits)  # a curve that toppra cannot time
-    duration = float(timed.duration)
-    time = np.linspace(0.0, duration, max(int(np.ceil(duration / period)) + 1, 3))
-    samples = np.asarray(timed(time))[:, :-1]
+    curve = CubicSpline(
+        along, np.column_stack((q, stations)), bc_type="not-a-knot" if len(along) > 3 else "natural", axis=0
+    )
+    grid = _denser_at_ends(_refined(along, max(2 * (len(along) - 1), _LEAST_GRID)))
+    slope, bend = curve(grid, 1), curve(grid, 2)[:, :-1]
+    shape = PathShape(grid, curve(grid)[:, :-1], slope[:, :-1], bend[:-1], bend[1:], tip_slope=slope[:, -1])
+    law = time_path(shape, limits, drive=drive, tip_speed=speed)
+    if law is None:
+        time, samples = _ramp(along, q, limits)
+        return retimed(Trajectory.from_steps(time, samples), limits, drive=drive)
+    time = _samples(law.duration, period)
+    samples = curve(law.at(time)[0])[:, :-1]
     samples[0], samples[-1] = q[0], q[-1]
     # a spline may swing a little beyond a limit at which its samples stand
-    samples = np.clip(samples, limits.lower, limits.upper)
-    return time, samples
+    return _kept(Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper)), limits, drive)
+
+
+def _refined(along: Vector, count: int) -> Vector:
+    """The samples' places, with about `count` intervals between them as even as may be."""
+    steps = np.diff(along)
+    parts = np.maximum(np.ceil(count * steps / (along[-1] - along[0]) - 1e-9).astype(int), 1)
+    pieces = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(along[:-1], along[1:], parts, strict=True)]
+    return np.append(np.concatenate(pieces), along[-1])
+
+
+def _denser_at_ends(grid: Vector) -> Vector:
+    """The same places and more of them towards both ends, where a slow machine is at full speed soon."""
+    halves = 0.5 ** np.arange(_HALVINGS, 0, -1)
+    first, last = grid[1] - grid[0], grid[-1] - grid[-2]
+    return np.concatenate((grid[:1], grid[0] + first * halves, grid[1:-1], grid[-1] - last * halves[::-1], grid[-1:]))
+
+
+def _kept(trajectory: Trajectory, limits: JointLimits, drive: Drive | None) -> Trajectory:
+    """The motion, slowed where its samples are over a limit."""
+    over = _over(trajectory, limits)
+    if over > 1.0:
+        trajectory = Trajectory.from_steps(trajectory.time * (over * (1.0 + 1e-9)), trajectory.q)
+    return retimed(trajectory, limits, drive=drive)
 
 
 def time_polyline(q: Matrix, limits: JointLimits) -> Trajectory:
@@ -107,7 +121,7 @@ def _ramp(stations: Vector, q: Matrix, limits: JointLimits) -> tuple[Vector, Mat
 
 
 def _over(trajectory: Trajectory, limits: JointLimits) -> float:
-    """By how much time must be stretched so that every limit is kept."""
+    """By how much time must be stretched so that every limit of the joints is kept."""
     velocity = float(np.max(np.abs(trajectory.segment_velocities()) / limits.velocity))
     acceleration = float(np.max(np.abs(trajectory.accelerations()) / limits.acceleration))
     return max(velocity, float(np.sqrt(acceleration)))
@@ -116,29 +130,36 @@ def _over(trajectory: Trajectory, limits: JointLimits) -> float:
 # --- ways with round corners ------------------------------------------------------
 
 
-def time_way(way: SmoothWay, limits: JointLimits) -> Trajectory:
+def time_way(way: SmoothWay, limits: JointLimits, *, drive: Drive | None = None) -> Trajectory:
     """The fastest motion along a way, at rest at its ends and wherever it stops.
 
     The samples lie on the way. Between two of them the motion is straight: on the way
-    on a leg, off it by at most `blending.chord_sagitta` on a corner. Where toppra finds
-    no answer the motion goes into the corners and stops there.
+    on a leg, off it by at most `blending.chord_sagitta` on a corner. Where no time law
+    is found the motion goes into the corners and stops there.
+
+    Parameters
+    ----------
+    drive: what moves the joints, None for no limits but those of the joints.
     """
     if way.length == 0.0:
         return Trajectory.from_steps(np.zeros(1), way.corners[:1])
+    limited = drive is not None and drive.limited
     times, samples = [np.zeros(1)], [way.corners[:1]]
     for begin, end in zip(way.stops[:-1], way.stops[1:], strict=True):
-        for time, q in _parts(way, float(begin), float(end), limits):
+        for time, q in _parts(way, float(begin), float(end), limits, drive if limited else None):
             times.append(times[-1][-1] + time[1:])
             samples.append(q[1:])
     time, q = np.concatenate(times), np.vstack(samples)
     q[-1] = way.corners[-1]
-    return Trajectory.from_steps(time * max(_over(Trajectory.from_steps(time, q), limits), 1.0), q)
+    return _kept(Trajectory.from_steps(time, q), limits, drive)
 
 
-def _parts(way: SmoothWay, begin: float, end: float, limits: JointLimits) -> list[tuple[Vector, Matrix]]:
+def _parts(
+    way: SmoothWay, begin: float, end: float, limits: JointLimits, drive: Drive | None
+) -> list[tuple[Vector, Matrix]]:
     """Motions from rest to rest, one or several, from one stop of a way to the next."""
     inside = (way.stations > begin) & (way.stations < end)
-    timed = _along_smooth(way, begin, end, limits) if inside.any() else None
+    timed = _along_smooth(way, begin, end, limits, drive) if inside.any() or drive is not None else None
     if timed is not None:
         return [timed]
     corners = way.corners[(way.stations >= begin) & (way.stations <= end)]
@@ -153,7 +174,7 @@ def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Ma
     gain = _SPARE * float(np.min(limits.acceleration[moving] / dq[moving]))
     ramp = min(rate / gain, float(np.sqrt(1.0 / gain)))
     duration = 1.0 / (gain * ramp) + ramp
-    time = _samples(duration)
+    time = _samples(duration, _PERIOD)
     early = 0.5 * gain * np.minimum(time, ramp) ** 2 + gain * ramp * np.clip(time - ramp, 0.0, duration - 2.0 * ramp)
     late = np.maximum(time - (duration - ramp), 0.0)
     part = early + late * (gain * ramp - 0.5 * gain * late)
@@ -161,47 +182,31 @@ def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Ma
     return time, q_a + part[:, None] * (q_b - q_a)
 
 
-def _samples(duration: float) -> Vector:
-    return np.linspace(0.0, duration, max(int(np.ceil(duration / _PERIOD)) + 1, 3))
+def _samples(duration: float, period: float) -> Vector:
+    return np.linspace(0.0, duration, max(int(np.ceil(duration / period)) + 1, 3))
 
 
-def _along_smooth(way: SmoothWay, begin: float, end: float, limits: JointLimits) -> tuple[Vector, Matrix] | None:
-    """The fastest motion between two stops with round corners between; None where toppra has none."""
-    import toppra
-    import toppra.algorithm
-    import toppra.constraint
-
-    logging.getLogger("toppra").setLevel(logging.CRITICAL)
-
-    class Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
-        def __call__(self, path_positions: float | Vector, order: int = 0) -> Matrix:
-            return way(path_positions, order)
-
-        dof = way.corners.shape[1]
-        path_interval = np.array([begin, end])
-
+def _along_smooth(
+    way: SmoothWay, begin: float, end: float, limits: JointLimits, drive: Drive | None
+) -> tuple[Vector, Matrix] | None:
+    """The fastest motion between two stops, round corners between or none; None where there is no time law."""
     knots = way.knots
     apart = _SAME_PLACE * way.length  # where corners share a leg, they may end in one place but for rounding
     knots = knots[(knots > begin + apart) & (knots < end - apart)]
     knots = np.concatenate(([begin], knots[np.diff(knots, prepend=begin) > apart], [end]))
-    fractions = np.arange(_PER_PIECE) / _PER_PIECE
-    grid = np.append((knots[:-1, None] + np.diff(knots)[:, None] * fractions).ravel(), knots[-1])
-    fastest, hardest = limits.velocity * _SPARE, limits.acceleration * _SPARE
-    constraints = [
-        toppra.constraint.JointVelocityConstraint(np.column_stack((-fastest, fastest))),
-        toppra.constraint.JointAccelerationConstraint(np.column_stack((-hardest, hardest))),
-    ]
-    solver = toppra.algorithm.TOPPRA(constraints, Path(), gridpoints=grid, solver_wrapper="seidel")
-    _, speed, _ = solver.compute_parameterization(0.0, 0.0)
-    if speed is None or not np.all(np.isfinite(speed)) or np.any(speed[:-1] + speed[1:] <= 0.0):
+    grid = [begin]
+    for a, b in itertools.pairwise(knots):
+        count = max(_PER_PIECE, int(np.ceil(_PER_WAY * (b - a) / (end - begin))))
+        grid.extend(np.linspace(a, b, count + 1)[1:].tolist())
+    places = _denser_at_ends(np.array(grid))
+    bend = way(0.5 * (places[:-1] + places[1:]), 2)  # constant between two knots
+    slope = way(places, 1)
+    # at the end of the way the slope is that of the last leg
+    slope[-1] = way(places[-2] + (1.0 - 1e-9) * (places[-1] - places[-2]), 1)
+    law = time_path(PathShape(places, way(places), slope, bend, bend), limits, drive=drive)
+    if law is None:
         return None
-    # between the points of the grid the speed along the way changes evenly in time
-    at = np.concatenate(([0.0], np.cumsum(2.0 * np.diff(grid) / (speed[:-1] + speed[1:]))))
-    time = _samples(float(at[-1]))
-    interval = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(grid) - 2)
-    since = time - at[interval]
-    gain = np.diff(speed) / np.diff(at)
-    s = grid[interval] + since * (speed[interval] + 0.5 * since * gain[interval])
-    q = way(np.clip(s, begin, end))
+    time = _samples(law.duration, _PERIOD)
+    q = way(np.clip(law.at(time)[0], begin, end))
     q[0], q[-1] = way(begin), way(end)
     return time * max(_over(Trajectory.from_steps(time, q), limits) / _SPARE, 1.0), q

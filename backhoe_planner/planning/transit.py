@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from backhoe_planner.planning.blending import blend
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.motion_check import MotionCheck
 from backhoe_planner.planning.sampling import Way, sample_way
 from backhoe_planner.planning.shortening import shorten
@@ -58,7 +59,7 @@ def find_transit(context: Context, stepper: Stepper, goals: Sequence[Vector]) ->
         if way is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             smooth = blend(check, shorten(check, way, seed=context.seed))
-            branch.play(time_way(smooth, context.problem.limits))
+            branch.play(time_way(smooth, context.problem.limits, drive=drive_of(context.problem)))
             return Transit(branch, "")
     return Transit(None, f"sampling for {clock.monotonic() - begun:.1f} s found no way")
 
@@ -96,7 +97,7 @@ def play_way(context: Context, stepper: Stepper, way: Matrix) -> None:
     check = MotionCheck(
         context.problem, context.world, [way[0], way[-1]], spare=_SPARES[1], time=stepper.time,
     )  # fmt: skip
-    stepper.play(time_way(blend(check, Way(way)), context.problem.limits))
+    stepper.play(time_way(blend(check, Way(way)), context.problem.limits, drive=drive_of(context.problem)))
 
 
 def _deadline(context: Context) -> float:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.dynamics import Dynamics
+from backhoe_planner.machine.dynamics import motion_energy
+from backhoe_planner.planning.limit_usage import limit_usage
 from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.show.envelope_plot import plot_envelope
 from backhoe_planner.show.figure_file import check_suffix, plain_text, save_figure
 from backhoe_planner.show.palette import PLOT_CYCLE
 from backhoe_planner.show.timeline import Timeline, timeline
+from backhoe_planner.site.soil import SoilReaction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,10 +30,15 @@ Matrix = NDArray[np.float64]
 
 _WIDTH, _PANEL = 9.5, 2.15  # inches
 _FAINT = 0.35
+_STRIP = 0.55  # of a panel's height
+_BINDS = 0.98  # used of a limit that is said to bind
+_MOST_NAMED = 5
+_SHARED = {"pump flow": "#5f6b76", "engine power": "#b3261e", "tip speed": "#1d2731"}
+_HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
 
 
 def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
-    """Write a figure of a plan: joints, rates, clearance, power and work over time.
+    """Write a figure of a plan: joints, rates, clearance, which limit binds, power and work over time.
 
     For a task along a path also how far the tip is from it.
 
@@ -56,16 +64,18 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
         panels.append(_clearance)
     if problem.path is not None:
         panels.append(_deviation)
-    panels.append(_power)
-    figure = Figure(figsize=(_WIDTH, _PANEL * len(panels) + 0.9))
+    panels += [_limits, _power]
+    heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
+    figure = Figure(figsize=(_WIDTH, _PANEL * sum(heights) + 0.9))
     figure.set_layout_engine("constrained", hspace=0.06)
     verdict = "verified" if plan.verified else f"failed ({plan.reason.replace('_', ' ')})"
     figure.suptitle(
         f"{plain_text(plan.scene.name or plan.robot.name)}: {verdict}", x=0.01, ha="left", fontsize=12, weight="bold"
     )
-    all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axes, panel in zip(all_axes, panels, strict=True):
         axes.spines[["top", "right"]].set_visible(False)
+        axes.set_axisbelow(True)
         axes.grid(color="0.92", linewidth=0.8)
         axes.tick_params(labelsize=8.5, color="0.6")
         panel(axes, plan, problem, frames)
@@ -171,29 +181,73 @@ def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
     _legend(axes)
 
 
+def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    usage = limit_usage(problem, plan.trajectory)
+    binding, time = usage.binding, usage.time
+    used = 100.0 * np.minimum(usage.greatest, 1.5)
+    binds = usage.greatest >= _BINDS
+    named: dict[str, float] = {}
+    begins = np.flatnonzero(np.diff(np.where(binds, binding, -1), prepend=-2))
+    for first, last in zip(begins, np.append(begins[1:], len(time) - 1), strict=True):
+        part = slice(first, last + 1)
+        name = usage.names[binding[first]] if binds[first] else ""
+        named[name] = named.get(name, 0.0) + float(time[last] - time[first])
+        colour, hatch = _limit_look(name, plan.robot.joint_names)
+        axes.fill_between(time[part], used[part], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0)
+    for name in sorted(filter(None, named), key=lambda name: -named[name])[:_MOST_NAMED]:
+        colour, hatch = _limit_look(name, plan.robot.joint_names)
+        axes.fill_between([], [], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0, label=name)
+    axes.axhline(100.0, color="#b3261e", linewidth=1.0, linestyle=(0, (5, 4)))
+    axes.set_ylim(0.0, max(112.0, 1.05 * float(np.max(used))))
+    axes.set_yticks([0.0, 50.0, 100.0])
+    axes.set_ylabel("limit used [%]")
+    if any(named):
+        _legend(axes)
+    _say(axes, "of the limit of which most is used; coloured where it binds")
+
+
+def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
+    """Colour and hatch of a limit: a joint's own colour, the hatch by what is limited."""
+    if name in _SHARED:
+        return _SHARED[name], None
+    for joint, own in enumerate(joints):
+        if name.endswith(f" {own}"):
+            return _colour(joint), _HATCHES.get(name.removesuffix(f" {own}"))
+    return "0.85", None
+
+
 def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    trajectory = plan.trajectory
-    dynamics = Dynamics(plan.robot, payload=plan.scene.payload)
-    rows = zip(trajectory.q, trajectory.v, trajectory.accelerations(), strict=True)
-    torque = np.array([dynamics.torques(*row) for row in rows])
-    power = np.sum(np.maximum(torque * trajectory.v, 0.0), axis=1)
-    work = np.concatenate(([0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(trajectory.time))))
-    unit, scale = ("k", 1e-3) if power.max() >= 1000.0 else ("", 1.0)
-    axes.fill_between(trajectory.time, scale * power, color="#5b7fa6", alpha=0.25, linewidth=0.0)
-    _curve(axes, trajectory.time, scale * power, "#3d6692", "power")
-    axes.set_ylim(0.0, max(1.12 * scale * power.max(), 1e-9))
+    trajectory, scene = plan.trajectory, plan.scene
+    soil = None if scene.soil is None else SoilReaction(plan.robot, scene.soil).force(trajectory.q, trajectory.v)
+    energy = motion_energy(
+        plan.robot, trajectory.time, q=trajectory.q, v=trajectory.v, a=trajectory.accelerations(),
+        payload=scene.payload, tip_force=soil,
+    )  # fmt: skip
+    series = [(energy.power, energy.work, "#3d6692", "#d55e00", "power", "work")]
+    if energy.hydraulic_power is not None and energy.hydraulic is not None:
+        series.append((energy.hydraulic_power, energy.hydraulic, "#8aa9c9", "#eba06b", "pump power", "pump work"))
+    highest, most = max(float(s[0].max()) for s in series), max(float(s[1][-1]) for s in series)
+    unit, scale = ("k", 1e-3) if highest >= 1000.0 else ("", 1.0)
+    axes.fill_between(trajectory.time, scale * energy.power, color="#5b7fa6", alpha=0.25, linewidth=0.0)
+    for power, _, colour, _, label, _ in series:
+        _curve(axes, trajectory.time, scale * power, colour, label)
+    axes.set_ylim(0.0, max(1.12 * scale * highest, 1e-9))
     axes.set_ylabel(f"power [{unit}W]")
     right = axes.twinx()
     right.spines[["top", "left"]].set_visible(False)
     right.tick_params(labelsize=8.5, color="0.6")
-    unit, scale = ("k", 1e-3) if work[-1] >= 1000.0 else ("", 1.0)
-    dashed = (0, (6, 2))
-    (line,) = right.plot(trajectory.time, scale * work, color="#d55e00", linewidth=1.6, linestyle=dashed, label="work")
-    right.set_ylim(0.0, max(1.12 * scale * work[-1], 1e-9))
+    unit, scale = ("k", 1e-3) if most >= 1000.0 else ("", 1.0)
+    lines = [
+        right.plot(trajectory.time, scale * work, color=colour, linewidth=1.6, linestyle=(0, (6, 2)), label=label)[0]
+        for _, work, _, colour, _, label in series
+    ]
+    right.set_ylim(0.0, max(1.12 * scale * most, 1e-9))
     right.set_ylabel(f"work [{unit}J]", fontsize=9)
-    _legend(axes, more=line, aside=1.085)
-    load = f" and {plan.scene.payload:g} kg in the bucket" if plan.scene.payload > 0.0 else ""
-    _say(axes, f"what the joints put in, against gravity and inertia{load}")
+    _legend(axes, more=lines, aside=1.085)
+    against = ["gravity", "inertia", *(["soil"] if soil is not None else [])]
+    load = f", with {scene.payload:g} kg in the bucket" if scene.payload > 0.0 else ""
+    pump = "; pump: load sensing" if len(series) > 1 else ""
+    _say(axes, f"what the joints put in, against {', '.join(against[:-1])} and {against[-1]}{load}{pump}")
 
 
 def _curve(axes: Axes, time: Vector, values: Vector, colour: str, label: str) -> None:
@@ -201,10 +255,9 @@ def _curve(axes: Axes, time: Vector, values: Vector, colour: str, label: str) ->
     axes.plot(time, values, color=colour, linewidth=1.6, marker=alone, label=plain_text(label))
 
 
-def _legend(axes: Axes, *, more: Line2D | None = None, aside: float = 1.01) -> None:
+def _legend(axes: Axes, *, more: Sequence[Line2D] = (), aside: float = 1.01) -> None:
     handles, labels = axes.get_legend_handles_labels()
-    if more is not None:
-        handles, labels = [*handles, more], [*labels, str(more.get_label())]
+    handles, labels = [*handles, *more], [*labels, *(str(line.get_label()) for line in more)]
     axes.legend(
         handles, labels,
         loc="upper left", bbox_to_anchor=(aside, 1.03), fontsize=8.5, frameon=False, handlelength=1.4,

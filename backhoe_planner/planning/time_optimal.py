@@ -1,0 +1,174 @@
+"""The fastest run along a path, in the plane of place s and squared speed x = (ds/dt)^2.
+
+With u = d2s/dt2, every limit on velocity bounds x, and every limit on acceleration or
+torque is a row  alpha u + beta x <= gamma.  A backward pass over the grid finds the
+greatest x from which the rest of the path can still be run, a forward pass takes the
+greatest u that stays below it (H. Pham and Q.-C. Pham, A new approach to time-optimal
+path parameterization based on reachability analysis, IEEE T-RO 34, 2018). Between two
+points of the grid u is constant and x linear in s; rows hold at both ends of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Rows", "TimeLaw", "fastest"]
+
+Array = NDArray[np.float64]
+
+_STEPS = 60  # of Newton's method on a concave piecewise linear function, which ends by itself
+_ROUNDING = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """alpha u + beta x <= gamma, R rows at one end of each of N intervals; all (N, R)."""
+
+    alpha: Array
+    beta: Array
+    gamma: Array
+
+    @classmethod
+    def stacked(cls, parts: list[Rows]) -> Rows:
+        """All rows of several."""
+        return cls(
+            np.hstack([part.alpha for part in parts]),
+            np.hstack([part.beta for part in parts]),
+            np.hstack([part.gamma for part in parts]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TimeLaw:
+    """Where on a path to be when.
+
+    Attributes
+    ----------
+    grid: (N + 1,) places s; x: (N + 1,) squared speed there [1/s^2 times that of s].
+    time: (N + 1,) when each is reached [s].
+    """
+
+    grid: Array
+    x: Array
+    time: Array
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.time[-1])
+
+    @property
+    def u(self) -> Array:
+        """(N,) d2s/dt2 on each interval."""
+        return np.asarray(0.5 * np.diff(self.x) / np.diff(self.grid))
+
+    def at(self, time: Array) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+        """s, ds/dt, d2s/dt2 and the interval at each `time` [s], all of its shape."""
+        interval = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.grid) - 2)
+        since = np.clip(time - self.time[interval], 0.0, None)
+        u, speed = self.u[interval], np.sqrt(self.x[interval])
+        s = self.grid[interval] + since * (speed + 0.5 * since * u)
+        return np.clip(s, self.grid[0], self.grid[-1]), np.maximum(speed + u * since, 0.0), u, interval
+
+
+def fastest(grid: Array, caps: Array, before: Rows, after: Rows, *, rests: bool = True) -> TimeLaw | None:
+    """The fastest run along the grid within caps on x and rows at both ends of every interval.
+
+    Parameters
+    ----------
+    grid: (N + 1,) increasing; caps: (N + 1,) greatest x, finite.
+    before, after: rows at the begin and at the end of each of the N intervals.
+    rests: whether the run is at rest at both ends; else as fast there as it may.
+
+    Returns
+    -------
+    None where the path cannot be run from end to end.
+    """
+    steps = np.diff(grid)
+    # at the end of an interval x has become x + 2 step u
+    rows = Rows(
+        np.hstack((before.alpha, after.alpha + 2.0 * steps[:, None] * after.beta)),
+        np.hstack((before.beta, after.beta)),
+        np.hstack((before.gamma, after.gamma)),
+    )
+    cells = [_Cell(*parts) for parts in zip(*_slanted(rows, steps), strict=True)]
+    highest = np.array(caps, dtype=float)
+    highest[:-1] = np.minimum(highest[:-1], _level_caps(rows, steps))
+    if rests:
+        highest[0] = highest[-1] = 0.0
+    for i in range(len(steps) - 1, -1, -1):
+        found = cells[i].greatest(highest[i], 2.0 * float(steps[i]), float(highest[i + 1]))
+        if found is None:
+            return None
+        highest[i] = found
+    x = np.empty_like(highest)
+    x[0] = highest[0]
+    for i, step in enumerate(steps):
+        reached = x[i] + 2.0 * step * cells[i].hardest(float(x[i]))
+        x[i + 1] = min(max(reached, 0.0), highest[i + 1])
+    speed = np.sqrt(x)
+    mean = 0.5 * (speed[:-1] + speed[1:])
+    if not np.all(mean > 0.0) or not np.all(np.isfinite(mean)):
+        return None
+    return TimeLaw(grid, x, np.concatenate(([0.0], np.cumsum(steps / mean))))
+
+
+def _flat(rows: Rows, steps: Array) -> NDArray[np.bool_]:
+    """(N, R) which rows hardly depend on u, over the u that an interval has room for."""
+    room = np.abs(rows.alpha) / steps[:, None]
+    return np.asarray(room <= _ROUNDING * np.maximum(np.abs(rows.beta), 1e-9))
+
+
+def _level_caps(rows: Rows, steps: Array) -> Array:
+    """(N,) the greatest x that rows without u allow."""
+    binding = _flat(rows, steps) & (rows.beta > 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.min(np.where(binding, rows.gamma / rows.beta, np.inf), axis=1, initial=np.inf))
+
+
+def _slanted(rows: Rows, steps: Array) -> tuple[Array, Array, Array, Array]:
+    """Rows as u <= top + rise x and u >= bottom + fall x, infinite where they are none."""
+    flat = _flat(rows, steps)
+    above, below = ~flat & (rows.alpha > 0.0), ~flat & (rows.alpha < 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at, slope = rows.gamma / rows.alpha, -rows.beta / rows.alpha
+    return (
+        np.where(above, at, np.inf), np.where(above, slope, 0.0),
+        np.where(below, at, -np.inf), np.where(below, slope, 0.0),
+    )  # fmt: skip
+
+
+class _Cell:
+    """The rows of one interval."""
+
+    def __init__(self, top: Array, rise: Array, bottom: Array, fall: Array) -> None:
+        self._top, self._rise, self._bottom, self._fall = top, rise, bottom, fall
+
+    def hardest(self, x: float) -> float:
+        """The greatest u at x, or the least where rounding leaves no room."""
+        return float(np.min(self._top + self._rise * x, initial=np.inf))
+
+    def greatest(self, x: float, twice: float, ahead: float) -> float | None:
+        """The greatest x, at most as given, with a u so that 0 <= x + twice u <= ahead.
+
+        The room for u is concave in x: Newton's method from above meets its zero.
+        """
+        for _ in range(_STEPS):
+            tops, bottoms = self._top + self._rise * x, self._bottom + self._fall * x
+            high, low = int(np.argmin(tops)), int(np.argmax(bottoms))
+            top, rise, bottom, fall = float(tops[high]), float(self._rise[high]), float(bottoms[low]), self._fall[low]
+            if (ahead - x) / twice < top:
+                top, rise = (ahead - x) / twice, -1.0 / twice
+            if -x / twice > bottom:
+                bottom, fall = -x / twice, -1.0 / twice
+            room = top - bottom
+            if room >= -_ROUNDING * (abs(top) + abs(bottom)):
+                return x
+            slope = rise - float(fall)
+            if slope >= 0.0 or x <= 0.0:
+                return None
+            x = max(x - room / slope, 0.0)
+        return x
