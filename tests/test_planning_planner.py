@@ -54,6 +54,7 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
         ("trench", "example:backhoe", 0),
         ("truck", "example:backhoe", 0),
         ("wall", "example:backhoe", 1),
+        ("worker", "example:backhoe", 1),
     ],
 )
 def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int) -> None:
