@@ -13,6 +13,8 @@ from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.descent import cheapen_stretch
+from backhoe_planner.planning.objectives import Objective
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.path_timing import time_stretch
@@ -69,6 +71,7 @@ def plan_along_path(
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
+    objective = Objective(context.problem)
     resolver = PathResolver(
         context.problem,
         path,
@@ -77,6 +80,7 @@ def plan_along_path(
         begin=stepper.q if stepper is not None and on_path else None,
         time=time,
         deadline=context.deadline,
+        cost=objective.step_costs,
         find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
     )
     if since is None and not len(resolver.first_layer) and not on_path:
@@ -85,7 +89,7 @@ def plan_along_path(
         failure = no_posture(context, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
-    along = _Along(context, path, resolver, stepper)
+    along = _Along(context, path, resolver, objective, stepper)
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
@@ -94,10 +98,18 @@ def plan_along_path(
 class _Along:
     """One path, and the ways to resolve it."""
 
-    def __init__(self, context: Context, path: BucketPath, resolver: PathResolver, stepper: Stepper | None) -> None:
+    def __init__(
+        self,
+        context: Context,
+        path: BucketPath,
+        resolver: PathResolver,
+        objective: Objective,
+        stepper: Stepper | None,
+    ) -> None:
         self._context = context
         self._path = path
         self._resolver = resolver
+        self._objective = objective
         self._stepper = stepper
         task = context.problem.scene.task.path
         assert task is not None
@@ -155,25 +167,28 @@ class _Along:
             reason: Reason = "budget" if self._context.out_of_time else "blocked"
             message = f"no way was found to the beginning of the path: {told}"
             return Outcome(stepper.trajectory(), reason, message, {"path_from": 0.0, "path_to": 0.0})
-        arrived = _Along(self._context, self._path, self._resolver, transit.stepper)
+        arrived = _Along(self._context, self._path, self._resolver, self._objective, transit.stepper)
         return arrived.plan(transit.stepper.q)
 
     def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
         """The pieces, with the grid's steps taken out of those that follow the path."""
+        context = self._context
         found: list[Stretch | Detouring] = []
         last = len(resolved.pieces) - 1
         for index, piece in enumerate(resolved.pieces):
             if isinstance(piece, Stretch) and len(piece.q) > 2:
-                q = smooth_stretch(
-                    self._context.problem,
-                    self._path,
-                    piece.stations,
-                    piece.q,
-                    proximity=self._context.world,
-                    time=0.0 if self._stepper is None else self._stepper.time,
-                    free_start=index == 0 and begin is None and self._stepper is None,
-                    free_end=index == last,
-                    deadline=self._context.deadline,
+                setting: dict[str, Any] = {
+                    "proximity": context.world,
+                    "time": 0.0 if self._stepper is None else self._stepper.time,
+                    "free_start": index == 0 and begin is None and self._stepper is None,
+                    "free_end": index == last,
+                    "deadline": context.deadline,
+                }
+                ways = [piece.q, smooth_stretch(context.problem, self._path, piece.stations, piece.q, **setting)]
+                costs = [self._objective.along(piece.stations, way) for way in ways]
+                q = ways[int(np.argmin(costs))]
+                q = cheapen_stretch(
+                    context.problem, self._path, piece.stations, q, objective=self._objective, **setting
                 )
                 piece = Stretch(piece.stations, q)
             found.append(piece)
