@@ -25,12 +25,12 @@ from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import segment_is_clear
-from backhoe_planner.planning.objectives import Objective
+from backhoe_planner.planning.objectives import Nodes, Objective
 from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.refinement import TOUCH, margins, null_bases, strict_targets
+from backhoe_planner.planning.refinement import TOUCH, null_bases, strict_targets
 from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["cheapen_stretch"]
+__all__ = ["cheapen_stretch", "monotone_curve"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -46,8 +46,10 @@ _ENOUGH = 2e-3  # relative fall of the cost below which neighbours are taken clo
 _ROUNDS = 8  # at one distance of the neighbours
 _TRIES = 3  # to go on where something is in the way
 _STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for
+_CORNER = np.radians(5.0)  # a sharper corner of the path is a knot, and the joints may turn sharply there
 _LENGTH_OF_TURN = 0.1  # m that a radian counts as where the tip stands
 _ROOM = 0.005  # m of margin that is not used up
+_AHEAD = 0.2  # m beyond what is asked up to which distances are measured
 _DEPTH = 9
 
 
@@ -120,7 +122,7 @@ class _Descent:
         self._kinematics = BatchKinematics(problem.robot)
         self._stations = stations
         self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
-        marks = np.isin(np.round(stations, 9), np.round(path.stations, 9))
+        marks = np.isin(np.round(stations, 9), np.round(path.corners(_CORNER), 9))
         self._knots = _knots(stations, q, marks)
         self._knot_targets = self._targets.take(self._knots)
         self._strict = strict_targets(self._knot_targets)
@@ -136,7 +138,10 @@ class _Descent:
         self.held = np.zeros(len(self._knots), dtype=bool)
         self.q = q
         self.cost = objective.along(stations, q)
-        self._floor = self._own_floor(q)
+        asked = proximity.clearance + _AHEAD
+        self._lower = np.array([self._measured(row, asked) for row in q]).reshape(len(q), -1)
+        margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
+        self._floor = np.minimum(margin, _ROOM) - TOUCH
 
     def directions(self) -> list[Vector | None]:
         """Directions in joint space, (n,), to go in one by one; None where there is one only."""
@@ -160,11 +165,10 @@ class _Descent:
             cost = self._objective.along(self._stations, moved)
             if not cost < self.cost:
                 return 0.0
-            bad = self._bad_knots(moved)
+            bad, lower = self._bad_knots(moved)
             if not bad.any():
                 fallen = self.cost - cost
-                self.q, self.cost = moved, cost
-                self._floor = np.maximum(self._floor, self._own_floor(moved))
+                self.q, self.cost, self._lower = moved, cost, lower
                 return fallen
             usable[bad] = False
             usable[:, _WIDTH] = True
@@ -173,7 +177,7 @@ class _Descent:
     # --- neighbours -----------------------------------------------------------------
 
     def _neighbours(self, here: Matrix, delta: float, direction: Vector | None) -> tuple[NDArray[np.float64], Mask]:
-        """(M, C, n) what lies beside each knot in its null space, the knot itself in the middle; (M, C) which are usable."""
+        """(M, C, n) what lies beside each knot in its null space, itself in the middle; (M, C) which are usable."""
         N = null_bases(self._kinematics, self._strict, here)
         if direction is None:
             d = N[:, :, 0]
@@ -198,19 +202,14 @@ class _Descent:
 
     def _keep_clear(self, here: Matrix, found: NDArray[np.float64], usable: Mask) -> None:
         """Take out the neighbours that are too near to something."""
-        clearance = self._proximity.clearance
-        active = self._proximity.appears_at <= self._time
-        for k, q in enumerate(here):
-            reach = np.abs(found[k] - q) @ self._proximity.travel.T
-            asked = clearance + self._floor[self._knots[k]]
-            lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=asked + np.max(reach, axis=0))
-            unsure = ((lower - reach < asked) & active).any(axis=1) & usable[k]
-            unsure[_WIDTH] = False
-            for c in np.flatnonzero(unsure).tolist():
-                own, _ = self._proximity.lower_bounds(found[k, c], time=self._time, floor=asked)
-                usable[k, c] = bool(np.all((own >= asked) | ~active))
+        asked = self._proximity.clearance + self._floor[self._knots][:, None]
+        reach = np.abs(found - here[:, None, :]) @ self._proximity.travel.T
+        unsure = (self._lower[self._knots][:, None, :] - reach < asked[:, None, :]).any(axis=2) & usable
+        unsure[:, _WIDTH] = False
+        for k, c in np.argwhere(unsure).tolist():
+            usable[k, c] = bool(np.all(self._measured(found[k, c], asked[k]) >= asked[k]))
 
-    def _nodes(self, neighbours: NDArray[np.float64]):  # type: ignore[no-untyped-def]
+    def _nodes(self, neighbours: NDArray[np.float64]) -> Nodes:
         count, width, n = neighbours.shape
         before = after = None
         if self._velocities is not None:
@@ -225,42 +224,48 @@ class _Descent:
         guess = np.empty_like(self.q)
         for first, last in pairwise(self._legs.tolist()):
             rows = slice(self._knots[first], self._knots[last] + 1)
-            curve = PchipInterpolator(at[first : last + 1], at_knots[first : last + 1])
-            guess[rows] = curve(self._measure[rows])
+            guess[rows] = monotone_curve(at[first : last + 1], at_knots[first : last + 1], self._measure[rows])
         moved, reached = solve_batch(self._kinematics, self._targets, guess, iterations=6)
         moved[self._knots] = at_knots
         if not reached.all() or np.max(np.abs(moved - guess)) > _STRAY:
             return None
         return moved
 
-    def _bad_knots(self, moved: Matrix) -> Mask:
-        """(M,) the knots beside which a way is not clear."""
+    def _bad_knots(self, moved: Matrix) -> tuple[Mask, Matrix]:
+        """(M,) the knots beside which a way is not clear; (K, P) lower bounds of the distances along `moved`."""
         bad = np.zeros(len(self._knots), dtype=bool)
-        if not self._proximity.pairs:
-            return bad
-        changed = np.max(np.abs(moved - self.q), axis=1) > 1e-12
-        tight = changed.copy()
-        tight[changed] = margins(self._proximity, moved[changed], self._time, self._floor[changed]) < (
-            self._floor[changed]
-        )
-        for k in np.flatnonzero(changed[1:] | changed[:-1]).tolist():
-            clear = segment_is_clear(
+        clearance, travel = self._proximity.clearance, self._proximity.travel
+        asked = clearance + self._floor[:, None]
+        lower = self._lower - np.abs(moved - self.q) @ travel.T
+        for k in np.flatnonzero((lower < asked).any(axis=1)).tolist():
+            lower[k] = self._measured(moved[k], asked[k] + _AHEAD)
+        tight = (lower < asked).any(axis=1)
+        swept = np.abs(np.diff(moved, axis=0)) @ travel.T
+        unsure = (0.5 * (lower[1:] + lower[:-1] - swept) < clearance - TOUCH).any(axis=1)
+        for k in np.flatnonzero(unsure).tolist():
+            if not segment_is_clear(
                 self._proximity, moved[k], moved[k + 1], time=self._time, depth=_DEPTH, spare=-TOUCH
-            )
-            tight[k] |= not clear
+            ):
+                tight[k] = True
         after = np.searchsorted(self._knots, np.flatnonzero(tight))
         for shift in (-2, -1, 0, 1):  # the curve between two knots hangs on four
             bad[np.clip(after + shift, 0, len(bad) - 1)] = True
-        return bad
+        return bad, lower
 
-    def _own_floor(self, q: Matrix) -> Vector:
-        if not self._proximity.pairs:
-            return np.zeros(len(q))
-        return np.minimum(margins(self._proximity, q, self._time), _ROOM) - TOUCH
+    def _measured(self, q: Vector, floor: Vector) -> Vector:
+        """(P,) lower bounds of the distances at q (n,), exact where they are below `floor` (P,) [m]."""
+        lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
+        return np.where(self._proximity.appears_at <= self._time, lower, np.inf)
+
+
+def monotone_curve(x: Vector, y: Matrix, at: Vector) -> Matrix:
+    """(K, n) a smooth curve through y (M, n) at x (M,), read at `at` (K,); it overshoots nowhere."""
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # where y hardly changes
+        return np.asarray(PchipInterpolator(x, y)(at))
 
 
 def _knots(stations: Vector, q: Matrix, marks: Mask) -> NDArray[np.intp]:
-    """(M,) rows that are knots: both ends, every waypoint, and between as many as are needed."""
+    """(M,) rows that are knots: both ends, every corner, and between as many as are needed."""
     found = [0]
     for row in range(1, len(stations) - 1):
         last = found[-1]

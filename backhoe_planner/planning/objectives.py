@@ -34,12 +34,12 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.dynamics import Dynamics, motion_costs
+from backhoe_planner.machine.dynamics import Dynamics, MotionEnergy, motion_costs, motion_energy
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.site.soil import SoilReaction
 
-__all__ = ["OBJECTIVES", "UNITS", "Nodes", "Objective", "trajectory_costs"]
+__all__ = ["OBJECTIVES", "UNITS", "Nodes", "Objective", "trajectory_costs", "trajectory_energy"]
 
 Array = NDArray[np.float64]
 
@@ -307,15 +307,27 @@ class Objective:
         return np.asarray(speed * np.where(length > 1e-6, change / np.maximum(length, 1e-6), 0.0))
 
 
+def trajectory_energy(problem: Problem, trajectory: Trajectory) -> MotionEnergy:
+    """Torque, power and energy over the samples of a motion, with payload and soil."""
+    return motion_energy(
+        problem.robot, trajectory.time, q=trajectory.q, v=trajectory.v, a=trajectory.accelerations(),
+        payload=problem.scene.payload, tip_force=_soil_on_tip(problem, trajectory),
+    )  # fmt: skip
+
+
+def _soil_on_tip(problem: Problem, trajectory: Trajectory) -> Array | None:
+    """(T, 3) [N], world; None where the scene has no soil."""
+    soil = problem.scene.soil
+    return None if soil is None else SoilReaction(problem.robot, soil).force(trajectory.q, trajectory.v)
+
+
 def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, float]:
     """What a motion costs by each objective that the machine has, in `UNITS`.
 
     By full inverse dynamics, with the payload, and the soil where the scene has one.
     """
-    soil = problem.scene.soil
-    force = None if soil is None else SoilReaction(problem.robot, soil).force(trajectory.q, trajectory.v)
     costs = motion_costs(
         problem.robot, trajectory.time, trajectory.q, trajectory.v, trajectory.accelerations(),
-        payload=problem.scene.payload, tip_force=force,
+        payload=problem.scene.payload, tip_force=_soil_on_tip(problem, trajectory),
     )  # fmt: skip
     return costs | {"time": trajectory.duration}

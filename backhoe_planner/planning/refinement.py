@@ -26,7 +26,7 @@ from backhoe_planner.planning.certificate import segment_is_clear
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["TOUCH", "margins", "null_bases", "smooth_stretch", "strict_targets", "stretch_cost"]
+__all__ = ["TOUCH", "null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -81,7 +81,7 @@ def smooth_stretch(
     held = np.zeros(len(q), dtype=bool)
     held[0], held[-1] = not free_start, not free_end
     price = np.zeros(len(q))
-    floor = np.minimum(margins(proximity, q, time), _ROOM) - TOUCH
+    floor = np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH
     cost = _cost(weights, q)
     for _ in range(_ROUNDS):
         if clock.monotonic() > deadline:
@@ -93,7 +93,7 @@ def smooth_stretch(
         moved, reached = solve_batch(kinematics, targets, q + np.einsum("knr,kr->kn", N, z), iterations=8)
         moved[held] = q[held]
         bad = ~(reached | held)
-        bad |= margins(proximity, moved, time, floor=floor) < floor
+        bad |= _margins(proximity, moved, time, floor=floor) < floor
         if not bad.any() and _cost(weights, moved) < cost:
             clear = [
                 segment_is_clear(proximity, a, b, time=time, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(moved)
@@ -103,7 +103,7 @@ def smooth_stretch(
             if not bad.any():
                 fallen = cost - _cost(weights, moved)
                 q, cost = moved, cost - fallen
-                floor = np.maximum(floor, np.minimum(margins(proximity, q, time), _ROOM) - TOUCH)
+                floor = np.maximum(floor, np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH)
                 price *= 0.3
                 if fallen < _ENOUGH * cost:
                     break
@@ -129,7 +129,7 @@ def strict_targets(targets: TargetBatch) -> TargetBatch:
     )  # fmt: skip
 
 
-def margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None = None) -> Vector:
+def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None = None) -> Vector:
     """(K,) least margin of each sample [m], or a lower bound of it that is above `floor` (K,)."""
     found = np.full(len(q), np.inf)
     wanted = np.full(len(q), _ROOM) if floor is None else floor
