@@ -300,6 +300,7 @@ def _warn(warnings: Iterable[str]) -> None:
 def _tell(found: Plan, output: Path, as_json: bool) -> None:
     if as_json:
         content = plan_to_dict(found)
+        del content["dynamics"]  # sample by sample, as the trajectory is
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return

@@ -27,7 +27,9 @@ joints, work is 0 whatever they do.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,22 +77,21 @@ class Nodes:
     forces_before: Array | None = None
     forces_after: Array | None = None
 
-    def __getitem__(self, key: object) -> Nodes:
-        parts = (self.q, self.before, self.after, self.M, self.lengths, self.forces_before, self.forces_after)
-        q, before, after, *rest = [None if part is None else part[key] for part in parts]  # type: ignore[index]
-        assert q is not None
-        assert before is not None
-        assert after is not None
-        return Nodes(q, before, after, *rest)
+    def __getitem__(self, key: Any) -> Nodes:
+        return self._each(lambda part: part[key])
 
     def shaped(self, *shape: int) -> Nodes:
         """The same with the first axis split into `shape`."""
-        parts = (self.q, self.before, self.after, self.M, self.lengths, self.forces_before, self.forces_after)
-        q, before, after, *rest = [None if part is None else part.reshape(*shape, *part.shape[1:]) for part in parts]
-        assert q is not None
-        assert before is not None
-        assert after is not None
-        return Nodes(q, before, after, *rest)
+        return self._each(lambda part: part.reshape(*shape, *part.shape[1:]))
+
+    def _each(self, change: Callable[[Array], Array]) -> Nodes:
+        rest = (self.M, self.lengths, self.forces_before, self.forces_after)
+        return Nodes(
+            change(self.q),
+            change(self.before),
+            change(self.after),
+            *(None if part is None else change(part) for part in rest),
+        )
 
 
 class Objective:
@@ -198,14 +199,18 @@ class Objective:
             nothing = np.zeros_like(q)
             return Nodes(q, nothing, nothing, M=self._dynamics.mass_matrices(q))
         held = self._dynamics.gravity_torques(q)
-        tau = [
+        tau_before, tau_after = (
             held if velocity is None or self._soil is None else held - self._soil.torques_at(q, velocity)
             for velocity in (before, after)
-        ]
+        )
         if self.name != "hydraulic" or self._hydraulics is None:
-            return Nodes(q, *tau)
-        forces = [np.nan_to_num(self._hydraulics.cylinder_forces(q, own), posinf=0.0, neginf=0.0) for own in tau]
-        return Nodes(q, *tau, None, self._hydraulics.lengths(q), *forces)
+            return Nodes(q, tau_before, tau_after)
+        forces_before, forces_after = (
+            np.nan_to_num(self._hydraulics.cylinder_forces(q, own), posinf=0.0, neginf=0.0)  # at a dead centre
+            for own in (tau_before, tau_after)
+        )
+        lengths = self._hydraulics.lengths(q)
+        return Nodes(q, tau_before, tau_after, lengths=lengths, forces_before=forces_before, forces_after=forces_after)
 
     def between(self, a: Nodes, b: Nodes, span: Array) -> Array:
         """(...) of the steps from a to b over `span` (...) [m], all broadcast, in rad."""
