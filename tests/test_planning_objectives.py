@@ -175,7 +175,7 @@ def test_power_adds_up_to_the_work_that_is_told(digging: Problem) -> None:
 
 @pytest.mark.parametrize("name", OBJECTIVES)
 def test_the_route_equals_an_exhaustive_search_with_the_same_cost(digging: Problem, name: str) -> None:
-    stations, layers = layers_of(digging, 5)
+    stations, layers = layers_of(digging, 4, grid=20.0)
     assert all(3 <= len(layer) <= 12 for layer in layers)
     objective = Objective(digging, name)
     graph = LayeredGraph(stations, layers, cost=objective.step_costs, turning=1e-9, detours=False)

@@ -37,13 +37,11 @@ Matrix = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _WIDTH = 3  # neighbours on either side of a knot
-_COARSEST = 0.06  # rad or m between them at first
-_FINEST = 4e-4
-_SHRINK = 0.4
-_KNOT = 0.05  # m of path between knots
-_KNOT_TURN = 0.15  # rad or m that a joint moves between them
+# rad or m between neighbours, and m of path between knots, one level after the other
+_LEVELS = ((0.06, 0.1), (0.024, 0.05), (0.01, 0.05), (0.004, 0.025), (0.0016, 0.025), (6e-4, 0.025))
+_KNOT_TURN = 3.0  # rad or m that a joint moves between knots for 1 m of path
 _ENOUGH = 2e-3  # relative fall of the cost below which neighbours are taken closer
-_ROUNDS = 8  # at one distance of the neighbours
+_ROUNDS = 15  # at one distance of the neighbours
 _TRIES = 3  # to go on where something is in the way
 _STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for
 _CORNER = np.radians(5.0)  # a sharper corner of the path is a knot, and the joints may turn sharply there
@@ -79,20 +77,19 @@ def cheapen_stretch(
     if len(q) < 3:
         return q
     descent = _Descent(problem, path, stations, q, objective=objective, proximity=proximity, time=time)
-    descent.held[0], descent.held[-1] = not free_start, not free_end
-    delta = _COARSEST
-    while delta > _FINEST:
-        before = descent.cost
-        for direction in descent.directions():
-            for _ in range(_ROUNDS):
-                if clock.monotonic() > deadline:
-                    return descent.q
-                fallen = descent.step(delta, direction)
-                if fallen <= _ENOUGH * abs(descent.cost):
-                    break
-        # several directions help each other along
-        if len(descent.directions()) < 2 or before - descent.cost <= 5.0 * _ENOUGH * abs(descent.cost):
-            delta *= _SHRINK
+    for delta, spacing in _LEVELS:
+        descent.tie(spacing, free_start=free_start, free_end=free_end)
+        directions = descent.directions()
+        for _ in range(_ROUNDS if len(directions) > 1 else min(1, len(directions))):
+            before = descent.cost
+            for direction in directions:
+                for _ in range(_ROUNDS):
+                    if clock.monotonic() > deadline:
+                        return descent.q
+                    if descent.step(delta, direction) <= _ENOUGH * abs(descent.cost):
+                        break
+            if before - descent.cost <= 5.0 * _ENOUGH * abs(descent.cost):
+                break
     return descent.q
 
 
@@ -102,7 +99,6 @@ class _Descent:
     Attributes
     ----------
     q: (K, n) the best so far; cost: its.
-    held: (M,) knots that do not move.
     """
 
     def __init__(
@@ -122,26 +118,30 @@ class _Descent:
         self._kinematics = BatchKinematics(problem.robot)
         self._stations = stations
         self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
-        marks = np.isin(np.round(stations, 9), np.round(path.corners(_CORNER), 9))
-        self._knots = _knots(stations, q, marks)
-        self._knot_targets = self._targets.take(self._knots)
-        self._strict = strict_targets(self._knot_targets)
+        self._corners = np.isin(np.round(stations, 9), np.round(path.corners(_CORNER), 9))
         turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
         self._measure = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-9))))
-        corners = np.flatnonzero(marks[self._knots])
-        self._legs = np.unique(np.concatenate(([0], corners, [len(self._knots) - 1])))
-        self._velocities: tuple[Matrix, Matrix] | None = None
-        if problem.scene.soil is not None:
-            tips = self._kinematics.at(q[self._knots]).tip_position
-            velocity = objective.tip_velocity(tips)
-            self._velocities = np.vstack((velocity[:1], velocity)), np.vstack((velocity, velocity[-1:]))
-        self.held = np.zeros(len(self._knots), dtype=bool)
+        self._in_soil = problem.scene.soil is not None
         self.q = q
         self.cost = objective.along(stations, q)
         asked = proximity.clearance + _AHEAD
         self._lower = np.array([self._measured(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
         self._floor = np.minimum(margin, _ROOM) - TOUCH
+
+    def tie(self, spacing: float, *, free_start: bool, free_end: bool) -> None:
+        """Choose the knots, `spacing` [m] apart, and which of them move."""
+        self._knots = _knots(self._stations, self.q, self._corners, spacing)
+        self._knot_targets = self._targets.take(self._knots)
+        self._strict = strict_targets(self._knot_targets)
+        corners = np.flatnonzero(self._corners[self._knots])
+        self._legs = np.unique(np.concatenate(([0], corners, [len(self._knots) - 1])))
+        self._held = np.zeros(len(self._knots), dtype=bool)
+        self._held[0], self._held[-1] = not free_start, not free_end
+        self._velocities: tuple[Matrix, Matrix] | None = None
+        if self._in_soil:
+            velocity = self._objective.tip_velocity(self._kinematics.at(self.q[self._knots]).tip_position)
+            self._velocities = np.vstack((velocity[:1], velocity)), np.vstack((velocity, velocity[-1:]))
 
     def directions(self) -> list[Vector | None]:
         """Directions in joint space, (n,), to go in one by one; None where there is one only."""
@@ -194,7 +194,7 @@ class _Descent:
         )
         found, usable = found.reshape(guesses.shape), reached.reshape(count, width)
         usable &= np.max(np.abs(found - guesses), axis=2) < min(_STRAY, 4.0 * _WIDTH * delta)
-        usable[self.held] = False
+        usable[self._held] = False
         found[:, _WIDTH], usable[:, _WIDTH] = here, True
         if self._proximity.pairs:
             self._keep_clear(here, found, usable)
@@ -264,13 +264,13 @@ def monotone_curve(x: Vector, y: Matrix, at: Vector) -> Matrix:
         return np.asarray(PchipInterpolator(x, y)(at))
 
 
-def _knots(stations: Vector, q: Matrix, marks: Mask) -> NDArray[np.intp]:
+def _knots(stations: Vector, q: Matrix, corners: Mask, spacing: float) -> NDArray[np.intp]:
     """(M,) rows that are knots: both ends, every corner, and between as many as are needed."""
     found = [0]
     for row in range(1, len(stations) - 1):
         last = found[-1]
-        far = stations[row] - stations[last] > _KNOT - 1e-9
-        if marks[row] or far or np.max(np.abs(q[row] - q[last])) > _KNOT_TURN:
+        far = stations[row] - stations[last] > spacing - 1e-9
+        if corners[row] or far or np.max(np.abs(q[row] - q[last])) > _KNOT_TURN * spacing:
             found.append(row)
     return np.array([*found, len(stations) - 1])
 

@@ -16,6 +16,7 @@ from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.descent import cheapen_stretch
 from backhoe_planner.planning.objectives import Objective
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
+from backhoe_planner.planning.path_layers import redundancy_of
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.path_timing import time_stretch
 from backhoe_planner.planning.plan import Reason
@@ -32,6 +33,8 @@ Matrix = NDArray[np.float64]
 _MOST_WAYPOINTS = 64  # of a path are tried before it is planned
 _GUESSES = 32  # for each of them
 _SEARCH = 48
+_GRID = np.radians(2.5)  # of the free parameter, where there is one
+_LAYER = 0.1  # m of path between layers there
 _ON_PATH = 1e-4  # m and rad
 
 
@@ -81,6 +84,7 @@ def plan_along_path(
         time=time,
         deadline=context.deadline,
         cost=objective.step_costs,
+        **_density(context, path),
         find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
     )
     if since is None and not len(resolver.first_layer) and not on_path:
@@ -93,6 +97,13 @@ def plan_along_path(
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
+
+
+def _density(context: Context, path: BucketPath) -> dict[str, float]:
+    """Of the graph. With one free parameter it can be dense; layers far apart let a route turn slowly."""
+    if redundancy_of(context.problem.robot, path.target(0.0)) == 1:
+        return {"grid": _GRID, "layer": _LAYER}
+    return {}
 
 
 class _Along:
