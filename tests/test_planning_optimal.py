@@ -54,7 +54,7 @@ def test_the_cost_falls_with_the_grid_and_converges(backhoe: bp.Robot, name: str
     assert problem.path is not None
     objective, proximity = Objective(problem), bp.Proximity(backhoe)
     graph, refined = [], []
-    for grid, layer in ((10.0, 0.1), (5.0, 0.05), (2.5, 0.025)):
+    for grid, layer in ((10.0, 0.4), (5.0, 0.2), (2.5, 0.1)):
         piece = resolved(problem, objective, grid=grid, layer=layer)
         q = cheapen_stretch(
             problem, problem.path, piece.stations, piece.q,
@@ -95,6 +95,7 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
         cheap = cheapen_stretch(problem, problem.path, piece.stations, q, objective=objective, proximity=proximity)
         before, after = objective.along(piece.stations, q), objective.along(piece.stations, cheap)
         assert after <= before
+        print(before, after)
         fell += after < 0.99 * before
         np.testing.assert_array_equal(cheap[[0, -1]], q[[0, -1]])
         at = BatchKinematics(robot).at(cheap)

@@ -37,10 +37,14 @@ Matrix = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _WIDTH = 3  # neighbours on either side of a knot
-# rad or m between neighbours, and m of path between knots, one level after the other
-_LEVELS = ((0.06, 0.1), (0.024, 0.05), (0.01, 0.05), (0.004, 0.025), (0.0016, 0.025), (6e-4, 0.025))
+# rad or m between neighbours, and m of path between knots, one level after the other: first
+# for the curve through the knots, then for one that is added to what was found
+_LEVELS = (
+    ((0.12, 0.2), (0.06, 0.1), (0.024, 0.05), (0.01, 0.05), (0.004, 0.025), (1.6e-3, 0.025)),
+    ((0.03, 0.2), (0.012, 0.1), (5e-3, 0.05), (2e-3, 0.025), (6e-4, 0.025)),
+)
 _KNOT_TURN = 3.0  # rad or m that a joint moves between knots for 1 m of path
-_ENOUGH = 2e-3  # relative fall of the cost below which neighbours are taken closer
+_ENOUGH = 1e-3  # relative fall of the cost below which neighbours are taken closer
 _ROUNDS = 15  # at one distance of the neighbours
 _TRIES = 3  # to go on where something is in the way
 _STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for
@@ -77,8 +81,8 @@ def cheapen_stretch(
     if len(q) < 3:
         return q
     descent = _Descent(problem, path, stations, q, objective=objective, proximity=proximity, time=time)
-    for delta, spacing in _LEVELS:
-        descent.tie(spacing, free_start=free_start, free_end=free_end)
+    for added, (delta, spacing) in [(bool(turn), level) for turn, levels in enumerate(_LEVELS) for level in levels]:
+        descent.tie(spacing, added=added, free_start=free_start, free_end=free_end)
         directions = descent.directions()
         for _ in range(_ROUNDS if len(directions) > 1 else min(1, len(directions))):
             before = descent.cost
@@ -129,8 +133,9 @@ class _Descent:
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
         self._floor = np.minimum(margin, _ROOM) - TOUCH
 
-    def tie(self, spacing: float, *, free_start: bool, free_end: bool) -> None:
-        """Choose the knots, `spacing` [m] apart, and which of them move."""
+    def tie(self, spacing: float, *, added: bool, free_start: bool, free_end: bool) -> None:
+        """Choose the knots, `spacing` [m] apart, and which of them move; `added`: see `_LEVELS`."""
+        self._added = added
         self._knots = _knots(self._stations, self.q, self._corners, spacing)
         self._knot_targets = self._targets.take(self._knots)
         self._strict = strict_targets(self._knot_targets)
@@ -222,9 +227,12 @@ class _Descent:
         """(K, n) the samples of a smooth curve through the knots, on the path; None where it cannot be put there."""
         at = self._measure[self._knots]
         guess = np.empty_like(self.q)
+        through = at_knots - self.q[self._knots] if self._added else at_knots
         for first, last in pairwise(self._legs.tolist()):
             rows = slice(self._knots[first], self._knots[last] + 1)
-            guess[rows] = monotone_curve(at[first : last + 1], at_knots[first : last + 1], self._measure[rows])
+            guess[rows] = monotone_curve(at[first : last + 1], through[first : last + 1], self._measure[rows])
+        if self._added:
+            guess += self.q
         moved, reached = solve_batch(self._kinematics, self._targets, guess, iterations=6)
         moved[self._knots] = at_knots
         if not reached.all() or np.max(np.abs(moved - guess)) > _STRAY:

@@ -14,6 +14,7 @@ from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.descent import cheapen_stretch
+from backhoe_planner.planning.local_resolution import resolve_along
 from backhoe_planner.planning.objectives import Objective
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.path_layers import redundancy_of
@@ -183,27 +184,52 @@ class _Along:
 
     def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
         """The pieces, with the grid's steps taken out of those that follow the path."""
-        context = self._context
         found: list[Stretch | Detouring] = []
         last = len(resolved.pieces) - 1
         for index, piece in enumerate(resolved.pieces):
             if isinstance(piece, Stretch) and len(piece.q) > 2:
-                setting: dict[str, Any] = {
-                    "proximity": context.world,
-                    "time": 0.0 if self._stepper is None else self._stepper.time,
-                    "free_start": index == 0 and begin is None and self._stepper is None,
-                    "free_end": index == last,
-                    "deadline": context.deadline,
-                }
-                q = piece.q
-                if self._objective.name == "velocity_norm":  # what the quadratic steps are for
-                    q = smooth_stretch(context.problem, self._path, piece.stations, q, **setting)
-                q = cheapen_stretch(
-                    context.problem, self._path, piece.stations, q, objective=self._objective, **setting
-                )
-                piece = Stretch(piece.stations, q)
+                free_start = index == 0 and begin is None and self._stepper is None
+                cheap = self._cheapened(piece, free_start=free_start, free_end=index == last)
+                if last == 0 and resolved.complete:
+                    cheap = self._cheaper_than_law(cheap, free_start=free_start)
+                piece = cheap
             found.append(piece)
         return found
+
+    def _cheapened(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
+        context = self._context
+        setting: dict[str, Any] = {
+            "proximity": context.world,
+            "time": self._time,
+            "free_start": free_start,
+            "free_end": free_end,
+            "deadline": context.deadline,
+        }
+        q = piece.q
+        if self._objective.name in ("velocity_norm", "kinetic"):  # close to what these steps lower
+            q = smooth_stretch(context.problem, self._path, piece.stations, q, **setting)
+        q = cheapen_stretch(context.problem, self._path, piece.stations, q, objective=self._objective, **setting)
+        return Stretch(piece.stations, q)
+
+    def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
+        """A piece that is the whole way, or what the local law's way from the same joints can be made into.
+
+        Costs have more than one valley, and a grid may miss the one in which the law goes.
+        """
+        context = self._context
+        low = float(piece.stations[0])
+        law = resolve_along(
+            context.problem, self._path, low, piece.q[0],
+            proximity=context.world, kinematics=context.kinematics, time=self._time,
+        )  # fmt: skip
+        if not law.complete or context.out_of_time:
+            return piece
+        other = self._cheapened(Stretch(law.stations, law.q), free_start=free_start, free_end=True)
+        return min((piece, other), key=lambda way: self._objective.along(way.stations, way.q))
+
+    @property
+    def _time(self) -> float:
+        return 0.0 if self._stepper is None else self._stepper.time
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Detouring]) -> None:
         limits = self._context.problem.limits
