@@ -121,6 +121,8 @@ def measure(robot: bp.Robot, case: Case) -> Result | None:
     if not _follows(same):
         return None
     free = bp.plan(robot, case.scene(free=True), method="optimal", budget=60.0)
+    if not _follows(free):
+        print(f"start left free, not verified: {free.message}")
     problem = build_problem(robot, case.scene(free=False))
     path = problem.path
     assert path is not None
@@ -163,7 +165,9 @@ def study(robot: bp.Robot, *, paths: int, seed: int) -> None:
             rows = [
                 (getattr(r, f"{start}_{name}"), getattr(r, start))
                 for r in results
-                if getattr(r, f"{start}_{name}") is not None and not (kept and r.least_norm_breaks)
+                if getattr(r, f"{start}_{name}") is not None
+                and (start == "same" or r.verified)
+                and not (kept and r.least_norm_breaks)
             ]
             laws, optima = (sum(column) / 1e3 for column in zip(*rows, strict=True))
             worse = sum(_exceeds(optimum, law) for law, optimum in rows)

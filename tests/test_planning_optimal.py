@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ import backhoe_planner as bp
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.descent import cheapen_stretch
+from backhoe_planner.planning.layered_graph import LayeredGraph
 from backhoe_planner.planning.local_resolution import resolve_along
 from backhoe_planner.planning.objectives import OBJECTIVES, Objective, trajectory_costs
+from backhoe_planner.planning.path_layers import PathLayers
 from backhoe_planner.planning.path_resolution import PathResolver, Stretch
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.yardstick import law_motion, least_norm_resolution, stations_of
@@ -48,8 +51,8 @@ def resolved(problem: Problem, objective: Objective, *, grid: float, layer: floa
 # --- the grid and what comes after it ---------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["work", "hydraulic"])
-def test_the_cost_falls_with_the_grid_and_converges(backhoe: bp.Robot, name: str) -> None:
+@pytest.mark.parametrize("name", ["work", "effort", "velocity_norm"])
+def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) -> None:
     problem = build_problem(backhoe, along(CUT, objective=name))
     assert problem.path is not None
     objective, proximity = Objective(problem), bp.Proximity(backhoe)
@@ -62,8 +65,7 @@ def test_the_cost_falls_with_the_grid_and_converges(backhoe: bp.Robot, name: str
         )  # fmt: skip
         graph.append(objective.along(piece.stations, piece.q))
         refined.append(objective.along(piece.stations, q))
-    assert graph[1] < graph[0]
-    assert graph[2] < graph[1]
+    assert graph[2] < 1.01 * graph[0]
     assert all(after <= before for before, after in zip(graph, refined, strict=True))
     assert refined[2] == pytest.approx(refined[1], rel=0.01)
 
@@ -95,8 +97,7 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
         cheap = cheapen_stretch(problem, problem.path, piece.stations, q, objective=objective, proximity=proximity)
         before, after = objective.along(piece.stations, q), objective.along(piece.stations, cheap)
         assert after <= before
-        print(before, after)
-        fell += after < 0.99 * before
+        fell += after < 0.9995 * before
         np.testing.assert_array_equal(cheap[[0, -1]], q[[0, -1]])
         at = BatchKinematics(robot).at(cheap)
         np.testing.assert_allclose(at.tip_position, targets.position, atol=1e-6)
@@ -121,6 +122,25 @@ def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> Non
     for name in OBJECTIVES:
         least = min(values[other][name] for other in OBJECTIVES)
         assert values[name][name] <= 1.02 * least
+
+
+def test_the_routes_cost_falls_where_a_finer_grid_holds_the_coarser_one(backhoe: bp.Robot) -> None:
+    """On the same layers, so that every route of the coarse grid is one of the fine grid too."""
+    problem = build_problem(backhoe, along(CUT))
+    objective = Objective(problem)
+    costs = []
+    for grid in (12.0, 6.0, 3.0, 1.5):
+        problem_path = problem.path
+        assert problem_path is not None
+        stations = np.linspace(0.0, problem_path.length, 9)
+        layers = PathLayers(backhoe, grid=np.radians(grid)).at(
+            stations, [problem_path.target(s) for s in stations.tolist()]
+        )
+        route = LayeredGraph(stations, layers, cost=objective.step_costs, turning=1e-9, detours=False).best_route()
+        assert route is not None
+        costs.append(route.cost)
+    assert all(after <= before + 1e-9 for before, after in pairwise(costs))
+    assert costs[3] < 0.98 * costs[0]
 
 
 # --- whole plans --------------------------------------------------------------------
