@@ -42,7 +42,7 @@ __all__ = ["Case", "Result", "convergence", "draw", "study", "timing"]
 
 SHORTEST, LONGEST = 1.0, 5.0  # m
 SPEED = 0.4  # m/s
-GRIDS = ((10.0, 0.4), (5.0, 0.2), (2.5, 0.1))  # deg of pitch, m of path
+GRIDS = ((5.0, 0.2), (2.5, 0.2), (1.25, 0.2))  # deg of pitch, m of path between layers
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ def convergence(robot: bp.Robot, *, paths: int, seed: int) -> None:
     for row, (grid, layer) in enumerate(GRIDS):
         change = 100.0 * (totals[row] / totals[row - 1] - 1.0) if row else (np.nan, np.nan)
         print(
-            f"{grid:>4.1f} deg {layer:>6.3f} m {totals[row, 0] / 1e3:>11.2f} {change[0]:>6.2f} % "
+            f"{grid:>4.2f} deg {layer:>6.3f} m {totals[row, 0] / 1e3:>11.2f} {change[0]:>6.2f} % "
             f"{totals[row, 1] / 1e3:>13.2f} {change[1]:>6.2f} %"
         )
 

@@ -148,7 +148,7 @@ def test_soil_costs_work_only_below_the_ground(backhoe: bp.Robot) -> None:
     soil = {"density": 1700.0, "cohesion": 5000.0, "friction": 0.55}
     for depth, more in ((0.3, True), (-0.3, False)):
         points = ((4.4, 0.0, -depth), (3.0, 0.0, -depth))
-        dry, wet = (build_problem(backhoe, along(*points, **keys)) for keys in ({}, {"soil": soil}))
+        dry, wet = (build_problem(backhoe, along(*points, soil=own)) for own in (None, soil))
         plan = bp.plan(backhoe, dry.scene, method="reactive")
         q, stations = plan.trajectory.q, np.linspace(0.0, 1.4, len(plan.trajectory))
         without, against = (Objective(problem, "work").value(stations, q) for problem in (dry, wet))

@@ -127,7 +127,7 @@ def plan_to_dict(plan: Plan, *, relative_to: Path | None = None) -> dict[str, An
 def _dynamics(plan: Plan) -> dict[str, Any]:
     """Over the samples of the trajectory: torque [T][n], then power and energy [T]."""
     energy = trajectory_energy(build_problem(plan.robot, plan.scene), plan.trajectory)
-    found = {"torque": energy.torque, "power": energy.power, "work": energy.work}
+    found: dict[str, Any] = {"torque": energy.torque, "power": energy.power, "work": energy.work}
     if energy.hydraulic is not None:
         found |= {"hydraulic_power": energy.hydraulic_power, "hydraulic": energy.hydraulic}
     return {key: _plain(values) for key, values in found.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,7 +199,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     right.spines[["top", "left"]].set_visible(False)
     right.tick_params(labelsize=8.5, color="0.6")
     what = "energy" if problem.scene.objective == "hydraulic" else "work"
-    curves = [(time, spent, "#d55e00", (0, (6, 2)), what)]
+    curves: list[tuple[Vector, Vector, str, Any, str]] = [(time, spent, "#d55e00", (0, (6, 2)), what)]
     told = f"what {'the oil puts' if what == 'energy' else 'the joints put'} in, against {_loads(plan)}"
     compared = None
     if "objective" in plan.metrics:
