@@ -22,6 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 import backhoe_planner as bp
+from backhoe_planner.planning.objectives import UNITS
 from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.plan_file import check_writable, plan_to_dict
 from backhoe_planner.planning.planner import DEFAULT_BUDGET
@@ -90,7 +91,7 @@ def plan(
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to write.")] = Path(
         "plan.json"
     ),
-    method: Annotated[str, typer.Option(help="auto, reactive or paper.")] = "auto",
+    method: Annotated[str, typer.Option(help="auto, reactive, optimal or paper.")] = "auto",
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
     budget: Annotated[float, typer.Option(metavar="S", help="Time to plan in [s].")] = DEFAULT_BUDGET,
     view: Annotated[bool, typer.Option("--view", help="Show the steps in the browser, then play the plan.")] = False,
@@ -304,6 +305,7 @@ def _warn(warnings: Iterable[str]) -> None:
 def _tell(found: Plan, output: Path, as_json: bool) -> None:
     if as_json:
         content = plan_to_dict(found)
+        del content["dynamics"]  # sample by sample, as the trajectory is
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
@@ -337,7 +339,8 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
         )
     metrics = found.metrics
     _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
-    _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ (gravity, inertia and payload)")
+    _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ ({_loads(found)})")
+    _tell_saving(metrics.get("objective"))
     _out.print(f"planned in    {metrics['planning_time']:.2f} s")
     _out.print(f"plan          {output}")
 
@@ -350,6 +353,30 @@ def _because(found: Plan, detour: Detour) -> str:
             limit = known["link"] == "joint"
             return f", for the limit of joint {known['obstacle']}" if limit else f", around {known['obstacle']}"
     return ""
+
+
+def _loads(found: Plan) -> str:
+    loads = ["gravity", "inertia"]
+    loads += ["payload"] if found.scene.payload > 0.0 else []
+    loads += ["soil"] if found.scene.soil is not None else []
+    return f"{', '.join(loads[:-1])} and {loads[-1]}"
+
+
+def _tell_saving(compared: dict[str, Any] | None) -> None:
+    """One line: the objective along the path, and what the local law needs."""
+    if compared is None:
+        return
+    unit = UNITS[compared["name"]]
+    told = f"{compared['name']} {compared['value']:.4g} {unit} along the path"
+    if compared["law"] is not None:
+        told += f"; the local law {compared['law']:.4g} {unit}"
+        if compared["saving_percent"] is not None:
+            told += f" (saves {compared['saving_percent']:.0f} %)"
+        if compared["law_breaks"] is not None:
+            told += f", and it breaks the {compared['law_breaks']}"
+    elif compared["law_breaks"] is not None:
+        told += f"; the local law does not get along it ({compared['law_breaks']})"
+    _out.print(f"objective     {told}")
 
 
 def _asks_angle(found: Plan) -> bool:

@@ -49,9 +49,12 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
 @pytest.mark.parametrize(
     ("name", "urdf", "refine"),
     [
+        ("levelling", "example:backhoe", 0),
+        ("loaded_swing", "example:backhoe", 0),
         ("paper_planar", "example:planar4", 10),
         ("pole", "example:backhoe", 1),
         ("trench", "example:backhoe", 0),
+        ("trench_cut", "example:backhoe", 0),
         ("truck", "example:backhoe", 0),
         ("wall", "example:backhoe", 1),
         ("worker", "example:backhoe", 1),

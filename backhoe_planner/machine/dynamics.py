@@ -55,6 +55,19 @@ class Dynamics:
             tau -= J.reshape(6, len(tau))[:3].T @ tip_force  # of one joint alone it is 1-D
         return tau
 
+    def gravity_torques(self, q: Matrix) -> Matrix:
+        """(B, n) torques or forces that hold the machine still at q (B, n) [N m or N]."""
+        found = [pin.computeGeneralizedGravity(self._model, self._data, row) for row in q]
+        return np.array(found, dtype=float).reshape(q.shape)
+
+    def mass_matrices(self, q: Matrix) -> NDArray[np.float64]:
+        """(B, n, n) M of every configuration in q (B, n)."""
+        found = np.empty((*q.shape, q.shape[-1]))
+        for row, joints in enumerate(q):
+            upper = np.triu(pin.crba(self._model, self._data, joints))
+            found[row] = upper + np.triu(upper, 1).T
+        return found
+
     def kinetic_energy(self, q: Vector, v: Vector) -> float:
         """[J]"""
         return float(pin.computeKineticEnergy(self._model, self._data, q, v))

@@ -22,7 +22,7 @@ from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.redundancy.on_path import step_on_path
 from backhoe_planner.site.proximity import Nearby, Proximity
 
-__all__ = ["Resolution", "resolve_along"]
+__all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -145,18 +145,19 @@ def _rows(target: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
     """Error and Jacobian of the rows that must be met exactly."""
     error, J = target.error(at), target.jacobian(at)
     rows = movable_rows(J)
-    if _has_open_range(target):
+    if has_open_range(target):
         rows = rows & np.array([True, True, True, False])
     return error[rows], J[rows]
 
 
-def _has_open_range(target: TipTarget) -> bool:
+def has_open_range(target: TipTarget) -> bool:
+    """Whether a target leaves the pitch a range, and not one angle or all."""
     return target.rotation is None and target.pitch is not None and target.pitch[1] - target.pitch[0] > _OPEN_RANGE
 
 
 def _with_pitch(target: TipTarget, at: Configuration, rows: Matrix, lower: Vector) -> tuple[Matrix, Vector]:
     """The rows, and two more that hold the pitch within the asked range."""
-    if not _has_open_range(target):
+    if not has_open_range(target):
         return rows, lower
     assert target.pitch is not None
     low, high = target.pitch

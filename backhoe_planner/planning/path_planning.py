@@ -15,8 +15,12 @@ from backhoe_planner.planning.blending import PERIOD
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.descent import cheapen_stretch
 from backhoe_planner.planning.drive import drive_of
+from backhoe_planner.planning.local_resolution import resolve_along
+from backhoe_planner.planning.objectives import Objective
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
+from backhoe_planner.planning.path_layers import redundancy_of
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.path_timing import time_stretch
 from backhoe_planner.planning.plan import Reason
@@ -35,6 +39,8 @@ _GUESSES = 24  # for each of them
 _SEARCH = 48
 _ROOM = 5e-4  # m of margin below which the samples lie closer
 _FINE_PERIOD = 0.004  # s between them then
+_GRID = np.radians(2.5)  # of the free parameter, where there is one
+_LAYER = 0.1  # m of path between layers there
 _ON_PATH = 1e-4  # m and rad
 
 
@@ -74,6 +80,7 @@ def plan_along_path(
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
+    objective = Objective(context.problem)
     try:
         resolver = PathResolver(
             context.problem,
@@ -83,6 +90,8 @@ def plan_along_path(
             begin=stepper.q if stepper is not None and on_path else None,
             time=time,
             deadline=context.deadline,
+            cost=objective.step_costs,
+            **_density(context, path),
             find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
         )
     except OutOfTime:
@@ -94,7 +103,7 @@ def plan_along_path(
         failure = no_posture(context, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
-    along = _Along(context, path, resolver, stepper)
+    along = _Along(context, path, resolver, objective, stepper)
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
@@ -106,13 +115,28 @@ def _somewhere(context: Context, path: BucketPath) -> Vector:
     return found.clear[0] if found.clear else found.best.q
 
 
+def _density(context: Context, path: BucketPath) -> dict[str, float]:
+    """Of the graph. With one free parameter it can be dense; layers far apart let a route turn slowly."""
+    if redundancy_of(context.problem.robot, path.target(0.0)) == 1:
+        return {"grid": _GRID, "layer": _LAYER}
+    return {}
+
+
 class _Along:
     """One path, and the ways to resolve it."""
 
-    def __init__(self, context: Context, path: BucketPath, resolver: PathResolver, stepper: Stepper | None) -> None:
+    def __init__(
+        self,
+        context: Context,
+        path: BucketPath,
+        resolver: PathResolver,
+        objective: Objective,
+        stepper: Stepper | None,
+    ) -> None:
         self._context = context
         self._path = path
         self._resolver = resolver
+        self._objective = objective
         self._stepper = stepper
         task = context.problem.scene.task.path
         assert task is not None
@@ -170,7 +194,7 @@ class _Along:
             reason: Reason = "budget" if self._context.out_of_time else "blocked"
             message = f"no way was found to the beginning of the path: {told}"
             return Outcome(stepper.trajectory(), reason, message, {"path_from": 0.0, "path_to": 0.0})
-        arrived = _Along(self._context, self._path, self._resolver, transit.stepper)
+        arrived = _Along(self._context, self._path, self._resolver, self._objective, transit.stepper)
         return arrived.plan(transit.stepper.q)
 
     def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
@@ -179,20 +203,48 @@ class _Along:
         last = len(resolved.pieces) - 1
         for index, piece in enumerate(resolved.pieces):
             if isinstance(piece, Stretch) and len(piece.q) > 2:
-                q = smooth_stretch(
-                    self._context.problem,
-                    self._path,
-                    piece.stations,
-                    piece.q,
-                    proximity=self._context.world,
-                    time=0.0 if self._stepper is None else self._stepper.time,
-                    free_start=index == 0 and begin is None and self._stepper is None,
-                    free_end=index == last,
-                    deadline=self._context.deadline,
-                )
-                piece = Stretch(piece.stations, q)
+                free_start = index == 0 and begin is None and self._stepper is None
+                cheap = self._cheapened(piece, free_start=free_start, free_end=index == last)
+                if last == 0 and resolved.complete:
+                    cheap = self._cheaper_than_law(cheap, free_start=free_start)
+                piece = cheap
             found.append(piece)
         return found
+
+    def _cheapened(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
+        context = self._context
+        setting: dict[str, Any] = {
+            "proximity": context.world,
+            "time": self._time,
+            "free_start": free_start,
+            "free_end": free_end,
+            "deadline": context.deadline,
+        }
+        q = piece.q
+        if self._objective.name in ("velocity_norm", "kinetic"):  # close to what these steps lower
+            q = smooth_stretch(context.problem, self._path, piece.stations, q, **setting)
+        q = cheapen_stretch(context.problem, self._path, piece.stations, q, objective=self._objective, **setting)
+        return Stretch(piece.stations, q)
+
+    def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
+        """A piece that is the whole way, or what the local law's way from the same joints can be made into.
+
+        Costs have more than one valley, and a grid may miss the one in which the law goes.
+        """
+        context = self._context
+        low = float(piece.stations[0])
+        law = resolve_along(
+            context.problem, self._path, low, piece.q[0],
+            proximity=context.world, kinematics=context.kinematics, time=self._time,
+        )  # fmt: skip
+        if not law.complete or context.out_of_time:
+            return piece
+        other = self._cheapened(Stretch(law.stations, law.q), free_start=free_start, free_end=True)
+        return min((piece, other), key=lambda way: self._objective.along(way.stations, way.q))
+
+    @property
+    def _time(self) -> float:
+        return 0.0 if self._stepper is None else self._stepper.time
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Detouring]) -> None:
         limits, drive = self._context.problem.limits, drive_of(self._context.problem)

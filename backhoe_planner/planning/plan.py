@@ -17,8 +17,8 @@ from backhoe_planner.site.scene import Scene
 
 __all__ = ["METHODS", "Method", "Plan", "Reason"]
 
-Method = Literal["auto", "reactive", "paper"]
-METHODS: tuple[Method, ...] = ("auto", "reactive", "paper")
+Method = Literal["auto", "reactive", "optimal", "paper"]
+METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")
 
 Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]
 
@@ -38,7 +38,9 @@ class Plan:
     trajectory: the motion; where planning failed, the best that was found, which may
         be the start alone.
     certificate: what is proven of it.
-    metrics: duration [s], planning_time [s], path lengths [m], energies [J].
+    metrics: duration [s], planning_time [s], path lengths [m], what the motion costs by
+        every objective; along a path also ``objective``: what was made small, beside what
+        the local law needs.
     details: numbers behind `reason`.
     """
 

@@ -18,7 +18,9 @@ import numpy as np
 from backhoe_planner.errors import InputError, OutputError, PlanFileError, RobotError
 from backhoe_planner.machine.robot import load_robot
 from backhoe_planner.planning.certificate import certify
+from backhoe_planner.planning.objectives import trajectory_energy
 from backhoe_planner.planning.plan import METHODS, Plan
+from backhoe_planner.planning.problem import build_problem
 from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.site.scene import Scene, scene_from_dict
 
@@ -116,10 +118,20 @@ def plan_to_dict(plan: Plan, *, relative_to: Path | None = None) -> dict[str, An
             "q": plan.trajectory.q.tolist(),
             "v": plan.trajectory.v.tolist(),
         },
+        "dynamics": _dynamics(plan),
         "certificate": certificate_to_dict(plan),
         "metrics": _plain(plan.metrics),
         "details": _plain(plan.details),
     }
+
+
+def _dynamics(plan: Plan) -> dict[str, Any]:
+    """Over the samples of the trajectory: torque [T][n], then power and energy [T]."""
+    energy = trajectory_energy(build_problem(plan.robot, plan.scene), plan.trajectory)
+    found: dict[str, Any] = {"torque": energy.torque, "power": energy.power, "work": energy.work}
+    if energy.hydraulic is not None:
+        found |= {"hydraulic_power": energy.hydraulic_power, "hydraulic": energy.hydraulic}
+    return {key: _plain(values) for key, values in found.items()}
 
 
 def certificate_to_dict(plan: Plan) -> dict[str, Any]:

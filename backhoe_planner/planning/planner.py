@@ -1,7 +1,8 @@
 """`plan`: from a machine and a scene to a motion with a verdict.
 
     goal:  the completed law straight for it, else a sampled way
-    path:  the layered graph over the redundancy, with detours where no layer is free
+    path:  the cheapest way through the layered graph over the redundancy, made cheaper in
+           between, with detours where no layer is free
 
 Every ending is a `Plan`: what can fail in normal use is a reason with its numbers.
 """
@@ -16,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, nearest_name
-from backhoe_planner.machine.dynamics import motion_costs
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.as_printed import run_iteration
@@ -26,6 +26,7 @@ from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
+from backhoe_planner.planning.objectives import trajectory_costs
 from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture
 from backhoe_planner.planning.over_time import Planned, changes, plan_over_time
 from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
@@ -36,6 +37,7 @@ from backhoe_planner.planning.stepping import Stepper, Watcher
 from backhoe_planner.planning.timing import time_polyline
 from backhoe_planner.planning.tracking import progress
 from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.yardstick import compare_with_law
 from backhoe_planner.site.scene import Scene
 
 __all__ = ["DEFAULT_BUDGET", "plan"]
@@ -61,8 +63,9 @@ def plan(
 
     Parameters
     ----------
-    method: ``auto``, ``reactive`` (the completed law alone), or ``paper`` (the law as
-        printed, to compare with).
+    method: ``auto``, ``reactive`` (the completed law alone), ``optimal`` (along a path:
+        the least of the scene's objective; what ``auto`` does there too), or ``paper``
+        (the law as printed, to compare with).
     seed: of every random choice; the same input and seed give the same plan.
     budget: time to plan in [s].
     watch: is shown every step while the planner works.
@@ -87,9 +90,17 @@ def plan(
             "the paper's law moves the tip to a goal; this scene has a path",
             key="method",
             found="paper",
-            allowed="auto, reactive",
+            allowed="auto, reactive, optimal",
+        )
+    if checked == "optimal" and problem.path is None:
+        raise InputError(
+            "what is made optimal is a path of the tip; this scene has a goal",
+            key="method",
+            found="optimal",
+            allowed="auto, reactive, paper",
         )
     outcome, certificate = _drivable(problem, checked, seed=seed, deadline=begun + budget, watch=watch)
+    planning_time = clock.monotonic() - begun
     reason, message = outcome.reason, outcome.message
     details = dict(outcome.details)
     if not reason and not certificate.verified:
@@ -109,7 +120,7 @@ def plan(
         seed=seed,
         trajectory=outcome.trajectory,
         certificate=certificate,
-        metrics=_metrics(problem, outcome.trajectory, certificate, clock.monotonic() - begun),
+        metrics=_metrics(problem, checked, outcome.trajectory, certificate, planning_time),
         details=details,
     )
 
@@ -188,7 +199,7 @@ class _Planning:
                 return failure
             if self._problem.start_q is None and self._problem.start_target is None:
                 outcome = self._follow(path, None)
-                if self._method != "auto" or outcome.reason or not changes(self._problem):
+                if self._method == "reactive" or outcome.reason or not changes(self._problem):
                     return outcome
                 return plan_over_time(self._context, self._asked(), self._context.stepper(outcome.trajectory.q[0]))
         start = self._start()
@@ -198,7 +209,7 @@ class _Planning:
         if failure is not None:
             return failure
         stepper = self._context.stepper(start)
-        if self._method == "auto":
+        if self._method in ("auto", "optimal"):
             return plan_over_time(self._context, self._asked(), stepper)
         return self._reach(stepper) if path is None else self._follow(path, stepper)
 
@@ -242,7 +253,7 @@ class _Planning:
         return plan_to_goal(context, stepper, goal)
 
     def _follow(self, path: BucketPath, stepper: Stepper | None) -> Outcome:
-        if self._method == "auto":
+        if self._method != "reactive":
             return plan_along_path(self._context, path, stepper=stepper)
         if stepper is None:
             return follow_with_law_from_anywhere(self._context, path)
@@ -250,24 +261,21 @@ class _Planning:
 
 
 def _metrics(
-    problem: Problem, trajectory: Trajectory, certificate: Certificate, planning_time: float
+    problem: Problem, method: Method, trajectory: Trajectory, certificate: Certificate, planning_time: float
 ) -> dict[str, Any]:
     kinematics = Kinematics(problem.robot)
     tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
-    energy = motion_costs(
-        problem.robot, trajectory.time, trajectory.q, trajectory.v, trajectory.accelerations(),
-        payload=problem.scene.payload,
-    )  # fmt: skip
     detours = certificate.detours
+    compared = compare_with_law(problem, trajectory, certificate) if method in ("auto", "optimal") else None
     return {
         "duration": trajectory.duration,
         "planning_time": planning_time,
         "tip_length": float(np.sum(np.linalg.norm(np.diff(tips, axis=0), axis=1))),
         "joint_length": float(np.sum(np.linalg.norm(np.diff(trajectory.q, axis=0), axis=1))),
-        "energy": energy,
+        "energy": trajectory_costs(problem, trajectory),
         "detour": {
             "count": len(detours),
             "length": float(sum(detour.length for detour in detours)),
             "max_deviation": float(max((detour.max_deviation for detour in detours), default=0.0)),
         },
-    }
+    } | ({} if compared is None else {"objective": compared.metrics()})

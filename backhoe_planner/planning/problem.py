@@ -52,13 +52,29 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
     Raises
     ------
     SceneError: a joint or link that the machine does not have, a pitch or an
-        orientation that it cannot have, a file of the scene that cannot be used.
+        orientation that it cannot have, soil or an objective for which it lacks something,
+        a file of the scene that cannot be used.
     RobotError: the scene's tip is not a link of the machine.
     """
     robot = robot.with_tip(scene.tip)
     _check_joint_names(robot, scene, "limits.acceleration", scene.limits.acceleration)
     if scene.gains != "auto":
         _check_joint_names(robot, scene, "gains.s_k", scene.gains.s_k)
+    if scene.soil is not None and not robot.has_pitch:
+        raise SceneError(
+            "soil acts on a bucket, whose last joint's axis stays level; this arm has none",
+            file=scene.file,
+            key="soil",
+            found=robot.name,
+        )
+    if scene.objective == "hydraulic" and robot.hydraulics is None:
+        raise SceneError(
+            "the machine has no hydraulic description (a file beside its URDF, NAME.hydraulics.yaml)",
+            file=scene.file,
+            key="objective",
+            found=scene.objective,
+            allowed="velocity_norm, kinetic, effort, work, time",
+        )
     start_q, start_target = _start(robot, scene)
     goal = None if scene.task.goal is None else _target(robot, scene, scene.task.goal, "task.goal")
     path = None

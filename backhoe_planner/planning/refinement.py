@@ -26,7 +26,7 @@ from backhoe_planner.planning.certificate import segment_is_clear
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["smooth_stretch", "stretch_cost"]
+__all__ = ["TOUCH", "null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -36,7 +36,7 @@ _ROUNDS = 20
 _ENOUGH = 1e-3  # relative fall of the cost below which it is left
 _LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round
 _ROOM = 0.005  # m of margin that smoothing does not use up
-_TOUCH = 5e-5  # m
+TOUCH = 5e-5  # m
 _DEPTH = 9
 _LENGTH_OF_TURN = 0.1  # m that a radian counts as where the tip stands
 
@@ -76,17 +76,17 @@ def smooth_stretch(
         return q
     kinematics = BatchKinematics(problem.robot)
     targets = TargetBatch.of([path.target(float(s)) for s in stations])
-    strict = _strict(targets)
+    strict = strict_targets(targets)
     weights = _weights(stations, q)
     held = np.zeros(len(q), dtype=bool)
     held[0], held[-1] = not free_start, not free_end
     price = np.zeros(len(q))
-    floor = np.minimum(_margins(proximity, q, time), _ROOM) - _TOUCH
+    floor = np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH
     cost = _cost(weights, q)
     for _ in range(_ROUNDS):
         if clock.monotonic() > deadline:
             break
-        N = _null_bases(kinematics, strict, q)
+        N = null_bases(kinematics, strict, q)
         if N.shape[2] == 0:
             break
         z = _step(weights, q, N, price, held)
@@ -96,14 +96,14 @@ def smooth_stretch(
         bad |= _margins(proximity, moved, time, floor=floor) < floor
         if not bad.any() and _cost(weights, moved) < cost:
             clear = [
-                segment_is_clear(proximity, a, b, time=time, depth=_DEPTH, spare=-_TOUCH) for a, b in pairwise(moved)
+                segment_is_clear(proximity, a, b, time=time, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(moved)
             ]
             bad[:-1] |= ~np.array(clear)
             bad[1:] |= ~np.array(clear)
             if not bad.any():
                 fallen = cost - _cost(weights, moved)
                 q, cost = moved, cost - fallen
-                floor = np.maximum(floor, np.minimum(_margins(proximity, q, time), _ROOM) - _TOUCH)
+                floor = np.maximum(floor, np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH)
                 price *= 0.3
                 if fallen < _ENOUGH * cost:
                     break
@@ -121,7 +121,7 @@ def _cost(weights: Vector, q: Matrix) -> float:
     return float(np.sum(weights * np.sum(np.diff(q, axis=0) ** 2, axis=1)))
 
 
-def _strict(targets: TargetBatch) -> TargetBatch:
+def strict_targets(targets: TargetBatch) -> TargetBatch:
     """The targets without the pitch ranges that leave room."""
     return TargetBatch(
         targets.position, targets.rotation, targets.turned, targets.pitch_middle, targets.pitch_half,
@@ -140,7 +140,7 @@ def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None 
     return found
 
 
-def _null_bases(kinematics: BatchKinematics, targets: TargetBatch, q: Matrix) -> NDArray[np.float64]:
+def null_bases(kinematics: BatchKinematics, targets: TargetBatch, q: Matrix) -> NDArray[np.float64]:
     """(K, n, r) orthonormal bases of the null spaces, with the r that all samples have at least."""
     J = targets.jacobians(kinematics.at(q))
     _, size, Vt = np.linalg.svd(J)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.dynamics import motion_energy
 from backhoe_planner.planning.limit_usage import limit_usage
+from backhoe_planner.planning.objectives import trajectory_energy
 from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.yardstick import compare_with_law
 from backhoe_planner.show.envelope_plot import plot_envelope
 from backhoe_planner.show.figure_file import check_suffix, plain_text, save_figure
 from backhoe_planner.show.palette import PLOT_CYCLE
 from backhoe_planner.show.timeline import Timeline, timeline
-from backhoe_planner.site.soil import SoilReaction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,9 +39,9 @@ _HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
 
 
 def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
-    """Write a figure of a plan: joints, rates, clearance, which limit binds, power and work over time.
+    """Write a figure of a plan: joints, rates, clearance, torques, which limit binds, power and work over time.
 
-    For a task along a path also how far the tip is from it.
+    For a task along a path also how far the tip is from it, and the local law's work.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
         panels.append(_clearance)
     if problem.path is not None:
         panels.append(_deviation)
-    panels += [_limits, _power]
+    panels += [_torques, _limits, _power]
     heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
     figure = Figure(figsize=(_WIDTH, _PANEL * sum(heights) + 0.9))
     figure.set_layout_engine("constrained", hspace=0.06)
@@ -216,38 +217,71 @@ def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
     return "0.85", None
 
 
+def _torques(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    torque = trajectory_energy(problem, plan.trajectory).torque
+    largest = float(np.max(np.abs(torque), initial=0.0))
+    prefix, scale = ("k", 1e-3) if largest >= 1000.0 else ("", 1.0)
+    for joint in range(plan.robot.n):
+        axes.plot(plan.trajectory.time, scale * torque[:, joint], color=_colour(joint), linewidth=1.6)
+    axes.axhline(0.0, color="0.6", linewidth=0.8)
+    forces = np.any(plan.robot.prismatic)
+    axes.set_ylabel(f"torque [{prefix}N m]" if not forces else f"torque or force [{prefix}N m, {prefix}N]")
+    _say(axes, f"of the joints, against {_loads(plan)}")
+
+
 def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    trajectory, scene = plan.trajectory, plan.scene
-    soil = None if scene.soil is None else SoilReaction(plan.robot, scene.soil).force(trajectory.q, trajectory.v)
-    energy = motion_energy(
-        plan.robot, trajectory.time, q=trajectory.q, v=trajectory.v, a=trajectory.accelerations(),
-        payload=scene.payload, tip_force=soil,
-    )  # fmt: skip
-    series = [(energy.power, energy.work, "#3d6692", "#d55e00", "power", "work")]
-    if energy.hydraulic_power is not None and energy.hydraulic is not None:
-        series.append((energy.hydraulic_power, energy.hydraulic, "#8aa9c9", "#eba06b", "pump power", "pump work"))
-    highest, most = max(float(s[0].max()) for s in series), max(float(s[1][-1]) for s in series)
-    unit, scale = ("k", 1e-3) if highest >= 1000.0 else ("", 1.0)
-    axes.fill_between(trajectory.time, scale * energy.power, color="#5b7fa6", alpha=0.25, linewidth=0.0)
-    for power, _, colour, _, label, _ in series:
-        _curve(axes, trajectory.time, scale * power, colour, label)
-    axes.set_ylim(0.0, max(1.12 * scale * highest, 1e-9))
-    axes.set_ylabel(f"power [{unit}W]")
+    """Power and its integral; along a path beside the local law's: the oil's where that is made small."""
+    time = plan.trajectory.time
+    power, spent = _spent(problem, plan.trajectory)
+    axes_unit, scale = ("k", 1e-3) if power.max() >= 1000.0 else ("", 1.0)
+    axes.fill_between(time, scale * power, color="#5b7fa6", alpha=0.25, linewidth=0.0)
+    _curve(axes, time, scale * power, "#3d6692", "power")
+    axes.set_ylim(0.0, max(1.12 * scale * power.max(), 1e-9))
+    axes.set_ylabel(f"power [{axes_unit}W]")
     right = axes.twinx()
     right.spines[["top", "left"]].set_visible(False)
     right.tick_params(labelsize=8.5, color="0.6")
-    unit, scale = ("k", 1e-3) if most >= 1000.0 else ("", 1.0)
+    what = "energy" if problem.scene.objective == "hydraulic" else "work"
+    curves: list[tuple[Vector, Vector, str, Any, str]] = [(time, spent, "#d55e00", (0, (6, 2)), what)]
+    told = f"what {'the oil puts' if what == 'energy' else 'the joints put'} in, against {_loads(plan)}"
+    compared = None
+    if "objective" in plan.metrics:
+        compared = compare_with_law(problem, plan.trajectory, plan.certificate)
+    if compared is not None and compared.law_motion is not None:
+        offset = float(np.interp(compared.begun, time, spent))
+        law = offset + _spent(problem, compared.law_motion)[1]
+        name = "local law" if compared.law_breaks is None else "local law,\nbreaks a limit"
+        curves.append((compared.begun + compared.law_motion.time, law, "0.35", (0, (1.5, 1.5)), name))
+        if compared.saving_percent is not None:
+            told += f"; {compared.name} along the path {compared.saving_percent:.0f} % below the local law's"
+    highest = max(float(values[-1]) for _, values, *_ in curves)
+    unit, scale = ("k", 1e-3) if highest >= 1000.0 else ("", 1.0)
     lines = [
-        right.plot(trajectory.time, scale * work, color=colour, linewidth=1.6, linestyle=(0, (6, 2)), label=label)[0]
-        for _, work, _, colour, _, label in series
+        right.plot(at, scale * values, color=colour, linewidth=1.6, linestyle=dashes, label=name)[0]
+        for at, values, colour, dashes, name in curves
     ]
-    right.set_ylim(0.0, max(1.12 * scale * most, 1e-9))
-    right.set_ylabel(f"work [{unit}J]", fontsize=9)
+    right.set_ylim(0.0, max(1.12 * scale * highest, 1e-9))
+    right.set_ylabel(f"{what} [{unit}J]", fontsize=9)
     _legend(axes, more=lines, aside=1.085)
-    against = ["gravity", "inertia", *(["soil"] if soil is not None else [])]
-    load = f", with {scene.payload:g} kg in the bucket" if scene.payload > 0.0 else ""
-    pump = "; pump: load sensing" if len(series) > 1 else ""
-    _say(axes, f"what the joints put in, against {', '.join(against[:-1])} and {against[-1]}{load}{pump}")
+    _say(axes, told)
+
+
+def _spent(problem: Problem, motion: Trajectory) -> tuple[Vector, Vector]:
+    """(T,) power [W] and energy [J]: of the joints, or of the oil where that is what is made small."""
+    energy = trajectory_energy(problem, motion)
+    if problem.scene.objective == "hydraulic" and energy.hydraulic is not None:
+        assert energy.hydraulic_power is not None
+        return energy.hydraulic_power, energy.hydraulic
+    return energy.power, energy.work
+
+
+def _loads(plan: Plan) -> str:
+    loads = ["gravity", "inertia"]
+    if plan.scene.payload > 0.0:
+        loads.append(f"{plan.scene.payload:g} kg in the bucket")
+    if plan.scene.soil is not None:
+        loads.append("soil")
+    return f"{', '.join(loads[:-1])} and {loads[-1]}"
 
 
 def _curve(axes: Axes, time: Vector, values: Vector, colour: str, label: str) -> None:

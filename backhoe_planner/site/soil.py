@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
+from backhoe_planner.machine.batch_kinematics import BatchKinematics, ConfigurationBatch
 from backhoe_planner.machine.dynamics import GRAVITY
-from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.site.scene import Soil
 
@@ -124,7 +124,7 @@ def soil_force(
 
 
 class SoilReaction:
-    """The soil's force on one machine's teeth; own working memory.
+    """The soil's force on one machine's teeth.
 
     Raises
     ------
@@ -137,7 +137,7 @@ class SoilReaction:
             raise InputError("soil acts on a bucket, whose last joint's axis stays level", key="soil", found=robot.name)
         self._soil, self._lip = soil, lip
         self._width = bucket_width(robot) if soil.width is None else soil.width
-        self._kinematics = Kinematics(robot)
+        self._kinematics = BatchKinematics(robot)
 
     def force(self, q: Array, v: Array) -> Array:
         """(..., 3) on the tip [N], world, at q, v (..., n)."""
@@ -147,24 +147,32 @@ class SoilReaction:
         """(..., n) J^T F, what the soil does to the joints [N m], at q, v (..., n)."""
         return self._over(q, v)[1]
 
+    def torques_at(self, q: Array, tip_velocity: Array) -> Array:
+        """(B, n) J^T F [N m] at q (B, n) while the tip moves with (B, 3) or (3,) [m/s], world."""
+        at = self._kinematics.at(q)
+        force = self._force(at, np.broadcast_to(tip_velocity, (len(q), 3)))
+        return np.asarray(np.einsum("tij,ti->tj", at.position_jacobian(), force))
+
     def _over(self, q: Array, v: Array) -> tuple[Array, Array]:
         q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
-        rates = v.reshape(-1, v.shape[-1])
-        at = [self._kinematics.at(own) for own in q.reshape(-1, q.shape[-1])]
-        J = np.array([posture.jacobian[:3] for posture in at])
-        axis = np.array([posture.robot.pitch_sense * posture.J_world[3:, -1] for posture in at])
+        at = self._kinematics.at(q.reshape(-1, q.shape[-1]))
+        J = at.position_jacobian()
+        force = self._force(at, np.einsum("tij,tj->ti", J, v.reshape(-1, v.shape[-1])))
+        torque = np.einsum("tij,ti->tj", J, force)
+        return force.reshape(*q.shape[:-1], 3), torque.reshape(q.shape)
+
+    def _force(self, at: ConfigurationBatch, tip_velocity: Array) -> Array:
+        axis = at.pitch_sense * at.axes[:, -1]
         forward = np.column_stack((-axis[:, 1], axis[:, 0], np.zeros(len(at))))
-        force = soil_force(
-            np.array([posture.tip_position for posture in at]),
-            np.einsum("tij,tj->ti", J, rates),
-            pitch=np.array([posture.pitch for posture in at]),
+        return soil_force(
+            at.tip_position,
+            tip_velocity,
+            pitch=at.pitch(),
             forward=forward / np.linalg.norm(forward, axis=1, keepdims=True),
             soil=self._soil,
             width=self._width,
             lip=self._lip,
         )
-        torque = np.einsum("tij,ti->tj", J, force)
-        return force.reshape(*q.shape[:-1], 3), torque.reshape(q.shape)
 
 
 def bucket_width(robot: Robot) -> float:
