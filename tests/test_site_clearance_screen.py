@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,3 +57,15 @@ def test_the_space_that_is_swept_holds_the_obstacle_at_every_moment(backhoe: bp.
         apart = still.distances(q)
         # as near at every moment, or nearer by what the round parts are taken larger
         assert np.all((apart <= nearest + 1e-6) | (nearest < 0.0))
+
+
+def test_a_machine_without_shapes_keeps_clear(tmp_path: Path) -> None:
+    file = tmp_path / "bare.urdf"
+    file.write_text(
+        '<robot name="bare"><link name="base"/><link name="tip"/>'
+        '<joint name="turn" type="revolute"><parent link="base"/><child link="tip"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
+    )
+    robot = bp.load_robot(file)
+    screen = ClearanceScreen(bp.Proximity(robot, []))
+    assert screen.keeps(np.zeros((3, 1))).all()

@@ -34,9 +34,9 @@ class ClearanceScreen:
         self._kinematics = BatchKinematics(robot)
         balls = [_balls(piece.piece) for piece in robot.pieces]
         self._first = np.cumsum([0, *(len(centres) for centres, _ in balls)])
-        self._centres = np.vstack([centres for centres, _ in balls])
-        self._radii = np.concatenate([np.full(len(centres), radius) for centres, radius in balls])
-        self._joint = np.repeat([piece.joint for piece in robot.pieces], np.diff(self._first))
+        self._centres = np.vstack([np.zeros((0, 3)), *(centres for centres, _ in balls)])
+        self._radii = np.concatenate([np.zeros(0), *(np.full(len(centres), radius) for centres, radius in balls)])
+        self._joint = np.repeat(np.array([piece.joint for piece in robot.pieces], dtype=int), np.diff(self._first))
         self._boxes = [[_box(piece) for piece in obstacle.pieces] for obstacle in proximity.obstacles]
 
     def keeps(self, q: Matrix, *, time: float = 0.0, spare: float = 0.0) -> NDArray[np.bool_]:
