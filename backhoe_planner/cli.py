@@ -331,6 +331,8 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
             f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off{_because(found, detour)}"
         )
+    if "waits" in found.details:
+        _out.print(f"waits         {found.details['waits']:.2f} s for what moves to pass")
     for reaction in found.details.get("reactions", ()):
         stopped = f", stopped at {reaction['stopped_at']:.2f} s" if "stopped_at" in reaction else ""
         _out.print(

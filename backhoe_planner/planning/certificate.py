@@ -389,9 +389,9 @@ def segment_is_clear(
 def _limit_use(problem: Problem, trajectory: Trajectory) -> tuple[LimitUse, LimitUse, LimitUse]:
     limits = problem.limits
     names = problem.robot.joint_names
-    middle = 0.5 * (limits.lower + limits.upper)
-    half = 0.5 * (limits.upper - limits.lower)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # continuous joints have infinite limits
+        middle = 0.5 * (limits.lower + limits.upper)
+        half = 0.5 * (limits.upper - limits.lower)
         used = np.where(np.isfinite(half), np.abs(trajectory.q - middle) / half, 0.0)
     excess = np.maximum(trajectory.q - limits.upper, limits.lower - trajectory.q)
     used = np.where(excess > 0.0, 1.0 + excess, np.minimum(used, 1.0))

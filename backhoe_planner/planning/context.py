@@ -50,6 +50,13 @@ class Context:
             self.problem, proximity=world, kinematics=self.kinematics, rng=np.random.default_rng(self.seed)
         )
 
+    def knowing(self, obstacles: Sequence[Obstacle]) -> Context:
+        """The same run, in which there is nothing but `obstacles`."""
+        other = copy.copy(self)
+        other.proximity = Proximity(self.problem.robot, obstacles)
+        other._look_at(other.proximity)
+        return other
+
     def in_world(self, obstacles: Sequence[Obstacle]) -> Context:
         """The same run, with ways searched among `obstacles`, which stand still."""
         other = copy.copy(self)

@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 
 from backhoe_planner.planning.certificate import segment_is_clear
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.drive import drive_of
+from backhoe_planner.planning.outcome import Outcome, told
 from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.retiming import retimed
 from backhoe_planner.planning.stepping import Stepper
 from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.planning.transit import find_transit
@@ -37,9 +39,11 @@ Swerve = Callable[[Context, Stepper], Outcome | None]
 
 _WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s
 _HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of what moves is kept free
-_REFUGES = 60  # postures that are looked at
+_SOON = (0.5, 1.5)  # s, where there is a refuge to get to
+_REFUGES = 150  # postures that are looked at
 _ROOM = 0.02  # m of margin in a refuge
 _PERIOD = 0.02  # s
+_HALVINGS = 4  # of the time between a wait that is too short and one that is not
 _SLOWEST_BRAKING = 0.05  # 1/s^2
 _TOUCH = 2e-5  # m
 
@@ -109,6 +113,8 @@ def _told(reaction: dict[str, Any], message: str) -> str:
 def _among_known(context: Context, asked: Planned, stepper: Stepper) -> Outcome:
     """From rest among the obstacles that are known at that moment, all of them in motion as they are."""
     known = _known(context, stepper.time)
+    context = context.knowing(known)
+    stepper = stepper.branch(attempt=stepper.attempt, proximity=context.proximity)
     still = [_standing(obstacle) for obstacle in known if not obstacle.moves]
     if len(still) == len(known):
         return asked.once(context.in_world(still), stepper)
@@ -136,16 +142,10 @@ def _ways(
     """Motions that may be clear of what moves, the simplest first."""
     direct = asked.once(context.in_world(still), stepper.branch(attempt=1))
     yield direct
-    if not direct.reason:
-        for wait in _WAITS:
-            waited = _delayed(direct.trajectory, stepper.time, wait)
-            if _stands_clear(context, known, stepper, wait):
-                yield replace(direct, trajectory=waited, details=dict(direct.details) | {"waited": wait})
-            else:
-                break
     swerved = asked.swerve(context, stepper.branch(attempt=2))
-    if swerved is not None:
-        yield swerved
+    waited = None if direct.reason else _waited(context, direct, stepper, known)
+    both = [outcome for outcome in (swerved, waited) if outcome is not None]
+    yield from sorted(both, key=lambda outcome: outcome.trajectory.duration)
     for horizon in _HORIZONS:
         world = _swept_world(known, stepper.time, horizon)
         yield asked.once(context.in_world(world), stepper.branch(attempt=3))
@@ -155,6 +155,28 @@ def _ways(
             yield asked.once(context.in_world(still), aside)
     for refuge in _refuges(context, stepper, known):
         yield asked.once(context.in_world(still), refuge)
+
+
+def _waited(context: Context, direct: Outcome, stepper: Stepper, known: list[Obstacle]) -> Outcome | None:
+    """The same motion after the shortest wait that is found to be clear, None where none is."""
+
+    def clear(wait: float) -> bool:
+        return _is_clear(context, known, _delayed(direct.trajectory, stepper.time, wait), stepper.time)
+
+    before = 0.0
+    for wait in _WAITS:
+        if not _stands_clear(context, known, stepper, wait):
+            return None
+        if clear(wait):
+            break
+        before = wait
+    else:
+        return None
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (before + wait)
+        before, wait = (before, middle) if clear(middle) else (middle, wait)
+    motion = _delayed(direct.trajectory, stepper.time, wait)
+    return replace(direct, trajectory=motion, details=dict(direct.details) | {"waits": wait})
 
 
 def _swept_world(known: list[Obstacle], since: float, horizon: float) -> list[Obstacle]:
@@ -175,7 +197,7 @@ def _refuges(context: Context, stepper: Stepper, known: list[Obstacle]) -> Itera
             clear.append(q)
     if not clear:
         return
-    for horizon in _HORIZONS[:-1]:
+    for horizon in (*_SOON, *_HORIZONS[:-1]):
         world = context.in_world(_swept_world(known, stepper.time, horizon))
         transit = find_transit(world, stepper, clear)
         if transit.stepper is None:
@@ -205,24 +227,73 @@ def _react(context: Context, asked: Planned, motion: Trajectory, moment: float) 
     known = _known(context, moment)
     # it is seen at the next sample, where the motion may change without a shorter step
     moment = float(motion.time[np.searchsorted(motion.time, moment - 1e-9)])
-    moving = context.stepper(motion.q[0])
+    inside = _inside(context, motion.at(moment), moment)
+    if inside is not None:
+        halted = _halted(context, motion, moment)
+        return Outcome(halted, "blocked", inside), {"stopped_at": halted.duration}
+    knowing = context.knowing(known)
+    moving = knowing.stepper(motion.q[0])
     moving.replay(motion, moment)
-    swerved = asked.swerve(context, moving.branch(attempt=1))
-    if swerved is not None and _is_clear(context, known, swerved.trajectory, moment):
+    swerved = asked.swerve(knowing, moving.branch(attempt=1))
+    if swerved is not None and not _is_clear(context, known, swerved.trajectory, moment):
+        swerved = None
+    again, what = _stop_and_plan(context, asked, motion, moment)
+    if swerved is not None and (again.reason or _longer(context, swerved) <= _longer(context, again)):
         return swerved, {"way": "swerved"}
+    return again, what
+
+
+def _longer(context: Context, outcome: Outcome) -> float:
+    """How long a motion takes once torque, flow and power are looked at too [s]."""
+    return retimed(outcome.trajectory, context.problem.limits, drive=drive_of(context.problem)).duration
+
+
+def _stop_and_plan(
+    context: Context, asked: Planned, motion: Trajectory, moment: float
+) -> tuple[Outcome, dict[str, Any]]:
+    """The motion up to `moment`, to rest, and on from there; and what was done."""
+    known = _known(context, moment)
     stopped = _brake(context, known, motion, moment)
     if stopped is None:
-        stopped = moving.branch(attempt=2)
+        knowing = context.knowing(known)
+        stopped = knowing.stepper(motion.q[0])
+        stopped.replay(motion, moment)
         if not stopped.give_way(moment):
-            return Outcome(stopped.trajectory(), "blocked", "contact cannot be avoided"), {}
+            halted = _halted(context, motion, moment)
+            return Outcome(halted, "blocked", "it comes too near all the same"), {"stopped_at": halted.duration}
     outcome = _among_known(context, asked, stopped)
     if outcome.reason and outcome.trajectory.duration < stopped.time:
         outcome = replace(outcome, trajectory=stopped.trajectory())
     return outcome, {"way": "stopped and planned anew", "stopped_at": stopped.time}
 
 
+def _inside(context: Context, q: Vector, moment: float) -> str | None:
+    """What the machine is too near to at this moment already, in words."""
+    contact = context.knowing(_known(context, moment)).postures.contact(q, time=moment)
+    if contact is None or contact.margin >= 0.0:
+        return None
+    return f"{told(contact)} from the first moment on"
+
+
+def _halted(context: Context, motion: Trajectory, moment: float) -> Trajectory:
+    """The motion up to `moment`, and to rest along its own way, be it clear or not."""
+    braked = _braked(context, motion, moment)
+    return motion if braked is None else braked
+
+
 def _brake(context: Context, known: list[Obstacle], motion: Trajectory, moment: float) -> Stepper | None:
     """To rest along the motion's own way, as hard as the accelerations allow; None where that is not clear."""
+    braked = _braked(context, motion, moment)
+    if braked is None or not _is_clear(context, known, braked, moment):
+        return None
+    stepper = context.stepper(motion.q[0])
+    stepper.replay(braked, braked.duration)
+    stepper.v = np.zeros_like(stepper.q)
+    return stepper
+
+
+def _braked(context: Context, motion: Trajectory, moment: float) -> Trajectory | None:
+    """The motion with its own clock running slower and slower from `moment` on, until it stands."""
     limits = context.problem.limits
     begun = moment
     rate = 1.0 / _PERIOD
@@ -235,12 +306,7 @@ def _brake(context: Context, known: list[Obstacle], motion: Trajectory, moment: 
         time = np.concatenate((motion.time[before], [begun], begun + run))
         braked = Trajectory.from_steps(time, np.vstack((motion.q[before], motion.at(np.append(begun, own)))))
         if float(np.max(np.abs(braked.accelerations()) / limits.acceleration)) <= 1.0 + 1e-7:
-            stepper = context.stepper(motion.q[0])
-            stepper.replay(braked, braked.duration)
-            # one step of standing, so that what follows begins from rest
-            stepper.v = np.zeros_like(stepper.q)
-            clear = _is_clear(context, known, stepper.trajectory(), moment)
-            return stepper if clear else None
+            return braked
         rate *= 0.8
     return None
 

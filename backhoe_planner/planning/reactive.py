@@ -30,6 +30,7 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _ARRIVED = 2e-5  # m and rad
+_AT_GOAL = 1e-4  # m and rad, with all that is asked
 _LONGEST = 40.0  # s of motion per attempt
 _PATIENCE = 1.5  # s without progress after which an attempt counts as stuck
 _PROGRESS = 0.002  # m (or rad) that counts as progress,
@@ -132,8 +133,9 @@ def _drive_tip(
         error, J = _task(goal, at)
         left = float(np.linalg.norm(error))
         if left < _ARRIVED and stepper.stopped():
+            # rows that no joint can move at this very posture are not in `left`
+            arrived = max(goal.distances(at)) < _AT_GOAL
             stepper.stop()
-            arrived = True
             break
         wished = turning.direction(error, at, nearby, stepper, left)
         xdot = wished * _pace(problem.limits, J, wished)

@@ -116,7 +116,7 @@ def sample_way(
                 return Way(np.array([start, goal]))
     except OutOfTime:
         return None
-    if not open_goals:
+    if not open_goals or most_motions <= 0:
         return None
     with _quiet():
         return _Search(check, deadline, most_motions).run(start, open_goals, seed)

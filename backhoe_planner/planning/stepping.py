@@ -87,9 +87,15 @@ class Stepper:
         self._times = [0.0]
         self._path = [self.q]
 
-    def branch(self, *, attempt: int) -> Stepper:
-        """Another motion that goes on from here; this one stays as it is."""
+    def branch(self, *, attempt: int, proximity: Proximity | None = None) -> Stepper:
+        """Another motion that goes on from here; this one stays as it is.
+
+        Parameters
+        ----------
+        proximity: what it is to keep clear of from now on; by default the same.
+        """
         other = copy.copy(self)
+        other._proximity = proximity or self._proximity
         other.attempt = attempt
         other._times, other._path = list(self._times), list(self._path)
         return other

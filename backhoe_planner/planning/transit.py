@@ -27,6 +27,7 @@ Matrix = NDArray[np.float64]
 _SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
 _TUBES = (0.25, 0.6, 1.5)  # m, and half of what is left out, that a detour may go off the path
 _TUBE_MOTIONS = 1500  # that are looked at within each
+_DETOURS = 4  # of which the shortest is taken
 _DETOUR_MOTIONS = 6000  # and then without
 _SHARE = 0.6  # of the remaining budget that one search may take
 
@@ -45,8 +46,13 @@ class Transit:
     told: str
 
 
-def find_transit(context: Context, stepper: Stepper, goals: Sequence[Vector]) -> Transit:
-    """Bring a motion that is at rest to one of `goals`, (n,) each."""
+def find_transit(context: Context, stepper: Stepper, goals: Sequence[Vector], *, straight: bool = False) -> Transit:
+    """Bring a motion that is at rest to one of `goals`, (n,) each.
+
+    Parameters
+    ----------
+    straight: whether only straight motions of the joints are tried.
+    """
     if not len(goals):
         return Transit(None, "there is nowhere to go")
     begun = clock.monotonic()
@@ -55,7 +61,8 @@ def find_transit(context: Context, stepper: Stepper, goals: Sequence[Vector]) ->
         check = MotionCheck(
             context.problem, context.world, [stepper.q, *goals], spare=spare, time=stepper.time, deadline=deadline
         )
-        way = sample_way(check, stepper.q, goals, seed=context.seed, deadline=deadline)
+        most = {"most_motions": 0} if straight else {}
+        way = sample_way(check, stepper.q, goals, seed=context.seed, deadline=deadline, **most)
         if way is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             smooth = blend(check, shorten(check, way, seed=context.seed))
@@ -86,9 +93,17 @@ def find_way_near(
             keep=_near(context, path, low, high, tube + 0.5 * (high - low)) if np.isfinite(tube) else None,
         )
         most = _TUBE_MOTIONS if np.isfinite(tube) else _DETOUR_MOTIONS
-        way = sample_way(check, start, [end], seed=context.seed, deadline=deadline, most_motions=most)
-        if way is not None:
-            return np.asarray(shorten(check, way, seed=context.seed).q)
+        found: list[Way] = []
+        for turn in range(_DETOURS):
+            seed = context.seed + turn
+            way = sample_way(check, start, [end], seed=seed, deadline=deadline, most_motions=most)
+            if way is None:
+                break
+            found.append(shorten(check, way, seed=seed))
+            if len(found[-1].q) == 2:
+                break
+        if found:
+            return min(found, key=lambda way: way.length(context.problem.limits)).q
     return None
 
 
