@@ -14,6 +14,7 @@ from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
 from backhoe_planner.planning.blending import PERIOD
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.corners import round_corners
 from backhoe_planner.planning.deadline import OutOfTime
 from backhoe_planner.planning.descent import cheapen_stretch
 from backhoe_planner.planning.drive import drive_of
@@ -252,9 +253,13 @@ class _Along:
             if isinstance(piece, Detouring):
                 play_way(self._context, stepper, piece.way)
             elif len(piece.q) > 1:
-                period = _FINE_PERIOD if self._is_tight(piece.q, stepper.time) else PERIOD
+                stations, q, stops = round_corners(
+                    self._context.problem, self._path, piece.stations, piece.q,
+                    proximity=self._context.world, time=stepper.time,
+                )  # fmt: skip
+                period = _FINE_PERIOD if self._is_tight(q, stepper.time) else PERIOD
                 for motion in time_stretch(
-                    self._path, piece.stations, piece.q, limits, speed=self._speed, period=period, drive=drive
+                    self._path, stations, q, limits, speed=self._speed, period=period, drive=drive, stops=stops
                 ):
                     stepper.play(motion)
 

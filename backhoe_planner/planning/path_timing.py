@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.planning.blending import PERIOD
 from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.corners import SHARP
 from backhoe_planner.planning.drive import Drive
 from backhoe_planner.planning.timing import time_along
 from backhoe_planner.planning.trajectory import Trajectory
@@ -18,8 +19,6 @@ __all__ = ["time_stretch"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-
-_CORNER = np.radians(5.0)  # a sharper corner of the path is stopped at
 
 
 def time_stretch(
@@ -31,6 +30,7 @@ def time_stretch(
     speed: float | None,
     period: float = PERIOD,
     drive: Drive | None = None,
+    stops: Vector | None = None,
 ) -> list[Trajectory]:
     """The motions, each from rest to rest, along joints `q` (K, n) at `stations` (K,) [m].
 
@@ -39,9 +39,10 @@ def time_stretch(
     speed: of the tip at most [m/s], None for as fast as the joints allow.
     period: between the samples of the motions [s].
     drive: what moves the joints, None for no limits but those of the joints.
+    stops: (C,) arc lengths to stop at [m]; by default all sharp corners of the path.
     """
     marks = {0, len(stations) - 1}
-    for corner in path.corners(_CORNER).tolist():
+    for corner in (path.corners(SHARP) if stops is None else stops).tolist():
         if stations[0] < corner < stations[-1]:
             marks.add(int(np.argmin(np.abs(stations - corner))))
     return [
