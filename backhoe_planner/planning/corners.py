@@ -59,7 +59,7 @@ def round_corners(
         cut = _cut(path, corner, _PART * task.tolerance, float(stations[0]), float(stations[-1]))
         rounded = None
         if cut is not None:
-            at = np.linspace(corner - cut, corner + cut, max(_FEWEST, int(np.ceil(2.0 * cut / _SPACING)) + 1))
+            at = np.linspace(corner - cut, corner + cut, max(_FEWEST, 2 * int(np.ceil(cut / _SPACING)) + 1))
             rounded = _rounded(kinematics, path, corner, cut, at, stations, q)
         if rounded is None or not all(
             segment_is_clear(proximity, a, b, time=time, depth=_DEPTH, spare=-_TOUCH) for a, b in pairwise(rounded)
