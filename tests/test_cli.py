@@ -121,16 +121,23 @@ def test_one_run_as_a_program(tmp_path: Path) -> None:
     assert done.stdout.startswith("verified\n")
 
 
+READY = "from backhoe_planner.cli import main; print('ready', flush=True); main()"
+
+
 def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
     """A path of half a kilometre, to and fro, which takes its time to resolve."""
     path = {"waypoints": [{"position": [2.0, -1.0, 0.0]}, {"position": [2.4, 1.0, 0.0]}] * 120, "speed": 0.4}
     scene = scene_file(tmp_path, {"version": 1, "task": {"path": path}})
     plan_file = tmp_path / "plan.json"
     with subprocess.Popen(
-        [*COMMAND, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "60"],
+        [sys.executable, "-c", READY, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "60"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
+        # ignored where the tests run in the background
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as running:  # fmt: skip
-        clock.sleep(4.0)
+        assert running.stdout is not None
+        assert running.stdout.readline() == "ready\n"
+        clock.sleep(2.5)
         assert running.poll() is None, running.communicate()
         begun = clock.monotonic()
         running.send_signal(signal.SIGINT)

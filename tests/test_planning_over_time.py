@@ -100,6 +100,7 @@ def test_what_appears_upon_the_machine_is_not_called_safe(backhoe: bp.Robot) -> 
 
 
 def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
-    one, other = plan(backhoe, PATH, CROSSING), plan(backhoe, PATH, CROSSING)
+    walker = WORKER | {"from": [2.8, 4.0, 0.0], "to": [2.8, 4.0, 1.8], "velocity": [0.0, -0.5, 0.0]}
+    one, other = (bp.plan(backhoe, site(GOAL, walker), budget=120.0) for _ in range(2))
     np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
     np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)

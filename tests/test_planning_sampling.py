@@ -254,8 +254,10 @@ run(sys.argv[1])
 def run_script(mode: str, file: Path) -> subprocess.CompletedProcess[str]:
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n{SCRIPT}"
     return subprocess.run(
-        [sys.executable, "-c", code, mode, str(file)], capture_output=True, text=True, check=False, timeout=120
-    )
+        [sys.executable, "-c", code, mode, str(file)], capture_output=True, text=True, check=False, timeout=120,
+        # ignored where the tests run in the background
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
 
 
 def test_the_same_seed_gives_the_same_way_bit_for_bit(planar4: Robot, tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def _flat(rows: Rows, steps: Array) -> NDArray[np.bool_]:
 def _level_caps(rows: Rows, steps: Array) -> Array:
     """(N,) the greatest x that rows without u allow."""
     binding = _flat(rows, steps) & (rows.beta > 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return np.asarray(np.min(np.where(binding, rows.gamma / rows.beta, np.inf), axis=1, initial=np.inf))
 
 
@@ -133,7 +133,7 @@ def _slanted(rows: Rows, steps: Array) -> tuple[Array, Array, Array, Array]:
     """Rows as u <= top + rise x and u >= bottom + fall x, infinite where they are none."""
     flat = _flat(rows, steps)
     above, below = ~flat & (rows.alpha > 0.0), ~flat & (rows.alpha < 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         at, slope = rows.gamma / rows.alpha, -rows.beta / rows.alpha
     return (
         np.where(above, at, np.inf), np.where(above, slope, 0.0),
