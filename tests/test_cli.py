@@ -142,7 +142,7 @@ def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
         begun = clock.monotonic()
         running.send_signal(signal.SIGINT)
         _, told = running.communicate(timeout=20)
-    assert clock.monotonic() - begun < 2.0
+    assert clock.monotonic() - begun < 10.0  # not the minute that it has
     assert running.returncode == 130
     assert "Traceback" not in told
     assert told.strip() == "interrupted"
