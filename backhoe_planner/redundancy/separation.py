@@ -1,0 +1,339 @@
+"""Planes between the machine and what it must not touch.
+
+The signed distance of two convex bodies is the largest gap that any plane leaves
+between them: with unit normal n from the link to the obstacle,
+
+    d = max_n  (min over the obstacle of n . z) - (max over the link of n . x)
+
+and coal's normal is where the maximum lies, inside too. So one measurement leaves a
+plane that says something about all other configurations as well, without asking coal:
+as long as the obstacle stands still its side of the plane stays its side, and the gap
+to the corners of the link, wherever they are, is a lower bound of the distance. The
+same holds for a plane that moves with the link, and the corners of the obstacle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine import shapes
+from backhoe_planner.machine.collision_model import self_pairs
+from backhoe_planner.machine.reach import travel_bounds
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.redundancy.braking_path import BrakingPath, Placements
+from backhoe_planner.site.obstacles import Obstacle
+
+__all__ = ["Binding", "Separation"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+MACHINE = -1  # owner of the pairs of the machine with itself
+_MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
+_FAR = 1e3  # m: where nothing is
+_ROUNDING = 1e-9  # m
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Rows of what may hold the motion back: `row @ velocity` is the rate at which `gap` falls.
+
+    Attributes
+    ----------
+    pair: (R,) indices into the pairs.
+    gap: (R,) gap of one corner [m].
+    row: (R, n) [m/rad].
+    part: (R,) where on the braking path, 0 at its start and 1 at its end.
+    """
+
+    pair: Indices
+    gap: Vector
+    row: Matrix
+    part: Vector
+
+
+class Separation:
+    """All pairs of one machine, itself and a changing set of obstacles, with a plane each.
+
+    It owns its working memory: do not share one between threads.
+
+    Attributes
+    ----------
+    owner: (P,) number of the obstacle that was given when it was added; -1 for the machine itself.
+    clearance: (P,) [m].
+    classes: (P,) row of `travel` that holds for the pair.
+    travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
+    """
+
+    def __init__(self, robot: Robot, *, self_collision: bool = True) -> None:
+        self.robot = robot
+        self._gauge = shapes.Gauge()
+        self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
+        hulls = [robot.pieces[row].piece.hull for row in range(len(robot.pieces))]
+        most = max((len(hull) for hull in hulls), default=1)
+        self._corners = np.array([_padded(hull, most) for hull in hulls]).reshape(len(hulls), most, 3)
+        self._fat = np.array([piece.piece.radius for piece in robot.pieces])
+        self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
+        self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
+        self._own_shapes = [
+            (piece.piece.shape, np.array(piece.piece.placement.rotation), np.array(piece.piece.placement.translation))
+            for piece in robot.pieces
+        ]
+        radii = travel_bounds(robot)
+        pairs = [_outer_first(robot, pair) for pair in self_pairs(robot)] if self_collision else []
+        rows = [*radii[self._moving]]
+        for outer, inner in pairs:
+            shared = self._support[robot.pieces[inner].joint] > 0.0
+            rows.append(np.where(shared, 0.0, radii[outer]))
+        self.travel, classes = np.unique(np.array(rows).reshape(-1, robot.n), axis=0, return_inverse=True)
+        classes = classes.reshape(-1)
+        self._class_of_piece = np.zeros(len(robot.pieces), dtype=np.intp)
+        self._class_of_piece[self._moving] = classes[: len(self._moving)]
+        self.turning = np.where(robot.prismatic, 0.0, 1.0)
+        self.owner = np.full(len(pairs), MACHINE, dtype=np.intp)
+        self.clearance = np.zeros(len(pairs))
+        self.classes = np.asarray(classes[len(self._moving) :], dtype=np.intp)
+        self.piece = np.array([outer for outer, _ in pairs], dtype=np.intp)
+        self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
+        self._body: list[tuple[object, object, Matrix | None]] = [(None, None, None)] * len(pairs)
+        self.joint = self._joint_of[self.piece]
+        self.other = self._joint_of[self.other_piece]
+        self.normal = np.zeros((len(pairs), 3))  # in the frame of the other body
+        self.offset = np.full(len(pairs), -_FAR)
+        self.velocity = np.zeros((len(pairs), 3))
+        self._refresh()
+
+    def __len__(self) -> int:
+        return len(self.owner)
+
+    # --- what there is ---------------------------------------------------------------
+
+    def add(self, number: int, obstacle: Obstacle) -> Indices:
+        """Take an obstacle in; the indices of its pairs. They have no plane yet."""
+        links = [
+            row
+            for row in self._moving
+            if obstacle.links is None or self.robot.pieces[row].link in obstacle.links
+        ]
+        first, count = len(self), len(links) * len(obstacle.pieces)
+        pieces = np.tile(np.array(links, dtype=np.intp), len(obstacle.pieces))
+        self.owner = np.append(self.owner, np.full(count, number, dtype=np.intp))
+        self.clearance = np.append(self.clearance, np.full(count, obstacle.clearance))
+        self.classes = np.append(self.classes, self._class_of_piece[pieces])
+        self.piece = np.append(self.piece, pieces)
+        self.other_piece = np.append(self.other_piece, np.full(count, -1, dtype=np.intp))
+        for piece in obstacle.pieces:
+            place = shapes.transform(piece.placement.rotation, piece.placement.translation)
+            corners = piece.hull if 0 < len(piece.hull) <= _MOST_CORNERS else None
+            self._body.extend([(piece, place, corners)] * len(links))
+        self.normal = np.vstack((self.normal, np.zeros((count, 3))))
+        self.offset = np.append(self.offset, np.full(count, -_FAR))
+        self.velocity = np.vstack((self.velocity, np.tile(obstacle.velocity, (count, 1))))
+        self._refresh()
+        return np.arange(first, first + count, dtype=np.intp)
+
+    def keep(self, kept: NDArray[np.bool_]) -> None:
+        """Forget the pairs for which `kept` (P,) is false."""
+        for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity"):
+            setattr(self, name, getattr(self, name)[kept])
+        self._body = [body for body, keep in zip(self._body, kept.tolist(), strict=True) if keep]
+        self._refresh()
+
+    def shift(self, pairs: Indices, by: Vector) -> None:
+        """Move the obstacle of these pairs by a small vector (3,) [m]; planes go with it."""
+        self.offset[pairs] += self.normal[pairs] @ by
+
+    def place_at(self, pairs: Indices, shift: Vector) -> None:
+        """Tell coal that the obstacle of these pairs stands `shift` (3,) from where it was built [m]."""
+        places: dict[int, object] = {}
+        for pair in pairs.tolist():
+            piece, _, corners = self._body[pair]
+            if id(piece) not in places:
+                placement = piece.placement  # type: ignore[attr-defined]
+                places[id(piece)] = shapes.transform(placement.rotation, placement.translation + shift)
+            self._body[pair] = (piece, places[id(piece)], corners)
+
+    def link(self, pair: int) -> str:
+        """Name of the link of a pair."""
+        return self.robot.pieces[int(self.piece[pair])].link
+
+    def inner_link(self, pair: int) -> str:
+        """For a pair of the machine with itself, the link that must not be touched."""
+        return self.robot.pieces[int(self.other_piece[pair])].link
+
+    def _refresh(self) -> None:
+        self.joint = self._joint_of[self.piece]
+        self.other = np.where(self.other_piece >= 0, self._joint_of[self.other_piece], 0)
+        self.mask = self._support[self.joint] - self._support[self.other]
+        self.itself = self.owner == MACHINE
+        self.some_relative = bool(self.other.any())
+
+    # --- measuring -------------------------------------------------------------------
+
+    def measure(self, pair: int, at: Placements, sample: int) -> tuple[float, Vector, float, Vector]:
+        """Coal's answer at one configuration: distance, plane (n, offset) in the other's frame, point on the link.
+
+        The point (3,) is in the world [m].
+        """
+        piece = int(self.piece[pair])
+        shape, R_own, t_own = self._own_shapes[piece]
+        R, t = at.R[sample, self.joint[pair]], at.t[sample, self.joint[pair]]
+        here = shapes.transform(R @ R_own, R @ t_own + t)
+        other = int(self.other[pair])
+        if self.other_piece[pair] >= 0:
+            second, R_other, t_other = self._own_shapes[int(self.other_piece[pair])]
+            R_o, t_o = at.R[sample, other], at.t[sample, other]
+            there = shapes.transform(R_o @ R_other, R_o @ t_other + t_o)
+        else:
+            body, there, _ = self._body[pair]
+            second = body.shape  # type: ignore[attr-defined]
+        distance, n, p_link, p_other = self._gauge.measure(shape, here, second, there)
+        if other:
+            R_o = at.R[sample, other]
+            n, p_other = n @ R_o, (p_other - at.t[sample, other]) @ R_o
+        return distance, n, float(n @ p_other), p_link
+
+    def renew(self, pair: int, at: Placements, sample: int) -> float:
+        """Measure, and keep the plane; the signed distance [m]."""
+        distance, n, offset, _ = self.measure(pair, at, sample)
+        self.normal[pair] = n
+        self.offset[pair] = offset
+        return distance
+
+    # --- gaps ------------------------------------------------------------------------
+
+    def gaps(self, pairs: Indices, at: Placements, samples: int) -> Matrix:
+        """(samples, K, V) gap of every corner of the links to the planes kept for `pairs` [m]."""
+        return self._gaps(pairs, self.normal[pairs], self.offset[pairs], at.R[:samples], at.t[:samples])
+
+    def _gaps(self, pairs: Indices, n: Matrix, offset: Vector, R: Matrix, t: Matrix) -> Matrix:
+        joint = self.joint[pairs]
+        if self.some_relative and self.other[pairs].any():
+            other = self.other[pairs]
+            n = np.matmul(R[:, other], n[:, :, None])[..., 0]
+            base = offset + (n * (t[:, other] - t[:, joint])).sum(axis=-1)
+        else:
+            n = np.broadcast_to(n, (len(R), *n.shape))
+            base = offset - (n * t[:, joint]).sum(axis=-1)
+        local = np.matmul(n[:, :, None, :], R[:, joint])[:, :, 0]
+        pieces = self.piece[pairs]
+        along = np.matmul(self._corners[pieces], local[..., None])[..., 0]
+        return np.asarray((base - self._fat[pieces])[:, :, None] - along)
+
+    def least_on(
+        self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float
+    ) -> tuple[Vector, Matrix]:
+        """(K,) proven lower bound of the distance over the whole path, and all gaps (samples, K, V).
+
+        Between the samples a corner leaves its chord by no more than `path.off_chord`.
+        `drift_time` [s]: how long the obstacles' own motion goes on along the path.
+        """
+        gaps = self.gaps(pairs, at, path.parts + 1)
+        if drift_time > 0.0:
+            drift = np.minimum((self.normal[pairs] * self.velocity[pairs]).sum(axis=1), 0.0)
+            if drift.any():
+                gaps += (drift_time * np.linspace(0.0, 1.0, path.parts + 1))[:, None, None] * drift[None, :, None]
+        return gaps.min(axis=(0, 2)) - path.off_chord[self.classes[pairs]], gaps
+
+    def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
+        """Lower bound of one pair's distance over the path, with a plane for every part of it [m].
+
+        The tightest plane is kept.
+        """
+        one = np.array([pair], dtype=np.intp)
+        count = path.parts + 1
+        distance = np.zeros(count)
+        normals, offsets = np.zeros((count, 3)), np.zeros(count)
+        point = np.zeros(3)
+        for sample in range(count):
+            distance[sample], normals[sample], offsets[sample], p = self.measure(pair, at, sample)
+            if sample == 0:
+                point = p
+        off = float(path.off_chord[self.classes[pair]])
+        reach = float(np.abs(path.delta) @ self.travel[self.classes[pair]]) / path.parts
+        parts = np.empty(path.parts)
+        for part in range(path.parts):
+            ahead = self._gaps(one, normals[part][None], offsets[part : part + 1], at.R[part + 1][None], at.t[part + 1][None])
+            back = self._gaps(one, normals[part + 1][None], offsets[part + 1 : part + 2], at.R[part][None], at.t[part][None])
+            a, b = distance[part], distance[part + 1]
+            parts[part] = max(min(a, float(ahead.min())) - off, min(b, float(back.min())) - off, 0.5 * (a + b - reach))
+        tight = int(np.argmin(distance))
+        self.normal[pair], self.offset[pair] = normals[tight], offsets[tight]
+        least = float(parts.min())
+        least = max(least, self._from_link(pair, normals[0], point, path, at))
+        if drift_time > 0.0:
+            least -= float(np.linalg.norm(self.velocity[pair])) * drift_time
+        return least
+
+    def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
+        """The same with the plane of the path's start moving with the link."""
+        body, place, corners = self._body[pair]
+        if corners is None or self.other_piece[pair] >= 0:
+            return -_FAR
+        shift = np.asarray(place.getTranslation()) - body.placement.translation  # type: ignore[attr-defined]
+        corners = corners + shift
+        joint = int(self.joint[pair])
+        local = n @ at.R[0, joint]
+        start = float(local @ ((point - at.t[0, joint]) @ at.R[0, joint]))
+        count = path.parts + 1
+        gaps = np.empty((count, len(corners)))
+        for sample in range(count):
+            gaps[sample] = (corners - at.t[sample, joint]) @ (at.R[sample, joint] @ local)
+        gaps -= start + body.radius  # type: ignore[attr-defined]
+        # as seen from the link the corners turn the other way round, and further out
+        size = np.abs(path.delta)
+        far = float(np.sqrt(((corners - point) ** 2).sum(axis=1).max())) + float(size @ self.travel[self.classes[pair]])
+        mask = np.abs(self.mask[pair])
+        size = size * mask
+        radius = np.where(self.turning > 0.0, self.travel[self.classes[pair]] + far, 1.0)
+        angle = size * self.turning
+        beyond = angle.sum() - angle.cumsum()
+        sharp = float(radius @ (size * (angle + 2.0 * beyond)))
+        return float(gaps.min()) - sharp / (8.0 * path.parts**2)
+
+    # --- rows ------------------------------------------------------------------------
+
+    def rows(self, pairs: Indices, samples: Indices, corners: Indices, at: Placements) -> Matrix:
+        """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
+        joint, piece = self.joint[pairs], self.piece[pairs]
+        n = self.normal[pairs]
+        if self.some_relative:
+            n = np.matmul(at.R[samples, self.other[pairs]], n[:, :, None])[..., 0]
+        x = np.matmul(at.R[samples, joint], self._corners[piece, corners][:, :, None])[..., 0] + at.t[samples, joint]
+        turn = np.empty_like(n)  # x cross n
+        turn[:, 0] = x[:, 1] * n[:, 2] - x[:, 2] * n[:, 1]
+        turn[:, 1] = x[:, 2] * n[:, 0] - x[:, 0] * n[:, 2]
+        turn[:, 2] = x[:, 0] * n[:, 1] - x[:, 1] * n[:, 0]
+        both = np.concatenate((n, turn), axis=1)
+        return np.asarray(np.matmul(both[:, None, :], at.J[samples])[:, 0] * self.mask[pairs])
+
+    def world_normals(self, pairs: Indices, at: Placements) -> Matrix:
+        """(K, 3) the normals at the first sample, in the world."""
+        n = self.normal[pairs]
+        if self.some_relative:
+            n = np.matmul(at.R[0, self.other[pairs]], n[:, :, None])[..., 0]
+        return np.asarray(n)
+
+
+def _padded(hull: Matrix, count: int) -> Matrix:
+    return np.vstack((hull, np.repeat(hull[:1], count - len(hull), axis=0)))
+
+
+def _outer_first(robot: Robot, pair: tuple[int, int]) -> tuple[int, int]:
+    a, b = pair
+    return (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
+
+
+def _support(robot: Robot, joint: int) -> Vector:
+    """(n,) 1 for every joint that moves the body of `joint`."""
+    mask = np.zeros(robot.n)
+    while joint > 0:
+        mask[robot.model.joints[joint].idx_v] = 1.0
+        joint = int(robot.model.parents[joint])
+    return mask
+
+

@@ -1,0 +1,1012 @@
+"""The servo: a wish in, a thousand times a second, and a motion out that is always safe.
+
+Every step holds to one invariant: if the machine were to brake from here on, in
+proportion, nothing would be touched and no limit passed (`braking_path`). A new velocity is
+taken only where the braking path that follows from it is proven clear; where none
+is, the machine brakes along the path that was proven one step earlier. So no wish, and
+no failure of the optimisation, can drive it into an obstacle that stands still.
+
+Which velocity is the nearest safe one says a small QP. Its rows are the gaps of the
+links' corners along the braking path, so that it sees what the proof will see:
+
+    min_v |v - v_w|_W   s.t.   gap_i(s) - s g_i D (v - v_ref) >= clearance_i
+
+with D the derivative of the path's end by v. An obstacle that moves is met by one more
+row, which asks for a velocity away from it while the machine can still reach it:
+
+    g v + u.n >= -sqrt(2 a_n margin),   a_n = sum_j |g_j| a_j / 2
+
+What is closer than allowed already (it began so, or an obstacle was put there) may only
+get better: the distance that was proven is what the next step must keep.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import daqp
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine import shapes
+from backhoe_planner.machine.convex import voxel_boxes
+from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
+from backhoe_planner.machine.kinematics import Configuration, Kinematics
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine.target import TipTarget, movable_rows
+from backhoe_planner.redundancy.braking_path import MOST_PARTS, BrakingPath, Placements
+from backhoe_planner.redundancy.completed import CompletedLaw
+from backhoe_planner.redundancy.feedback import Feedback
+from backhoe_planner.redundancy.separation import MACHINE, Separation
+from backhoe_planner.site import scene as schema
+from backhoe_planner.site.limits import scaled_limits
+from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles
+from backhoe_planner.site.proximity import Nearby
+
+__all__ = ["Command", "Servo", "ServoState", "Status"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest corrects
+_BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
+_ATTEMPTS = 3
+_BLENDS = (0.5, 0.2)
+_LOOKS = 12  # pairs that are looked at closely per step at most
+_RENEWED = 3  # planes measured anew per step, however little is amiss
+_RECOVERY = 1.0  # 1/s
+_SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
+_SOFT, _HARD = 8, 0  # daqp's senses
+_UNBOUNDED = -1e30
+_FREE = 0.05  # weight of the null space beside the tip
+_TOLERANCE = 1e-9  # m
+_VIOLATED = 1e-7  # m
+_WARN = 0.10  # m of margin within which it says so
+_AT_REST = 1e-9
+_FAR = 1e3  # m
+
+
+class Status(str, Enum):
+    """What the servo is doing; the first that holds, from the bottom up."""
+
+    OK = "ok"
+    NEAR_SINGULARITY = "near_singularity"
+    NEAR_LIMIT = "near_limit"
+    NEAR_OBSTACLE = "near_obstacle"
+    SLIDING = "sliding"
+    STOPPED = "stopped"
+    EVADING = "evading"
+
+
+class Command(str, Enum):
+    """What became of the last command."""
+
+    NEW = "new"
+    HELD = "held"
+    TIMED_OUT = "timed_out"
+    INVALID = "invalid"
+
+
+@dataclass(frozen=True)
+class ServoState:
+    """Where the machine is to be at the end of a step.
+
+    Attributes
+    ----------
+    time: since the servo began [s].
+    q, v: (n,) joint positions, and the velocity that led there.
+    status: what the servo is doing.
+    command: whether the wish was new, is held from before, timed out, or could not be understood.
+    margin: of the tightest pair, a proven lower bound of distance minus clearance [m];
+        infinite where nothing is near.
+    link, obstacle: of that pair; None where nothing is near.
+    tip_position: (3,) at the beginning of the step [m], world.
+    tip_velocity: (3,) that v gives the tip [m/s], world.
+    refused: (3,) part of the wish that the tip does not follow [m/s], world.
+    feedback_force: (3,) on the hand [N], world.
+    proven: whether this step's braking path was proven clear of all that stands still.
+    """
+
+    time: float
+    q: Vector
+    v: Vector
+    status: Status
+    command: Command
+    margin: float
+    link: str | None
+    obstacle: str | None
+    tip_position: Vector
+    tip_velocity: Vector
+    refused: Vector
+    feedback_force: Vector
+    proven: bool
+
+
+@dataclass
+class _Placed:
+    """An obstacle in the servo: what was built, and how far it has moved since [m]."""
+
+    number: int
+    obstacle: Obstacle
+    velocity: Vector
+    shift: Vector
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The velocity of a step, and why."""
+
+    v: Vector
+    held_back: bool
+    evading: bool
+    proven: bool
+
+
+class Servo:
+    """Drives one machine among obstacles, one step after the other.
+
+    Parameters
+    ----------
+    robot, scene: the machine, and the site in which it stands. The scene's task is not used.
+    dt: length of a step [s].
+    q: (n,) where the joints stand; by default the scene's start.
+    watchdog: without a command for this long the machine stops [s].
+    circulate: whether a tip that is pushed straight into an obstacle goes round it.
+    self_collision: whether the machine is also kept clear of itself.
+
+    Raises
+    ------
+    InputError, SceneError, RobotError: the scene does not fit the machine, there is no
+        start, or dt is not positive.
+
+    `step` itself raises nothing. The servo owns its working memory: do not share one
+    between threads.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        scene: schema.Scene,
+        dt: float = 0.001,
+        *,
+        q: object = None,
+        watchdog: float = 0.2,
+        circulate: bool = False,
+        self_collision: bool = True,
+        feedback: Feedback | None = None,
+    ) -> None:
+        if not (dt > 0.0 and math.isfinite(dt)):
+            raise InputError("is the length of a step", key="dt", found=dt, allowed="a positive number of seconds")
+        robot = robot.with_tip(scene.tip)
+        self.robot, self.scene, self.dt = robot, scene, float(dt)
+        self.limits = scaled_limits(robot, scene)
+        self.watchdog, self.circulate = watchdog, circulate
+        self._q = _start(robot, scene) if q is None else robot.check_q(q)
+        n = robot.n
+        self._v = np.zeros(n)
+        self._free_v = np.zeros(n)
+        self._end = self._q.copy()
+        self._steps = 0
+        self._acceleration = _BRAKING * self.limits.acceleration
+        self._change = self.limits.acceleration * self.dt * (1.0 - 1e-9)
+        self._law = CompletedLaw(robot, influence=min(scene.influence, 0.4))
+        self._feedback = Feedback(self.dt) if feedback is None else feedback
+        self._at = Placements(robot, MOST_PARTS + 1)
+        frame = robot.model.frames[robot.tip_frame]
+        self._tip_joint = int(frame.parentJoint)
+        self._tip_R, self._tip_t = np.array(frame.placement.rotation), np.array(frame.placement.translation)
+        self._jacobian = np.zeros((6, n))
+        self._separation = Separation(robot, self_collision=self_collision)
+        count = len(self._separation)
+        # of every pair: the distance proven over the braking path, and at its start, each
+        # with the odometer at that moment; what must be kept; when its plane was measured
+        self._proven, self._proven_at = np.full(count, -_FAR), np.zeros(count)
+        self._distance, self._distance_at = np.full(count, -_FAR), np.zeros(count)
+        self._required = self._separation.clearance.copy()
+        self._renewed_at = np.zeros(count, dtype=np.int64)
+        classes = len(self._separation.travel)
+        self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
+        self._placed: dict[str, _Placed] = {}
+        self._waiting: list[Obstacle] = []
+        self._next_number = 0
+        self._names: dict[int, str] = {}
+        self._moving_pairs = np.zeros(0, dtype=np.intp)
+        self._wish: tuple[Vector | None, Vector | None, float | None] = (None, None, None)
+        self._since_command = math.inf
+        self._blocking = np.zeros(3)
+        self._task_rows: NDArray[np.bool_] = np.ones(3, dtype=bool)
+        self._sense = np.zeros(3)
+        self._place_start()
+        self._task_rows = self._movable_tip_rows()
+        self._take_in(np.arange(count, dtype=np.intp))
+        for obstacle in build_obstacles(scene, robot):
+            self._add(obstacle)
+
+    # --- what stands around ----------------------------------------------------------
+
+    @property
+    def q(self) -> Vector:
+        """(n,) where the joints are [rad or m]."""
+        return self._q.copy()
+
+    @property
+    def v(self) -> Vector:
+        """(n,) velocity of the last step [rad/s or m/s]."""
+        return self._v.copy()
+
+    @property
+    def time(self) -> float:
+        """[s] since the servo began."""
+        return self._steps * self.dt
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Names of what stands around now."""
+        return tuple(self._placed)
+
+    def add(self, obstacle: Obstacle | Mapping[str, Any]) -> None:
+        """Put an obstacle there, from the next step on.
+
+        Parameters
+        ----------
+        obstacle: as in the scene file, or already built. Its `appears_at` counts from now.
+
+        Raises
+        ------
+        InputError: the name is taken, or the record is not one of an obstacle.
+        """
+        if isinstance(obstacle, Mapping):
+            try:
+                spec = _SPEC.validate_python(dict(obstacle))
+            except ValidationError as error:
+                raise InputError(f"is not an obstacle: {error}", key=str(obstacle.get("name"))) from None
+            for link in spec.links or ():
+                if link not in self.robot.all_link_names:
+                    raise InputError("the machine has no such link", key=f"{spec.name}.links", found=link)
+            obstacle = build_obstacle(spec, folder=self.scene.folder, clearance=self.scene.clearance)
+        if obstacle.name in self._placed or any(obstacle.name == other.name for other in self._waiting):
+            raise InputError("there is an obstacle of that name", key="name", found=obstacle.name)
+        self._add(obstacle)
+
+    def add_points(self, name: str, points: object, *, resolution: float = 0.1, clearance: float | None = None) -> None:
+        """Put a scan there: every voxel in which a point lies is solid. A scan of that name is replaced.
+
+        Parameters
+        ----------
+        points: (k, 3) [m], world.
+        resolution: edge of a voxel [m].
+        clearance: to be kept [m]; the scene's by default.
+
+        Raises
+        ------
+        InputError: the points are not (k, 3) finite numbers, or resolution is not positive.
+        """
+        try:
+            cloud = np.array(points, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise InputError("are not points", key=name) from error
+        if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.isfinite(cloud).all():
+            raise InputError("are not points", key=name, found=f"shape {cloud.shape}", allowed="(k, 3) finite numbers")
+        if not resolution > 0.0:
+            raise InputError("is the edge of a voxel", key="resolution", found=resolution, allowed="positive")
+        if name in self._placed:
+            self.remove(name)
+        if len(cloud) == 0:
+            return
+        pieces = tuple(
+            shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in voxel_boxes(cloud, resolution)
+        )
+        spec = schema.PointCloud(name=name, shape="pointcloud", file="", resolution=resolution)
+        self._add(
+            Obstacle(
+                name=name,
+                pieces=pieces,
+                clearance=self.scene.clearance if clearance is None else float(clearance),
+                links=None,
+                appears_at=0.0,
+                velocity=np.zeros(3),
+                spec=spec,
+            )
+        )
+
+    def remove(self, name: str) -> None:
+        """Take an obstacle away.
+
+        Raises
+        ------
+        InputError: there is none of that name.
+        """
+        placed = self._find(name)
+        kept = self._separation.owner != placed.number
+        self._separation.keep(kept)
+        for array in _PER_PAIR:
+            setattr(self, array, getattr(self, array)[kept])
+        del self._placed[name], self._names[placed.number]
+        self._find_moving()
+
+    def move(self, name: str, by: object) -> None:
+        """Put an obstacle elsewhere at once, `by` (3,) from where it is now [m], world.
+
+        Raises
+        ------
+        InputError: there is none of that name, or `by` is not three finite numbers.
+        """
+        placed = self._find(name)
+        placed.shift = placed.shift + _three(by, "by")
+        pairs = np.flatnonzero(self._separation.owner == placed.number)
+        self._separation.place_at(pairs, placed.shift)
+        self._take_in(pairs)
+
+    def set_velocity(self, name: str, velocity: object) -> None:
+        """Let an obstacle move at `velocity` (3,) from now on [m/s], world.
+
+        Raises
+        ------
+        InputError: there is none of that name, or `velocity` is not three finite numbers.
+        """
+        placed = self._find(name)
+        placed.velocity = _three(velocity, "velocity")
+        pairs = np.flatnonzero(self._separation.owner == placed.number)
+        self._separation.velocity[pairs] = placed.velocity
+        self._separation.place_at(pairs, placed.shift)
+        self._find_moving()
+        self._take_in(pairs)
+
+    def shift_of(self, name: str) -> Vector:
+        """(3,) how far an obstacle has moved from where it was put [m].
+
+        Raises
+        ------
+        InputError: there is none of that name.
+        """
+        return self._find(name).shift.copy()
+
+    def _find(self, name: str) -> _Placed:
+        if name not in self._placed:
+            raise InputError("there is no obstacle of that name", key="name", found=name, allowed=", ".join(self._placed))
+        return self._placed[name]
+
+    def _add(self, obstacle: Obstacle) -> None:
+        if obstacle.appears_at > 0.0:
+            self._waiting.append(_appearing(obstacle, obstacle.appears_at + self.time))
+            return
+        number = self._next_number
+        self._next_number += 1
+        self._placed[obstacle.name] = _Placed(number, obstacle, np.array(obstacle.velocity), np.zeros(3))
+        self._names[number] = obstacle.name
+        pairs = self._separation.add(number, obstacle)
+        count = len(pairs)
+        far, none = np.full(count, -_FAR), np.zeros(count)
+        self._proven, self._proven_at = np.append(self._proven, far), np.append(self._proven_at, none)
+        self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
+        self._required = np.append(self._required, self._separation.clearance[pairs])
+        self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
+        self._find_moving()
+        self._take_in(pairs)
+
+    def _find_moving(self) -> None:
+        self._moving_pairs = np.flatnonzero(self._separation.velocity.any(axis=1))
+        self._stands = np.ones(len(self._separation), dtype=bool)
+        self._stands[self._moving_pairs] = False
+        self._speed = np.sqrt((self._separation.velocity[self._moving_pairs] ** 2).sum(axis=1))
+
+    def _take_in(self, pairs: Indices) -> None:
+        """Measure pairs that are new or were moved, and note what the braking path leaves of them."""
+        if len(pairs) == 0:
+            return
+        separation = self._separation
+        self._place_start()
+        path = self._path(self._v, step=False)
+        path.place(self._at)
+        for pair in pairs.tolist():
+            self._distance[pair] = separation.renew(pair, self._at, 0)
+        self._renewed_at[pairs] = self._steps
+        self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
+        bound, _ = separation.least_on(pairs, path, self._at, path.time)
+        for row in np.flatnonzero(bound < separation.clearance[pairs]).tolist():
+            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, self._at, path.time))
+        self._proven[pairs] = bound
+        self._proven_at[pairs] = self._path_odometer[separation.classes[pairs]]
+        self._required[pairs] = np.minimum(separation.clearance[pairs], bound)
+
+    # --- one step ----------------------------------------------------------------------
+
+    def step(
+        self, tip_velocity: object = None, *, joint_velocity: object = None, pitch_rate: object = None
+    ) -> ServoState:
+        """Move on by dt towards the wish.
+
+        Parameters
+        ----------
+        tip_velocity: (3,) wished for the tip [m/s], world.
+        joint_velocity: (n,) wished for the joints [rad/s or m/s]; only one of the two.
+        pitch_rate: wished for the bucket's pitch [rad/s]; left out, pitch is free.
+
+        A wish is held until the next one, or until the watchdog ends it. What is not
+        finite, of the wrong shape or contradictory counts as no wish. Nothing is raised.
+        """
+        self._steps += 1
+        command = self._understand(tip_velocity, joint_velocity, pitch_rate)
+        before = self._v
+        try:
+            return self._moved(command)
+        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
+            # braking was proven before; what went wrong does not matter to it
+            self._v = before
+            return self._braked(command)
+
+    def _understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
+        if tip_velocity is None and joint_velocity is None and pitch_rate is None:
+            found = Command.HELD
+        else:
+            tip = None if tip_velocity is None else _numbers(tip_velocity, 3)
+            joints = None if joint_velocity is None else _numbers(joint_velocity, self.robot.n)
+            pitch = None if pitch_rate is None else _numbers(pitch_rate, 1)
+            understood = (
+                (tip is not None) != (joints is not None)
+                and (tip_velocity is None or tip is not None)
+                and (joint_velocity is None or joints is not None)
+                and (pitch_rate is None or (pitch is not None and tip is not None and self.robot.has_pitch))
+            )
+            if understood:
+                self._wish = (tip, joints, None if pitch is None else float(pitch[0]))
+                self._since_command = 0.0
+                return Command.NEW
+            found = Command.INVALID
+        self._since_command += self.dt
+        if self._since_command > self.watchdog:
+            self._wish = (None, None, None)
+            return Command.TIMED_OUT if found is Command.HELD else found
+        return found
+
+    def _moved(self, command: Command) -> ServoState:
+        self._appear()
+        self._drift()
+        self._place_start()
+        near, gaps = self._near()
+        wish, tip_wish, singular = self._wished(near, gaps)
+        low, high, at_limit = self._velocity_bounds(wish)
+        chosen = self._choose(wish, low, high, near, gaps)
+        self._advance(chosen.v, proven=chosen.proven)
+        self._renew(near)
+        return self._state(command, chosen, wish, tip_wish, near, at_limit, singular)
+
+    def _braked(self, command: Command) -> ServoState:
+        v = self._brake()
+        tip = self._jacobian[:3] @ v
+        self._advance(v, proven=False)
+        wish = self._wish[0]
+        nothing = np.zeros(3)
+        refused = nothing if wish is None else wish - tip
+        force = self._feedback.next(nothing if wish is None else wish, refused, nothing, 0.0)
+        return ServoState(
+            self.time, self.q, self.v, Status.STOPPED, command, math.inf, None, None,
+            self._tip.copy(), tip, refused, force, False,
+        )  # fmt: skip
+
+    def _appear(self) -> None:
+        if self._waiting:
+            due = [obstacle for obstacle in self._waiting if obstacle.appears_at <= self.time]
+            self._waiting = [obstacle for obstacle in self._waiting if obstacle.appears_at > self.time]
+            for obstacle in due:
+                self._add(_appearing(obstacle, 0.0))
+
+    def _drift(self) -> None:
+        """Let the obstacles move on, and what is known of them with them."""
+        pairs = self._moving_pairs
+        if len(pairs) == 0:
+            return
+        separation = self._separation
+        separation.offset[pairs] += self.dt * (separation.normal[pairs] * separation.velocity[pairs]).sum(axis=1)
+        self._distance[pairs] -= self.dt * self._speed
+        # the path of one step later ends up to 2 / _BRAKING steps later
+        self._proven[pairs] -= (1.0 + 2.0 / _BRAKING) * self.dt * self._speed
+        for placed in self._placed.values():
+            if placed.velocity.any():
+                placed.shift = placed.shift + self.dt * placed.velocity
+                mine = pairs[separation.owner[pairs] == placed.number]
+                separation.place_at(mine, placed.shift)
+
+    def _place_start(self) -> None:
+        """Forward kinematics at q, and the tip's Jacobian."""
+        at = self._at
+        at.place(0, self._q)
+        R, t, J = at.R[0, self._tip_joint], at.t[0, self._tip_joint], at.J[0]
+        tip = R @ self._tip_t + t
+        self._tip = tip
+        x, y, z = tip.tolist()
+        jacobian = self._jacobian
+        turn = J[3:]
+        jacobian[0] = J[0] + z * turn[1] - y * turn[2]
+        jacobian[1] = J[1] + x * turn[2] - z * turn[0]
+        jacobian[2] = J[2] + y * turn[0] - x * turn[1]
+        jacobian[3:] = turn
+
+    def _movable_tip_rows(self) -> NDArray[np.bool_]:
+        """(3,) which directions any joint can move the tip in at all."""
+        rng, kinematics = np.random.default_rng(0), Kinematics(self.robot)
+        found = [movable_rows(kinematics.at(self.robot.random_q(rng)).jacobian[:3]) for _ in range(8)]
+        return np.asarray(np.any(found, axis=0))
+
+    # --- what is wished ------------------------------------------------------------------
+
+    def _near(self) -> tuple[Indices, Matrix]:
+        """Pairs within the influence distance, and the gaps of their corners (K, V) at q."""
+        separation = self._separation
+        lower = self._distance + self._distance_at - self._start_odometer[separation.classes]
+        near = np.flatnonzero(lower < separation.clearance + self._law.influence)
+        if len(near) == 0:
+            return near, np.zeros((0, 1))
+        gaps = separation.gaps(near, self._at, 1)[0]
+        self._distance[near] = np.maximum(gaps.min(axis=1), lower[near])
+        self._distance_at[near] = self._start_odometer[separation.classes[near]]
+        return near, gaps
+
+    def _nearby(self, near: Indices, gaps: Matrix) -> Nearby:
+        """The same as the law wants it: one row each, of the nearest corner."""
+        separation = self._separation
+        margin = self._distance[near] - separation.clearance[near]
+        acts = np.flatnonzero(margin < self._law.influence)
+        pairs = near[acts]
+        rows = separation.rows(pairs, np.zeros(len(pairs), dtype=np.intp), gaps[acts].argmin(axis=1), self._at)
+        drift = (
+            (separation.normal[pairs] * separation.velocity[pairs]).sum(axis=1)
+            if len(self._moving_pairs)
+            else np.zeros(len(pairs))
+        )
+        return Nearby(
+            pair=pairs,
+            distance=self._distance[pairs],
+            margin=margin[acts],
+            normal=_NOTHING,
+            point_link=_NOTHING,
+            point_obstacle=_NOTHING,
+            gradient=-rows,
+            drift=drift,
+            moves=_NONE,
+        )
+
+    def _wished(self, near: Indices, gaps: Matrix) -> tuple[Vector, Vector, bool]:
+        """(n,) joint velocity that is wished, within the joints' rates; the tip's; whether near a singularity."""
+        tip, joints, pitch = self._wish
+        velocity = self.limits.velocity
+        if joints is not None:
+            ratio = float((np.abs(joints) / velocity).max())
+            v = joints / ratio if ratio > 1.0 else joints
+            return v, self._jacobian[:3] @ joints, False
+        if tip is None:
+            return np.zeros(self.robot.n), np.zeros(3), False
+        rows = self._task_rows
+        J, xdot = self._jacobian[:3][rows], self._around(tip)[rows]
+        if pitch is not None:
+            turn = self._jacobian[3:]
+            J = np.vstack((J, self.robot.pitch_sense * turn[:, -1] @ turn))
+            xdot = np.append(xdot, pitch)
+        at = Configuration(self.robot, self._q, None, self._jacobian, self._at.J[0], _NOTHING)
+        wish = self._law.wish(at, J, xdot, self._nearby(near, gaps))
+        ratio = float((np.abs(wish.v) / velocity).max())
+        v = wish.v / ratio if ratio > 1.0 else wish.v
+        return v, tip, wish.resolved.damping > 0.0
+
+    def _around(self, tip: Vector) -> Vector:
+        """The tip's wish, turned along the surface that blocks it where that is asked for."""
+        if not self.circulate:
+            return tip
+        normal = self._blocking
+        into = float(tip @ normal)
+        if into <= 0.0:
+            self._sense = np.zeros(3)
+            return tip
+        along = tip - into * normal
+        size = math.sqrt(float(along @ along))
+        if size > 0.2 * into:
+            self._sense = along / size
+        else:
+            sense = self._sense - (self._sense @ normal) * normal
+            if not sense.any():
+                sense = _UP - normal[2] * normal
+                if abs(normal[2]) > 0.9 or not self._task_rows[2]:
+                    sense = np.array([-normal[1], normal[0], 0.0])
+            self._sense = sense / max(math.sqrt(float(sense @ sense)), 1e-9)
+        return np.asarray(tip + into * self._sense)
+
+    # --- what is safe --------------------------------------------------------------------
+
+    def _brake(self) -> Vector:
+        """(n,) the next velocity while braking in proportion."""
+        time = float((np.abs(self._v) / self._acceleration).max())
+        return self._v * max(1.0 - self.dt / time, 0.0) if time > 0.0 else self._v
+
+    def _velocity_bounds(self, wish: Vector) -> tuple[Vector, Vector, bool]:
+        """(n,), (n,) the velocities from which braking in proportion ends within the joint limits.
+
+        Also whether they cut the wish. Beyond a limit a joint must come back.
+        """
+        limits = self.limits
+        look = self.dt + 0.5 * (float((np.abs(self._v) / self._acceleration).max()) + self.dt / _BRAKING)
+        above, below = limits.upper - self._q, self._q - limits.lower
+        high = np.minimum(above / look, limits.velocity)
+        low = np.maximum(below / -look, -limits.velocity)
+        brake = self._brake()
+        high = np.maximum(high, brake)
+        low = np.minimum(low, brake)
+        out = above < -_TOLERANCE
+        if out.any():
+            high = np.where(out, -np.clip(-_RECOVERY * above, _SLOWEST_RECOVERY, _FASTEST_RECOVERY), high)
+            low = np.minimum(low, high)
+        out = below < -_TOLERANCE
+        if out.any():
+            low = np.where(out, np.clip(-_RECOVERY * below, _SLOWEST_RECOVERY, _FASTEST_RECOVERY), low)
+            high = np.maximum(low, high)
+        cut = bool((wish > high + 1e-9).any() or (wish < low - 1e-9).any())
+        fastest, slowest = self._v + self._change, self._v - self._change
+        return np.minimum(np.maximum(low, slowest), fastest), np.minimum(np.maximum(high, slowest), fastest), cut
+
+    def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
+        """The velocity nearest to the wish whose braking path is proven clear."""
+        separation = self._separation
+        v = self._towards(wish, low, high)
+        target = v
+        awake, budget = self._awake()
+        urgent_rows, urgent_bounds = self._urgent(near, gaps, low, high)
+        held_back = evading = False
+        tried = v
+        for attempt in range(_ATTEMPTS):
+            late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + _TOLERANCE).any())
+            path = self._path(v)
+            proof = self._prove(awake, path)
+            if proof.clear and not late:
+                return self._accepted(v, held_back, evading, awake, proof)
+            if attempt == _ATTEMPTS - 1:
+                tried = v
+                if proof.stands_clear:
+                    return self._accepted(v, True, evading, awake, proof)
+                break
+            rows, bounds = self._rows(awake, budget, path, proof)
+            solved = self._solve(
+                target, low, high, np.vstack((rows, urgent_rows)), np.concatenate((bounds, urgent_bounds))
+            )
+            evading |= late
+            held_back = True
+            if np.abs(solved - v).max() < 1e-12:
+                if proof.stands_clear:
+                    return self._accepted(v, True, evading, awake, proof)
+                tried = v
+                break
+            v = solved
+        brake = np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change)
+        for part in _BLENDS:
+            v = np.minimum(np.maximum(brake + part * (tried - brake), low), high)
+            proof = self._prove(awake, self._path(v))
+            if proof.stands_clear:
+                return self._accepted(v, True, evading, awake, proof)
+        return _Chosen(self._brake(), True, evading, False)
+
+    def _towards(self, wish: Vector, low: Vector, high: Vector) -> Vector:
+        """(n,) on the straight way from the present velocity to the wish, as far as acceleration allows."""
+        change = wish - self._v
+        part = np.abs(change).max() and float((self._change / np.maximum(np.abs(change), 1e-300)).min())
+        v = self._v + min(part, 1.0) * change
+        return np.minimum(np.maximum(v, low), high)
+
+    def _path(self, v: Vector, *, step: bool = True) -> BrakingPath:
+        return BrakingPath(
+            self._q,
+            v,
+            self.dt if step else 0.0,
+            acceleration=self._acceleration,
+            travel=self._separation.travel,
+            turning=self._separation.turning,
+        )
+
+    def _awake(self) -> tuple[Indices, Vector]:
+        """Pairs that could come into question this step; and by how much the path may change (C,) [m]."""
+        separation = self._separation
+        look = self.dt + 0.5 * (float((np.abs(self._v) / self._acceleration).max()) + self.dt / _BRAKING)
+        # the end moves with the step taken, and with the change of velocity
+        change = np.abs(self._q + self._v * look - self._end) + look * self._change
+        change += np.abs(self._v) * (self.dt / _BRAKING)
+        budget = separation.travel @ change
+        left = self._proven + self._proven_at - self._required
+        return np.flatnonzero(left < (self._path_odometer + budget)[separation.classes]), budget
+
+    def _prove(self, awake: Indices, path: BrakingPath) -> _Proof:
+        separation = self._separation
+        path.place(self._at)
+        if len(awake) == 0:
+            return _Proof(True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
+        required = self._required[awake]
+        bound, gaps = separation.least_on(awake, path, self._at, path.time if len(self._moving_pairs) else 0.0)
+        closely = np.zeros(len(awake), dtype=bool)
+        short = np.flatnonzero(bound < required - _TOLERANCE)
+        if len(short):
+            # those that are tightest at the start come last: there the plane is right already
+            for row in short[:_LOOKS].tolist():
+                pair = int(awake[row])
+                moves = not self._stands[pair]
+                found = separation.closer_look(pair, path, self._at, path.time if moves else 0.0)
+                self._renewed_at[pair] = self._steps
+                bound[row] = max(bound[row], found)
+                closely[row] = True
+            gaps[:, closely] = separation.gaps(awake[closely], self._at, path.parts + 1)
+            short = np.flatnonzero(bound < required - _TOLERANCE)
+        stands_clear = not self._stands[awake[short]].any()
+        return _Proof(len(short) == 0, stands_clear, bound, gaps, closely)
+
+    def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: _Proof) -> tuple[Matrix, Vector]:
+        """Rows and bounds, row @ v <= bound, of what could bind along the path [m/s]."""
+        separation = self._separation
+        n = self.robot.n
+        if len(awake) == 0:
+            return np.zeros((0, n)), np.zeros(0)
+        classes = separation.classes[awake]
+        required = self._required[awake]
+        keeps = required >= separation.clearance[awake] - _VIOLATED
+        wanted = required + np.where(keeps, _BUFFER, 0.0)
+        room = proof.gaps - (path.off_chord[classes] + wanted)[None, :, None]
+        counts = room < (2.0 * budget[classes])[None, :, None]
+        counts[0] = False
+        # seen closely, only where the plane that was kept is right: at its tightest
+        settled = proof.closely & (proof.bound >= wanted + 2.0 * budget[classes])
+        counts[:, settled] = False
+        for row in np.flatnonzero(proof.closely & ~settled).tolist():
+            tight = int(proof.gaps[1:, row].min(axis=1).argmax()) + 1
+            only = counts[tight, row].copy()
+            counts[:, row] = False
+            counts[tight, row] = only
+        samples, k, corners = np.nonzero(counts)
+        if len(k) == 0:
+            return np.zeros((0, n)), np.zeros(0)
+        part = samples / path.parts
+        rows = separation.rows(awake[k], samples, corners, self._at) @ path.D / path.look
+        bounds = room[samples, k, corners] / (part * path.look) + rows @ path.v
+        # never ask for more of a way back than the start itself is short of
+        short = np.maximum(wanted[k] - proof.gaps[0, k, corners], 0.0)
+        return rows, np.maximum(bounds, -2.0 * short)
+
+    def _urgent(self, near: Indices, gaps: Matrix, low: Vector, high: Vector) -> tuple[Matrix, Vector]:
+        """Rows and bounds, row @ v <= bound, of obstacles that come nearer and of what is too close already."""
+        separation = self._separation
+        n = self.robot.n
+        if len(near) == 0:
+            return np.zeros((0, n)), np.zeros(0)
+        clearance = separation.clearance[near]
+        drift = (separation.normal[near] * separation.velocity[near]).sum(axis=1)
+        too_close = (self._distance[near] < clearance - _VIOLATED) & (self._required[near] < clearance - _VIOLATED)
+        chosen = np.flatnonzero((drift < 0.0) | too_close)
+        if len(chosen) == 0:
+            return np.zeros((0, n)), np.zeros(0)
+        own = gaps[chosen]
+        k, corners = np.nonzero(own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + 0.02)
+        pairs = near[chosen[k]]
+        rows = separation.rows(pairs, np.zeros(len(pairs), dtype=np.intp), corners, self._at)
+        comes = drift[chosen[k]]
+        moves = comes < 0.0
+        margin = own[k, corners] - clearance[chosen[k]] - np.where(moves, 2.0 * _BUFFER, 0.0)
+        authority = 0.5 * np.abs(rows) @ self.limits.acceleration
+        allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
+        back = -np.minimum(np.maximum(-_RECOVERY * margin, _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+        bounds = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
+        could = np.maximum(rows * low, rows * high).sum(axis=1) > bounds
+        return rows[could], bounds[could]
+
+    def _solve(self, target: Vector, low: Vector, high: Vector, rows: Matrix, bounds: Vector) -> Vector:
+        """The velocity nearest to the target within rows and bounds, as the tip notices it."""
+        n, count = len(target), len(bounds)
+        if self._wish[1] is None:
+            J = self._jacobian[:3]
+            H = _FREE * np.eye(n) + J.T @ J
+        else:
+            H = np.eye(n)
+        sense = np.full(n + count, _SOFT, dtype=np.int32)
+        sense[:n] = _HARD
+        x, _, flag, _ = daqp.solve(
+            H,
+            -H @ target,
+            np.ascontiguousarray(rows),
+            np.concatenate((high, bounds)),
+            np.concatenate((low, np.full(count, _UNBOUNDED))),
+            sense,
+        )
+        if flag < 1 or not np.isfinite(x).all():
+            return np.minimum(np.maximum(self._brake(), low), high)
+        return np.minimum(np.maximum(x, low), high)
+
+    def _accepted(self, v: Vector, held_back: bool, evading: bool, awake: Indices, proof: _Proof) -> _Chosen:
+        if len(awake):
+            classes = self._separation.classes[awake]
+            self._renewed_bounds = (awake, proof.bound, classes)
+            stands = self._stands[awake]
+            lowest = np.where(stands, np.maximum(self._required[awake], proof.bound), proof.bound)
+            self._required[awake] = np.minimum(self._separation.clearance[awake], lowest)
+        else:
+            self._renewed_bounds = None
+        return _Chosen(v, held_back, evading, True)
+
+    def _advance(self, v: Vector, *, proven: bool) -> None:
+        """Take the step."""
+        separation = self._separation
+        if proven:
+            end = self._path(v).end
+            self._path_odometer += separation.travel @ np.abs(end - self._end)
+            self._end = end
+            if self._renewed_bounds is not None:
+                awake, bound, classes = self._renewed_bounds
+                self._proven[awake] = bound
+                self._proven_at[awake] = self._path_odometer[classes]
+        moved = v * self.dt
+        self._start_odometer += separation.travel @ np.abs(moved)
+        self._q = self._q + moved
+        self._v = v
+        if not proven:  # what is left of the path that was proven before
+            self._end = self._path(v, step=False).end
+
+    def _renew(self, near: Indices) -> None:
+        """Measure the planes that are oldest anew, a few at a time."""
+        if len(near) == 0:
+            return
+        separation = self._separation
+        age = self._steps - self._renewed_at[near]
+        # the nearer, the sooner
+        margin = np.maximum(self._distance[near] - separation.clearance[near], 0.0)
+        value = age / (0.02 + margin)
+        count = min(_RENEWED, len(near))
+        oldest = near[np.argpartition(value, len(near) - count)[-count:]]
+        # the placements of row 0 are those of the beginning of the step
+        for pair in oldest.tolist():
+            distance = separation.renew(pair, self._at, 0)
+            c = separation.classes[pair]
+            self._distance[pair] = distance
+            # the step that was just taken is not in this distance
+            self._distance_at[pair] = self._start_odometer[c] - float(separation.travel[c] @ np.abs(self._v)) * self.dt
+            self._renewed_at[pair] = self._steps
+
+    # --- what is said ----------------------------------------------------------------------
+
+    def _state(
+        self,
+        command: Command,
+        chosen: _Chosen,
+        wish: Vector,
+        tip_wish: Vector,
+        near: Indices,
+        at_limit: bool,
+        singular: bool,
+    ) -> ServoState:
+        J = self._jacobian[:3]
+        v = self._v
+        tip_velocity = J @ v
+        margin, link, obstacle, normal = math.inf, None, None, np.zeros(3)
+        separation = self._separation
+        if len(near):
+            margins = self._distance[near] - separation.clearance[near]
+            row = int(margins.argmin())
+            margin, pair = float(margins[row]), int(near[row])
+            link = separation.link(pair)
+            owner = int(separation.owner[pair])
+            obstacle = f"self: {separation.inner_link(pair)}" if owner == MACHINE else self._names[owner]
+            normal = separation.world_normals(near[row : row + 1], self._at)[0]
+        change = wish - self._free_v
+        self._free_v = self._free_v + np.minimum(np.maximum(change, -self._change), self._change)
+        held_back = chosen.held_back or at_limit
+        if not held_back:
+            self._free_v = v
+        refused = J @ (self._free_v - v) + (tip_wish - J @ wish)
+        self._blocking = normal if chosen.held_back and margin < _WARN else np.zeros(3)
+        nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / _WARN, 0.0), 1.0)))
+        hand = self._wish[0] if self._wish[0] is not None else tip_wish
+        force = self._feedback.next(hand, refused, normal, nearness)
+        moving = bool((np.abs(v) > _AT_REST).any())
+        wishes = bool((np.abs(wish) > 1e-6).any())
+        if chosen.evading:
+            status = Status.EVADING
+        elif not moving and (wishes or command in (Command.TIMED_OUT, Command.INVALID)):
+            status = Status.STOPPED
+        elif chosen.held_back and wishes:
+            status = Status.SLIDING if moving else Status.STOPPED
+        elif margin < _WARN:
+            status = Status.NEAR_OBSTACLE
+        elif at_limit:
+            status = Status.NEAR_LIMIT
+        elif singular:
+            status = Status.NEAR_SINGULARITY
+        else:
+            status = Status.OK
+        return ServoState(
+            time=self.time,
+            q=self.q,
+            v=self.v,
+            status=status,
+            command=command,
+            margin=margin,
+            link=link,
+            obstacle=obstacle,
+            tip_position=self._tip.copy(),
+            tip_velocity=tip_velocity,
+            refused=refused,
+            feedback_force=force,
+            proven=chosen.proven,
+        )
+
+
+@dataclass(frozen=True)
+class _Proof:
+    """What is known of a braking path.
+
+    Attributes
+    ----------
+    clear: whether every pair that was looked at keeps what is required.
+    stands_clear: the same for the pairs whose obstacle stands still.
+    bound: (K,) proven distance [m].
+    gaps: (S, K, V) of the corners.
+    closely: (K,) which were measured at every part of the path.
+    """
+
+    clear: bool
+    stands_clear: bool
+    bound: Vector
+    gaps: Matrix
+    closely: NDArray[np.bool_]
+
+
+_PER_PAIR = (
+    "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at",
+)  # fmt: skip
+_SPEC: TypeAdapter[Any] = TypeAdapter(schema.ObstacleSpec)
+_UP = np.array([0.0, 0.0, 1.0])
+_NOTHING = np.zeros((0, 3))
+_NONE = np.zeros((0, 0), dtype=bool)
+
+
+def _numbers(values: object, count: int) -> Vector | None:
+    """(count,) finite numbers, or None."""
+    try:
+        found = np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    if count == 1 and found.ndim == 0:
+        found = found.reshape(1)
+    if found.shape != (count,) or not np.isfinite(found).all():
+        return None
+    return found
+
+
+def _three(values: object, key: str) -> Vector:
+    found = _numbers(values, 3)
+    if found is None:
+        raise InputError("is not a vector", key=key, found=values, allowed="three finite numbers")
+    return found
+
+
+def _appearing(obstacle: Obstacle, at: float) -> Obstacle:
+    """The same obstacle, with the servo's time at which it appears."""
+    return Obstacle(
+        obstacle.name, obstacle.pieces, obstacle.clearance, obstacle.links, at, obstacle.velocity, obstacle.spec
+    )
+
+
+def _start(robot: Robot, scene: schema.Scene) -> Vector:
+    if scene.start is None:
+        raise InputError("the scene does not say where the machine stands", key="start", allowed="start, or q=")
+    if scene.start.tip is not None:
+        pose = scene.start.tip
+        found = solve_inverse_kinematics(
+            robot, TipTarget(position=np.array(pose.position), pitch=pose.pitch_range, rotation=pose.rotation)
+        )
+        if not found.reached:
+            raise InputError("the machine cannot stand there", key="start.tip", found=pose.position)
+        return found.q
+    joints: Mapping[str, float] = scene.start.joints or {}
+    missing = [name for name in robot.joint_names if name not in joints]
+    if missing:
+        raise InputError("joints are missing", key="start.joints", found=", ".join(missing))
+    return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints")
