@@ -632,13 +632,16 @@ class Servo:
         Also whether they cut the wish. Beyond a limit a joint must come back.
         """
         limits = self.limits
-        look = self.dt + 0.5 * (float((np.abs(self._v) / self._acceleration).max()) + self.dt / _BRAKING)
+        time = float((np.abs(self._v) / self._acceleration).max())
+        look = self.dt + 0.5 * (time + self.dt / _BRAKING)
         above, below = limits.upper - self._q, self._q - limits.lower
+        fastest, slowest = self._v + self._change, self._v - self._change
         high = np.minimum(above / look, limits.velocity)
         low = np.maximum(below / -look, -limits.velocity)
-        brake = self._brake()
-        high = np.maximum(high, brake)
-        low = np.minimum(low, brake)
+        if (high < slowest).any() or (low > fastest).any():
+            # a joint needs the whole of its way to brake: the others must not make that longer
+            cap = self._acceleration * max(time - self.dt, 0.0)
+            high, low = np.minimum(high, cap), np.maximum(low, -cap)
         out = above < -_TOLERANCE
         if out.any():
             high = np.where(out, -np.clip(-_RECOVERY * above, _SLOWEST_RECOVERY, _FASTEST_RECOVERY), high)
@@ -648,7 +651,6 @@ class Servo:
             low = np.where(out, np.clip(-_RECOVERY * below, _SLOWEST_RECOVERY, _FASTEST_RECOVERY), low)
             high = np.maximum(low, high)
         cut = bool((wish > high + 1e-9).any() or (wish < low - 1e-9).any())
-        fastest, slowest = self._v + self._change, self._v - self._change
         return np.minimum(np.maximum(low, slowest), fastest), np.minimum(np.maximum(high, slowest), fastest), cut
 
     def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
