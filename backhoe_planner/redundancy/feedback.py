@@ -26,7 +26,7 @@ __all__ = ["Feedback"]
 Vector = NDArray[np.float64]
 
 _SEED = 1e-8  # J: what may be lent before anything was taken
-_MOST_STORED = 0.05  # J: of what the hand has given, this much may come back
+_MOST_STORED = 0.2  # J: of what the hand has given, this much may come back
 
 
 class Feedback:

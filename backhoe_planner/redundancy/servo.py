@@ -67,12 +67,13 @@ _RECOVERY = 1.0  # 1/s
 _SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
 _SOFT, _HARD = 8, 0  # daqp's senses
 _UNBOUNDED = -1e30
-_FREE = 0.05  # weight of the null space beside the tip
+_FREE = 0.005  # weight of the null space beside the tip
 _TOLERANCE = 1e-9  # m
 _VIOLATED = 1e-7  # m
 _WARN = 0.10  # m of margin within which it says so
 _AT_REST = 1e-9
 _FAR = 1e3  # m
+_FASTEST_WISH = 100.0  # m/s or rad/s
 
 
 class Status(str, Enum):
@@ -219,7 +220,7 @@ class Servo:
         self._waiting: list[Obstacle] = []
         self._next_number = 0
         self._names: dict[int, str] = {}
-        self._moving_pairs = np.zeros(0, dtype=np.intp)
+        self._find_moving()
         self._wish: tuple[Vector | None, Vector | None, float | None] = (None, None, None)
         self._since_command = math.inf
         self._blocking = np.zeros(3)
@@ -458,6 +459,7 @@ class Servo:
                 and (pitch_rate is None or (pitch is not None and tip is not None and self.robot.has_pitch))
             )
             if understood:
+                tip, joints = _capped(tip), _capped(joints)
                 self._wish = (tip, joints, None if pitch is None else float(pitch[0]))
                 self._since_command = 0.0
                 return Command.NEW
@@ -666,7 +668,7 @@ class Servo:
             late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + _TOLERANCE).any())
             path = self._path(v)
             proof = self._prove(awake, path)
-            if proof.clear and not late:
+            if (proof.free if attempt == 0 else proof.clear) and not late:
                 return self._accepted(v, held_back, evading, awake, proof)
             if attempt == _ATTEMPTS - 1:
                 tried = v
@@ -725,7 +727,7 @@ class Servo:
         separation = self._separation
         path.place(self._at)
         if len(awake) == 0:
-            return _Proof(True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
+            return _Proof(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
         required = self._required[awake]
         bound, gaps = separation.least_on(awake, path, self._at, path.time if len(self._moving_pairs) else 0.0)
         closely = np.zeros(len(awake), dtype=bool)
@@ -742,7 +744,8 @@ class Servo:
             gaps[:, closely] = separation.gaps(awake[closely], self._at, path.parts + 1)
             short = np.flatnonzero(bound < required - _TOLERANCE)
         stands_clear = not self._stands[awake[short]].any()
-        return _Proof(len(short) == 0, stands_clear, bound, gaps, closely)
+        free = len(short) == 0 and bool((bound >= required + _BUFFER).all())
+        return _Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
     def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: _Proof) -> tuple[Matrix, Vector]:
         """Rows and bounds, row @ v <= bound, of what could bind along the path [m/s]."""
@@ -752,8 +755,7 @@ class Servo:
             return np.zeros((0, n)), np.zeros(0)
         classes = separation.classes[awake]
         required = self._required[awake]
-        keeps = required >= separation.clearance[awake] - _VIOLATED
-        wanted = required + np.where(keeps, _BUFFER, 0.0)
+        wanted = required + _BUFFER
         room = proof.gaps - (path.off_chord[classes] + wanted)[None, :, None]
         counts = room < (2.0 * budget[classes])[None, :, None]
         counts[0] = False
@@ -946,6 +948,7 @@ class _Proof:
 
     Attributes
     ----------
+    free: whether every pair that was looked at keeps the buffer too.
     clear: whether every pair that was looked at keeps what is required.
     stands_clear: the same for the pairs whose obstacle stands still.
     bound: (K,) proven distance [m].
@@ -953,6 +956,7 @@ class _Proof:
     closely: (K,) which were measured at every part of the path.
     """
 
+    free: bool
     clear: bool
     stands_clear: bool
     bound: Vector
@@ -980,6 +984,14 @@ def _numbers(values: object, count: int) -> Vector | None:
     if found.shape != (count,) or not np.isfinite(found).all():
         return None
     return found
+
+
+def _capped(wish: Vector | None) -> Vector | None:
+    """The same direction, no larger than any machine moves."""
+    if wish is None:
+        return None
+    largest = max(map(abs, wish.tolist()))
+    return wish if largest <= _FASTEST_WISH else wish / largest * _FASTEST_WISH
 
 
 def _three(values: object, key: str) -> Vector:
