@@ -52,7 +52,8 @@ class Placements:
 
     Attributes
     ----------
-    R, t: (S, joints, 3, 3) and (S, joints, 3) pose of every joint's frame in the world; joint 0 is the world.
+    T: (S, joints, 3, 4) pose [R | t] of every joint's frame in the world; joint 0 is the world.
+    R, t: (S, joints, 3, 3) and (S, joints, 3), views of it.
     J: (S, 6, n) Pinocchio's joint Jacobians, linear part taken at the world's origin.
     """
 
@@ -61,32 +62,41 @@ class Placements:
         self._model = model
         self._data = model.createData()
         count, n = model.njoints, robot.n
-        self.R = np.zeros((most, count, 3, 3))
+        self.T = np.zeros((most, count, 3, 4))
+        self.R, self.t = self.T[..., :3], self.T[..., 3]
         self.R[:, 0] = np.eye(3)
-        self.t = np.zeros((most, count, 3))
         self.J = np.zeros((most, 6, n))
         # views of Pinocchio's own memory, which stays where it is
         joints = range(1, count)
-        self._rotations = [self._data.oMi[joint].rotation for joint in joints]
-        self._translations = [self._data.oMi[joint].translation for joint in joints]
+        rotations = [self._data.oMi[joint].rotation for joint in joints]
+        translations = [self._data.oMi[joint].translation for joint in joints]
         self._jacobian = self._data.J.reshape(6, n)
-        self._targets = [
-            [(self.R[sample, joint], self.t[sample, joint]) for joint in joints] for sample in range(most)
+        self._copies = [
+            [
+                *zip((self.R[sample, joint] for joint in joints), rotations, strict=True),
+                *zip((self.t[sample, joint] for joint in joints), translations, strict=True),
+                (self.J[sample], self._jacobian),
+            ]
+            for sample in range(most)
         ]
 
     def place(self, sample: int, q: Vector) -> None:
         """Fill row `sample` with the placements at q (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
-        for (R, t), rotation, translation in zip(
-            self._targets[sample], self._rotations, self._translations, strict=True
-        ):
-            R[:] = rotation
-            t[:] = translation
-        self.J[sample] = self._jacobian
+        for target, source in self._copies[sample]:
+            target[:] = source
 
 
 class BrakingPath:
     """The line from q to e, looked at in equal parts.
+
+    Parameters
+    ----------
+    q, v: (n,) where the joints are, and the velocity of the step that is about to be taken.
+    dt: its length [s]; 0 for braking from now on.
+    acceleration: (n,) that braking is planned with.
+    furthest: (n,) the largest travel radius of any pair, see `travel_bounds`.
+    turning: (n,) 1 for hinges, 0 for slides.
 
     Attributes
     ----------
@@ -94,24 +104,17 @@ class BrakingPath:
     end: (n,) e.
     parts: how many; `parts + 1` rows of the placements belong to it.
     time: [s] until it stands.
-    D: (n, n) derivative of e by v.
-    bends: (C,) bound on |x''| over the whole line, by class of pairs [m].
     """
 
     def __init__(
-        self,
-        q: Vector,
-        v: Vector,
-        dt: float,
-        *,
-        acceleration: Vector,
-        travel: Matrix,
-        turning: Vector,
-        parts: int | None = None,
+        self, q: Vector, v: Vector, dt: float, *, acceleration: Vector, furthest: list[float], turning: Vector
     ) -> None:
-        rates = np.abs(v) / acceleration
-        slowest = int(rates.argmax())
-        braking = float(rates[slowest])
+        braking, slowest, sign = 0.0, 0, 1.0
+        rates = v.tolist()
+        for joint, (rate, a) in enumerate(zip(rates, acceleration.tolist(), strict=True)):
+            time = abs(rate) / a
+            if time > braking:
+                braking, slowest, sign = time, joint, math.copysign(1.0 / a, rate)
         look = dt + 0.5 * braking
         self.q = q
         self.v = v
@@ -120,15 +123,24 @@ class BrakingPath:
         self.look = look
         self.time = dt + braking
         self._slowest = slowest
-        self._per_rate = 0.5 * math.copysign(1.0, v[slowest]) / float(acceleration[slowest]) if braking > 0.0 else 0.0
-        self.bends = bend(travel, self.delta, turning)
-        if parts is None:
-            parts = min(max(math.ceil(math.sqrt(float(self.bends.max(initial=0.0)) / (8.0 * _BEND))), 1), MOST_PARTS)
-        self.parts = parts
-        self.off_chord = self.bends / (8.0 * parts * parts)
+        self._per_rate = 0.5 * sign if braking > 0.0 else 0.0
+        self._turning = turning
+        # no class of pairs bends more than this
+        most = inner = 0.0
+        for rate, radius, turns in zip(rates, furthest, turning.tolist(), strict=True):
+            size = abs(rate) * look
+            angle = size * turns
+            most += radius * size * (angle + 2.0 * inner)
+            inner += angle
+        self.parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
+
+    def off_chord(self, travel: Matrix) -> Vector:
+        """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""
+        return bend(travel, self.delta, self._turning) / (8.0 * self.parts * self.parts)
 
     @property
     def D(self) -> Matrix:
+        """(n, n) derivative of the end by v [s]."""
         D = self.look * np.eye(len(self.v))
         D[:, self._slowest] += self.v * self._per_rate
         return D

@@ -35,7 +35,7 @@ Indices = NDArray[np.intp]
 MACHINE = -1  # owner of the pairs of the machine with itself
 _MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
 _FAR = 1e3  # m: where nothing is
-_ROUNDING = 1e-9  # m
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,12 @@ class Separation:
         hulls = [robot.pieces[row].piece.hull for row in range(len(robot.pieces))]
         most = max((len(hull) for hull in hulls), default=1)
         self._corners = np.array([_padded(hull, most) for hull in hulls]).reshape(len(hulls), most, 3)
+        self._corners4 = np.concatenate((self._corners, np.ones((len(hulls), most, 1))), axis=2)
         self._fat = np.array([piece.piece.radius for piece in robot.pieces])
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
         self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
         self._own_shapes = [
-            (piece.piece.shape, np.array(piece.piece.placement.rotation), np.array(piece.piece.placement.translation))
+            (piece.piece.shape, np.array(piece.piece.placement.homogeneous))
             for piece in robot.pieces
         ]
         radii = travel_bounds(robot)
@@ -93,6 +94,7 @@ class Separation:
         classes = classes.reshape(-1)
         self._class_of_piece = np.zeros(len(robot.pieces), dtype=np.intp)
         self._class_of_piece[self._moving] = classes[: len(self._moving)]
+        self.furthest: list[float] = self.travel.max(axis=0, initial=0.0).tolist()
         self.turning = np.where(robot.prismatic, 0.0, 1.0)
         self.owner = np.full(len(pairs), MACHINE, dtype=np.intp)
         self.clearance = np.zeros(len(pairs))
@@ -180,18 +182,19 @@ class Separation:
         The point (3,) is in the world [m].
         """
         piece = int(self.piece[pair])
-        shape, R_own, t_own = self._own_shapes[piece]
-        R, t = at.R[sample, self.joint[pair]], at.t[sample, self.joint[pair]]
-        here = shapes.transform(R @ R_own, R @ t_own + t)
+        shape, own = self._own_shapes[piece]
+        here = at.T[sample, self.joint[pair]] @ own
         other = int(self.other[pair])
         if self.other_piece[pair] >= 0:
-            second, R_other, t_other = self._own_shapes[int(self.other_piece[pair])]
-            R_o, t_o = at.R[sample, other], at.t[sample, other]
-            there = shapes.transform(R_o @ R_other, R_o @ t_other + t_o)
+            second, own = self._own_shapes[int(self.other_piece[pair])]
+            placed = at.T[sample, other] @ own
+            there = shapes.transform(placed[:, :3], placed[:, 3])
         else:
             body, there, _ = self._body[pair]
             second = body.shape  # type: ignore[attr-defined]
-        distance, n, p_link, p_other = self._gauge.measure(shape, here, second, there)
+        distance, n, p_link, p_other = self._gauge.measure(
+            shape, shapes.transform(here[:, :3], here[:, 3]), second, there
+        )
         if other:
             R_o = at.R[sample, other]
             n, p_other = n @ R_o, (p_other - at.t[sample, other]) @ R_o
@@ -208,28 +211,26 @@ class Separation:
 
     def gaps(self, pairs: Indices, at: Placements, samples: int) -> Matrix:
         """(samples, K, V) gap of every corner of the links to the planes kept for `pairs` [m]."""
-        return self._gaps(pairs, self.normal[pairs], self.offset[pairs], at.R[:samples], at.t[:samples])
+        return self._gaps(pairs, self.normal[pairs], self.offset[pairs], at.T[:samples])
 
-    def _gaps(self, pairs: Indices, n: Matrix, offset: Vector, R: Matrix, t: Matrix) -> Matrix:
-        joint = self.joint[pairs]
-        if self.some_relative and self.other[pairs].any():
-            other = self.other[pairs]
-            n = np.matmul(R[:, other], n[:, :, None])[..., 0]
-            base = offset + (n * (t[:, other] - t[:, joint])).sum(axis=-1)
-        else:
-            n = np.broadcast_to(n, (len(R), *n.shape))
-            base = offset - (n * t[:, joint]).sum(axis=-1)
-        local = np.matmul(n[:, :, None, :], R[:, joint])[:, :, 0]
+    def _gaps(self, pairs: Indices, n: Matrix, offset: Vector, T: Matrix) -> Matrix:
+        """The same for planes n (K, 3), offset (K,) in the other bodies' frames, at poses T (S, joints, 3, 4)."""
         pieces = self.piece[pairs]
-        along = np.matmul(self._corners[pieces], local[..., None])[..., 0]
-        return np.asarray((base - self._fat[pieces])[:, :, None] - along)
+        n = n[:, None, :]
+        if self.some_relative and self.other[pairs].any():
+            moved = np.matmul(n, T[:, self.other[pairs]].transpose(0, 1, 3, 2)[:, :, :3])
+            offset = offset + np.matmul(moved, T[:, self.other[pairs]][..., 3:])[:, :, 0, 0]
+            n = moved
+        local = np.matmul(n, T[:, self.joint[pairs]])  # (S, K, 1, 4): n R, and n t
+        along = np.matmul(self._corners4[pieces], local.transpose(0, 1, 3, 2))[..., 0]
+        return np.asarray((offset - self._fat[pieces])[..., None] - along)
 
     def least_on(
         self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float
     ) -> tuple[Vector, Matrix]:
         """(K,) proven lower bound of the distance over the whole path, and all gaps (samples, K, V).
 
-        Between the samples a corner leaves its chord by no more than `path.off_chord`.
+        Between the samples a corner leaves its chord by no more than `BrakingPath.off_chord`.
         `drift_time` [s]: how long the obstacles' own motion goes on along the path.
         """
         gaps = self.gaps(pairs, at, path.parts + 1)
@@ -237,7 +238,7 @@ class Separation:
             drift = np.minimum((self.normal[pairs] * self.velocity[pairs]).sum(axis=1), 0.0)
             if drift.any():
                 gaps += (drift_time * np.linspace(0.0, 1.0, path.parts + 1))[:, None, None] * drift[None, :, None]
-        return gaps.min(axis=(0, 2)) - path.off_chord[self.classes[pairs]], gaps
+        return gaps.min(axis=(0, 2)) - path.off_chord(self.travel[self.classes[pairs]]), gaps
 
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
         """Lower bound of one pair's distance over the path, with a plane for every part of it [m].
@@ -253,12 +254,12 @@ class Separation:
             distance[sample], normals[sample], offsets[sample], p = self.measure(pair, at, sample)
             if sample == 0:
                 point = p
-        off = float(path.off_chord[self.classes[pair]])
+        off = float(path.off_chord(self.travel[self.classes[pair] : self.classes[pair] + 1])[0])
         reach = float(np.abs(path.delta) @ self.travel[self.classes[pair]]) / path.parts
         parts = np.empty(path.parts)
         for part in range(path.parts):
-            ahead = self._gaps(one, normals[part][None], offsets[part : part + 1], at.R[part + 1][None], at.t[part + 1][None])
-            back = self._gaps(one, normals[part + 1][None], offsets[part + 1 : part + 2], at.R[part][None], at.t[part][None])
+            ahead = self._gaps(one, normals[part][None], offsets[part : part + 1], at.T[part + 1 : part + 2])
+            back = self._gaps(one, normals[part + 1][None], offsets[part + 1 : part + 2], at.T[part : part + 1])
             a, b = distance[part], distance[part + 1]
             parts[part] = max(min(a, float(ahead.min())) - off, min(b, float(back.min())) - off, 0.5 * (a + b - reach))
         tight = int(np.argmin(distance))
@@ -297,18 +298,17 @@ class Separation:
 
     # --- rows ------------------------------------------------------------------------
 
-    def rows(self, pairs: Indices, samples: Indices, corners: Indices, at: Placements) -> Matrix:
+    def rows(self, pairs: Indices, samples: Indices | int, corners: Indices, at: Placements) -> Matrix:
         """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
-        joint, piece = self.joint[pairs], self.piece[pairs]
         n = self.normal[pairs]
-        if self.some_relative:
+        if self.some_relative and self.other[pairs].any():
             n = np.matmul(at.R[samples, self.other[pairs]], n[:, :, None])[..., 0]
-        x = np.matmul(at.R[samples, joint], self._corners[piece, corners][:, :, None])[..., 0] + at.t[samples, joint]
-        turn = np.empty_like(n)  # x cross n
-        turn[:, 0] = x[:, 1] * n[:, 2] - x[:, 2] * n[:, 1]
-        turn[:, 1] = x[:, 2] * n[:, 0] - x[:, 0] * n[:, 2]
-        turn[:, 2] = x[:, 0] * n[:, 1] - x[:, 1] * n[:, 0]
+        corner = self._corners4[self.piece[pairs], corners]
+        x = np.matmul(at.T[samples, self.joint[pairs]], corner[:, :, None])[..., 0]
+        turn = x[:, _NEXT] * n[:, _LAST] - x[:, _LAST] * n[:, _NEXT]  # x cross n
         both = np.concatenate((n, turn), axis=1)
+        if isinstance(samples, int):
+            return np.asarray((both @ at.J[samples]) * self.mask[pairs])
         return np.asarray(np.matmul(both[:, None, :], at.J[samples])[:, 0] * self.mask[pairs])
 
     def world_normals(self, pairs: Indices, at: Placements) -> Matrix:

@@ -62,7 +62,7 @@ _BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows le
 _ATTEMPTS = 3
 _BLENDS = (0.5, 0.2)
 _LOOKS = 12  # pairs that are looked at closely per step at most
-_RENEWED = 3  # planes measured anew per step, however little is amiss
+_RENEWED = 2  # planes measured anew per step, however little is amiss
 _RECOVERY = 1.0  # 1/s
 _SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
 _SOFT, _HARD = 8, 0  # daqp's senses
@@ -70,6 +70,7 @@ _UNBOUNDED = -1e30
 _FREE = 0.005  # weight of the null space beside the tip
 _TOLERANCE = 1e-9  # m
 _VIOLATED = 1e-7  # m
+_INFLUENCE = 0.3  # m: further away the null space need not care
 _WARN = 0.10  # m of margin within which it says so
 _AT_REST = 1e-9
 _FAR = 1e3  # m
@@ -149,7 +150,11 @@ class _Chosen:
     v: Vector
     held_back: bool
     evading: bool
-    proven: bool
+    end: Vector | None  # of its braking path; None where the machine brakes on the path of before
+
+    @property
+    def proven(self) -> bool:
+        return self.end is not None
 
 
 class Servo:
@@ -199,13 +204,18 @@ class Servo:
         self._steps = 0
         self._acceleration = _BRAKING * self.limits.acceleration
         self._change = self.limits.acceleration * self.dt * (1.0 - 1e-9)
-        self._law = CompletedLaw(robot, influence=min(scene.influence, 0.4))
+        self._changes: list[float] = self._change.tolist()
+        self._per_acceleration: list[float] = (1.0 / self._acceleration).tolist()
+        limits = self.limits
+        self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
+        self._law = CompletedLaw(robot, influence=min(scene.influence, _INFLUENCE))
         self._feedback = Feedback(self.dt) if feedback is None else feedback
         self._at = Placements(robot, MOST_PARTS + 1)
         frame = robot.model.frames[robot.tip_frame]
         self._tip_joint = int(frame.parentJoint)
         self._tip_R, self._tip_t = np.array(frame.placement.rotation), np.array(frame.placement.translation)
         self._jacobian = np.zeros((6, n))
+        self._turn = np.zeros((3, 3))
         self._separation = Separation(robot, self_collision=self_collision)
         count = len(self._separation)
         # of every pair: the distance proven over the braking path, and at its start, each
@@ -478,14 +488,14 @@ class Servo:
         wish, tip_wish, singular = self._wished(near, gaps)
         low, high, at_limit = self._velocity_bounds(wish)
         chosen = self._choose(wish, low, high, near, gaps)
-        self._advance(chosen.v, proven=chosen.proven)
+        self._advance(chosen.v, chosen.end)
         self._renew(near)
         return self._state(command, chosen, wish, tip_wish, near, at_limit, singular)
 
     def _braked(self, command: Command) -> ServoState:
         v = self._brake()
         tip = self._jacobian[:3] @ v
-        self._advance(v, proven=False)
+        self._advance(v, None)
         wish = self._wish[0]
         nothing = np.zeros(3)
         refused = nothing if wish is None else wish - tip
@@ -526,12 +536,12 @@ class Servo:
         tip = R @ self._tip_t + t
         self._tip = tip
         x, y, z = tip.tolist()
+        turn = self._turn  # omega -> omega x tip
+        turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 2], turn[2, 0], turn[2, 1] = z, -y, -z, x, y, -x
         jacobian = self._jacobian
-        turn = J[3:]
-        jacobian[0] = J[0] + z * turn[1] - y * turn[2]
-        jacobian[1] = J[1] + x * turn[2] - z * turn[0]
-        jacobian[2] = J[2] + y * turn[0] - x * turn[1]
-        jacobian[3:] = turn
+        jacobian[3:] = J[3:]
+        np.matmul(turn, J[3:], out=jacobian[:3])
+        jacobian[:3] += J[:3]
 
     def _movable_tip_rows(self) -> NDArray[np.bool_]:
         """(3,) which directions any joint can move the tip in at all."""
@@ -558,8 +568,10 @@ class Servo:
         separation = self._separation
         margin = self._distance[near] - separation.clearance[near]
         acts = np.flatnonzero(margin < self._law.influence)
+        if len(acts) == 0:
+            return _NOBODY
         pairs = near[acts]
-        rows = separation.rows(pairs, np.zeros(len(pairs), dtype=np.intp), gaps[acts].argmin(axis=1), self._at)
+        rows = separation.rows(pairs, 0, gaps[acts].argmin(axis=1), self._at)
         drift = (
             (separation.normal[pairs] * separation.velocity[pairs]).sum(axis=1)
             if len(self._moving_pairs)
@@ -633,27 +645,34 @@ class Servo:
 
         Also whether they cut the wish. Beyond a limit a joint must come back.
         """
-        limits = self.limits
-        time = float((np.abs(self._v) / self._acceleration).max())
-        look = self.dt + 0.5 * (time + self.dt / _BRAKING)
-        above, below = limits.upper - self._q, self._q - limits.lower
-        fastest, slowest = self._v + self._change, self._v - self._change
-        high = np.minimum(above / look, limits.velocity)
-        low = np.maximum(below / -look, -limits.velocity)
-        if (high < slowest).any() or (low > fastest).any():
+        dt = self.dt
+        time = max(abs(rate) * per for rate, per in zip(self._v.tolist(), self._per_acceleration, strict=True))
+        look = dt + 0.5 * (time + dt / _BRAKING)
+        lows, highs = [], []
+        tight = cut = False
+        for position, rate, wished, change, (lower, upper, fastest) in zip(
+            self._q.tolist(), self._v.tolist(), wish.tolist(), self._changes, self._ranges, strict=True
+        ):
+            above, below = upper - position, position - lower
+            high, low = min(above / look, fastest), max(-below / look, -fastest)
+            if above < -_TOLERANCE:
+                high = -min(max(-_RECOVERY * above, _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+                low = min(low, high)
+            elif below < -_TOLERANCE:
+                low = min(max(-_RECOVERY * below, _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+                high = max(low, high)
+            else:
+                tight |= high < rate - change or low > rate + change
+            cut |= wished > high + 1e-9 or wished < low - 1e-9
+            highs.append(high)
+            lows.append(low)
+        low_bounds, high_bounds = np.array(lows), np.array(highs)
+        if tight:
             # a joint needs the whole of its way to brake: the others must not make that longer
-            cap = self._acceleration * max(time - self.dt, 0.0)
-            high, low = np.minimum(high, cap), np.maximum(low, -cap)
-        out = above < -_TOLERANCE
-        if out.any():
-            high = np.where(out, -np.clip(-_RECOVERY * above, _SLOWEST_RECOVERY, _FASTEST_RECOVERY), high)
-            low = np.minimum(low, high)
-        out = below < -_TOLERANCE
-        if out.any():
-            low = np.where(out, np.clip(-_RECOVERY * below, _SLOWEST_RECOVERY, _FASTEST_RECOVERY), low)
-            high = np.maximum(low, high)
-        cut = bool((wish > high + 1e-9).any() or (wish < low - 1e-9).any())
-        return np.minimum(np.maximum(low, slowest), fastest), np.minimum(np.maximum(high, slowest), fastest), cut
+            cap = self._acceleration * max(time - dt, 0.0)
+            high_bounds, low_bounds = np.minimum(high_bounds, cap), np.maximum(low_bounds, -cap)
+        up, down = self._v + self._change, self._v - self._change
+        return np.minimum(np.maximum(low_bounds, down), up), np.minimum(np.maximum(high_bounds, down), up), cut
 
     def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity nearest to the wish whose braking path is proven clear."""
@@ -669,11 +688,11 @@ class Servo:
             path = self._path(v)
             proof = self._prove(awake, path)
             if (proof.free if attempt == 0 else proof.clear) and not late:
-                return self._accepted(v, held_back, evading, awake, proof)
+                return self._accepted(path, held_back, evading, awake, proof)
             if attempt == _ATTEMPTS - 1:
                 tried = v
                 if proof.stands_clear:
-                    return self._accepted(v, True, evading, awake, proof)
+                    return self._accepted(path, True, evading, awake, proof)
                 break
             rows, bounds = self._rows(awake, budget, path, proof)
             solved = self._solve(
@@ -683,24 +702,27 @@ class Servo:
             held_back = True
             if np.abs(solved - v).max() < 1e-12:
                 if proof.stands_clear:
-                    return self._accepted(v, True, evading, awake, proof)
+                    return self._accepted(path, True, evading, awake, proof)
                 tried = v
                 break
             v = solved
         brake = np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change)
         for part in _BLENDS:
             v = np.minimum(np.maximum(brake + part * (tried - brake), low), high)
-            proof = self._prove(awake, self._path(v))
+            path = self._path(v)
+            proof = self._prove(awake, path)
             if proof.stands_clear:
-                return self._accepted(v, True, evading, awake, proof)
-        return _Chosen(self._brake(), True, evading, False)
+                return self._accepted(path, True, evading, awake, proof)
+        return _Chosen(self._brake(), True, evading, None)
 
     def _towards(self, wish: Vector, low: Vector, high: Vector) -> Vector:
         """(n,) on the straight way from the present velocity to the wish, as far as acceleration allows."""
         change = wish - self._v
-        part = np.abs(change).max() and float((self._change / np.maximum(np.abs(change), 1e-300)).min())
-        v = self._v + min(part, 1.0) * change
-        return np.minimum(np.maximum(v, low), high)
+        part = 1.0
+        for amount, largest in zip(change.tolist(), self._changes, strict=True):
+            if abs(amount) * part > largest:
+                part = largest / abs(amount)
+        return np.minimum(np.maximum(self._v + part * change, low), high)
 
     def _path(self, v: Vector, *, step: bool = True) -> BrakingPath:
         return BrakingPath(
@@ -708,7 +730,7 @@ class Servo:
             v,
             self.dt if step else 0.0,
             acceleration=self._acceleration,
-            travel=self._separation.travel,
+            furthest=self._separation.furthest,
             turning=self._separation.turning,
         )
 
@@ -725,9 +747,9 @@ class Servo:
 
     def _prove(self, awake: Indices, path: BrakingPath) -> _Proof:
         separation = self._separation
-        path.place(self._at)
         if len(awake) == 0:
             return _Proof(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
+        path.place(self._at)
         required = self._required[awake]
         bound, gaps = separation.least_on(awake, path, self._at, path.time if len(self._moving_pairs) else 0.0)
         closely = np.zeros(len(awake), dtype=bool)
@@ -756,7 +778,7 @@ class Servo:
         classes = separation.classes[awake]
         required = self._required[awake]
         wanted = required + _BUFFER
-        room = proof.gaps - (path.off_chord[classes] + wanted)[None, :, None]
+        room = proof.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
         counts = room < (2.0 * budget[classes])[None, :, None]
         counts[0] = False
         # seen closely, only where the plane that was kept is right: at its tightest
@@ -784,15 +806,21 @@ class Servo:
         if len(near) == 0:
             return np.zeros((0, n)), np.zeros(0)
         clearance = separation.clearance[near]
-        drift = (separation.normal[near] * separation.velocity[near]).sum(axis=1)
-        too_close = (self._distance[near] < clearance - _VIOLATED) & (self._required[near] < clearance - _VIOLATED)
-        chosen = np.flatnonzero((drift < 0.0) | too_close)
+        too_close = np.maximum(self._distance[near], self._required[near]) < clearance - _VIOLATED
+        if len(self._moving_pairs):
+            drift = (separation.normal[near] * separation.velocity[near]).sum(axis=1)
+            chosen = np.flatnonzero((drift < 0.0) | too_close)
+        elif too_close.any():
+            drift = np.zeros(len(near))
+            chosen = np.flatnonzero(too_close)
+        else:
+            return np.zeros((0, n)), np.zeros(0)
         if len(chosen) == 0:
             return np.zeros((0, n)), np.zeros(0)
         own = gaps[chosen]
         k, corners = np.nonzero(own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + 0.02)
         pairs = near[chosen[k]]
-        rows = separation.rows(pairs, np.zeros(len(pairs), dtype=np.intp), corners, self._at)
+        rows = separation.rows(pairs, 0, corners, self._at)
         comes = drift[chosen[k]]
         moves = comes < 0.0
         margin = own[k, corners] - clearance[chosen[k]] - np.where(moves, 2.0 * _BUFFER, 0.0)
@@ -825,7 +853,7 @@ class Servo:
             return np.minimum(np.maximum(self._brake(), low), high)
         return np.minimum(np.maximum(x, low), high)
 
-    def _accepted(self, v: Vector, held_back: bool, evading: bool, awake: Indices, proof: _Proof) -> _Chosen:
+    def _accepted(self, path: BrakingPath, held_back: bool, evading: bool, awake: Indices, proof: _Proof) -> _Chosen:
         if len(awake):
             classes = self._separation.classes[awake]
             self._renewed_bounds = (awake, proof.bound, classes)
@@ -834,13 +862,12 @@ class Servo:
             self._required[awake] = np.minimum(self._separation.clearance[awake], lowest)
         else:
             self._renewed_bounds = None
-        return _Chosen(v, held_back, evading, True)
+        return _Chosen(path.v, held_back, evading, path.end)
 
-    def _advance(self, v: Vector, *, proven: bool) -> None:
+    def _advance(self, v: Vector, end: Vector | None) -> None:
         """Take the step."""
         separation = self._separation
-        if proven:
-            end = self._path(v).end
+        if end is not None:
             self._path_odometer += separation.travel @ np.abs(end - self._end)
             self._end = end
             if self._renewed_bounds is not None:
@@ -851,7 +878,7 @@ class Servo:
         self._start_odometer += separation.travel @ np.abs(moved)
         self._q = self._q + moved
         self._v = v
-        if not proven:  # what is left of the path that was proven before
+        if end is None:  # what is left of the path that was proven before
             self._end = self._path(v, step=False).end
 
     def _renew(self, near: Indices) -> None:
@@ -863,7 +890,7 @@ class Servo:
         # the nearer, the sooner
         margin = np.maximum(self._distance[near] - separation.clearance[near], 0.0)
         value = age / (0.02 + margin)
-        count = min(_RENEWED, len(near))
+        count = min(_RENEWED if float(margin.min()) < _WARN else 1, len(near))
         oldest = near[np.argpartition(value, len(near) - count)[-count:]]
         # the placements of row 0 are those of the beginning of the step
         for pair in oldest.tolist():
@@ -889,7 +916,7 @@ class Servo:
         J = self._jacobian[:3]
         v = self._v
         tip_velocity = J @ v
-        margin, link, obstacle, normal = math.inf, None, None, np.zeros(3)
+        margin, link, obstacle, normal = math.inf, None, None, _ZERO
         separation = self._separation
         if len(near):
             margins = self._distance[near] - separation.clearance[near]
@@ -898,19 +925,21 @@ class Servo:
             link = separation.link(pair)
             owner = int(separation.owner[pair])
             obstacle = f"self: {separation.inner_link(pair)}" if owner == MACHINE else self._names[owner]
-            normal = separation.world_normals(near[row : row + 1], self._at)[0]
-        change = wish - self._free_v
-        self._free_v = self._free_v + np.minimum(np.maximum(change, -self._change), self._change)
-        held_back = chosen.held_back or at_limit
-        if not held_back:
+            if margin < _WARN:
+                normal = separation.world_normals(near[row : row + 1], self._at)[0]
+        if chosen.held_back or at_limit:
+            change = wish - self._free_v
+            self._free_v = self._free_v + np.minimum(np.maximum(change, -self._change), self._change)
+            refused = J @ (self._free_v - v - wish) + tip_wish
+        else:
             self._free_v = v
-        refused = J @ (self._free_v - v) + (tip_wish - J @ wish)
-        self._blocking = normal if chosen.held_back and margin < _WARN else np.zeros(3)
+            refused = tip_wish - J @ wish
+        self._blocking = normal if chosen.held_back else _ZERO
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / _WARN, 0.0), 1.0)))
         hand = self._wish[0] if self._wish[0] is not None else tip_wish
         force = self._feedback.next(hand, refused, normal, nearness)
-        moving = bool((np.abs(v) > _AT_REST).any())
-        wishes = bool((np.abs(wish) > 1e-6).any())
+        moving = any(abs(rate) > _AT_REST for rate in v.tolist())
+        wishes = any(abs(rate) > 1e-6 for rate in wish.tolist())
         if chosen.evading:
             status = Status.EVADING
         elif not moving and (wishes or command in (Command.TIMED_OUT, Command.INVALID)):
@@ -968,9 +997,22 @@ _PER_PAIR = (
     "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at",
 )  # fmt: skip
 _SPEC: TypeAdapter[Any] = TypeAdapter(schema.ObstacleSpec)
+_ZERO = np.zeros(3)
+_ZERO.setflags(write=False)
 _UP = np.array([0.0, 0.0, 1.0])
 _NOTHING = np.zeros((0, 3))
 _NONE = np.zeros((0, 0), dtype=bool)
+_NOBODY = Nearby(
+    pair=np.zeros(0, dtype=np.intp),
+    distance=np.zeros(0),
+    margin=np.zeros(0),
+    normal=_NOTHING,
+    point_link=_NOTHING,
+    point_obstacle=_NOTHING,
+    gradient=_NOTHING,
+    drift=np.zeros(0),
+    moves=_NONE,
+)
 
 
 def _numbers(values: object, count: int) -> Vector | None:
