@@ -68,7 +68,9 @@ def main() -> None:
     parser.add_argument("--obstacles", type=int, default=20)
     parser.add_argument("--moving", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--save", type=Path, default=Path("servo_step"), help="without ending: .png and .json are written")
+    parser.add_argument(
+        "--save", type=Path, default=Path("servo_step"), help="without ending: .png and .json are written"
+    )
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
     robot = bp.load_robot("example:backhoe")

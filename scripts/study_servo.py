@@ -157,7 +157,9 @@ class Episode:
             return {"tip_velocity": rng.normal(size=3) * 2.0}
         if self.kind == "push" and self.known:
             tip = self.servo._tip
-            goals = [np.array(getattr(self.specs[n], "position", (4.0, 0.0, 0.0))) + s for n, (_, s) in self.known.items()]
+            goals = [
+                np.array(getattr(self.specs[n], "position", (4.0, 0.0, 0.0))) + s for n, (_, s) in self.known.items()
+            ]
             goal = min(goals, key=lambda goal: float(np.linalg.norm(goal - tip)))
             way = goal - tip
             return {"tip_velocity": 1.5 * way / max(float(np.linalg.norm(way)), 1e-6)}
@@ -194,7 +196,9 @@ class Episode:
         speed = EVADED_PART * self.evasion_speed()
         for name, velocity in self.movers.items():
             spec = self.specs[name]
-            place = np.array(getattr(spec, "position", getattr(spec, "start", (0.0, 0.0, 0.0)))) + self.servo.shift_of(name)
+            place = np.array(getattr(spec, "position", getattr(spec, "start", (0.0, 0.0, 0.0)))) + self.servo.shift_of(
+                name
+            )
             if self.rng.random() < 0.05 or not velocity.any():
                 joint = int(self.rng.integers(2, self.robot.model.njoints))
                 pin.forwardKinematics(self.robot.model, self.opinion._data, self.servo.q)
@@ -226,12 +230,19 @@ class Episode:
             comes = owner >= 0 and names[owner] in self.movers
             some |= comes
             A.append([*(-nearby.gradient[row]), 1.0 if comes else 0.0])
-            b.append(2.0 * max(float(nearby.margin[row]) - 0.01, 0.0) if not comes else max(float(nearby.margin[row]) - 0.1, 0.0))
+            b.append(
+                2.0 * max(float(nearby.margin[row]) - 0.01, 0.0)
+                if not comes
+                else max(float(nearby.margin[row]) - 0.1, 0.0)
+            )
         if not some:
             return 1.0
         n = self.robot.n
         solved = linprog(
-            [0.0] * n + [-1.0], A_ub=A, b_ub=b, bounds=[*zip(np.minimum(low, 0.0), np.maximum(high, 0.0), strict=True), (0.0, 1.0)]
+            [0.0] * n + [-1.0],
+            A_ub=A,
+            b_ub=b,
+            bounds=[*zip(np.minimum(low, 0.0), np.maximum(high, 0.0), strict=True), (0.0, 1.0)],
         )
         return float(solved.x[-1]) if solved.status == 0 else 0.0
 
@@ -273,7 +284,9 @@ def run(robot: bp.Robot, steps: int, seed: int, every: int) -> dict[str, Any]:
             statuses[state.status.value] += 1
             counts["unproven"] += not state.proven
             where = f"episode {episode_number - 1}, step {step}, {episode.kind}"
-            if not (np.isfinite(state.q).all() and np.isfinite(state.v).all() and np.isfinite(state.feedback_force).all()):
+            if not (
+                np.isfinite(state.q).all() and np.isfinite(state.v).all() and np.isfinite(state.feedback_force).all()
+            ):
                 problems.append(f"not finite: {where}")
             if (np.abs(state.v - before) > limits.acceleration * servo.dt * (1.0 + 1e-9)).any():
                 problems.append(f"acceleration: {where}")

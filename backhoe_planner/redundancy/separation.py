@@ -56,6 +56,23 @@ class Binding:
     part: Vector
 
 
+class _Stand:
+    """A piece of an obstacle, and how far it stands from where it was built (3,) [m]."""
+
+    def __init__(self, piece: shapes.Piece) -> None:
+        self.piece = piece
+        self.shift = np.zeros(3)
+        self.corners = piece.hull if 0 < len(piece.hull) <= _MOST_CORNERS else None
+        self._R, self._t = np.array(piece.placement.rotation), np.array(piece.placement.translation)
+        self._placed: tuple[Vector, object] = (self.shift, shapes.transform(self._R, self._t))
+
+    def place(self) -> object:
+        """Coal's transform, made anew only after a shift."""
+        if self._placed[0] is not self.shift:
+            self._placed = (self.shift, shapes.transform(self._R, self._t + self.shift))
+        return self._placed[1]
+
+
 class Separation:
     """All pairs of one machine, itself and a changing set of obstacles, with a plane each.
 
@@ -66,6 +83,7 @@ class Separation:
     owner: (P,) number of the obstacle that was given when it was added; -1 for the machine itself.
     clearance: (P,) [m].
     classes: (P,) row of `travel` that holds for the pair.
+    drift: (P,) rate at which the obstacle's own motion moves its plane along the normal [m/s].
     travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
     """
 
@@ -80,10 +98,7 @@ class Separation:
         self._fat = np.array([piece.piece.radius for piece in robot.pieces])
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
         self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
-        self._own_shapes = [
-            (piece.piece.shape, np.array(piece.piece.placement.homogeneous))
-            for piece in robot.pieces
-        ]
+        self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
         radii = travel_bounds(robot)
         pairs = [_outer_first(robot, pair) for pair in self_pairs(robot)] if self_collision else []
         rows = [*radii[self._moving]]
@@ -101,12 +116,14 @@ class Separation:
         self.classes = np.asarray(classes[len(self._moving) :], dtype=np.intp)
         self.piece = np.array([outer for outer, _ in pairs], dtype=np.intp)
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
-        self._body: list[tuple[object, object, Matrix | None]] = [(None, None, None)] * len(pairs)
+        self._body: list[_Stand | None] = [None] * len(pairs)
+        self._stands_of: dict[int, list[_Stand]] = {}
         self.joint = self._joint_of[self.piece]
         self.other = self._joint_of[self.other_piece]
         self.normal = np.zeros((len(pairs), 3))  # in the frame of the other body
         self.offset = np.full(len(pairs), -_FAR)
         self.velocity = np.zeros((len(pairs), 3))
+        self.drift = np.zeros(len(pairs))
         self._refresh()
 
     def __len__(self) -> int:
@@ -116,11 +133,7 @@ class Separation:
 
     def add(self, number: int, obstacle: Obstacle) -> Indices:
         """Take an obstacle in; the indices of its pairs. They have no plane yet."""
-        links = [
-            row
-            for row in self._moving
-            if obstacle.links is None or self.robot.pieces[row].link in obstacle.links
-        ]
+        links = [row for row in self._moving if obstacle.links is None or self.robot.pieces[row].link in obstacle.links]
         first, count = len(self), len(links) * len(obstacle.pieces)
         pieces = np.tile(np.array(links, dtype=np.intp), len(obstacle.pieces))
         self.owner = np.append(self.owner, np.full(count, number, dtype=np.intp))
@@ -128,36 +141,29 @@ class Separation:
         self.classes = np.append(self.classes, self._class_of_piece[pieces])
         self.piece = np.append(self.piece, pieces)
         self.other_piece = np.append(self.other_piece, np.full(count, -1, dtype=np.intp))
-        for piece in obstacle.pieces:
-            place = shapes.transform(piece.placement.rotation, piece.placement.translation)
-            corners = piece.hull if 0 < len(piece.hull) <= _MOST_CORNERS else None
-            self._body.extend([(piece, place, corners)] * len(links))
+        self._stands_of[number] = [_Stand(piece) for piece in obstacle.pieces]
+        for stand in self._stands_of[number]:
+            self._body.extend([stand] * len(links))
         self.normal = np.vstack((self.normal, np.zeros((count, 3))))
         self.offset = np.append(self.offset, np.full(count, -_FAR))
         self.velocity = np.vstack((self.velocity, np.tile(obstacle.velocity, (count, 1))))
+        self.drift = np.append(self.drift, np.zeros(count))
         self._refresh()
         return np.arange(first, first + count, dtype=np.intp)
 
     def keep(self, kept: NDArray[np.bool_]) -> None:
         """Forget the pairs for which `kept` (P,) is false."""
-        for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity"):
+        for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity", "drift"):
             setattr(self, name, getattr(self, name)[kept])
+        left = set(self.owner.tolist())
+        self._stands_of = {number: stands for number, stands in self._stands_of.items() if number in left}
         self._body = [body for body, keep in zip(self._body, kept.tolist(), strict=True) if keep]
         self._refresh()
 
-    def shift(self, pairs: Indices, by: Vector) -> None:
-        """Move the obstacle of these pairs by a small vector (3,) [m]; planes go with it."""
-        self.offset[pairs] += self.normal[pairs] @ by
-
-    def place_at(self, pairs: Indices, shift: Vector) -> None:
-        """Tell coal that the obstacle of these pairs stands `shift` (3,) from where it was built [m]."""
-        places: dict[int, object] = {}
-        for pair in pairs.tolist():
-            piece, _, corners = self._body[pair]
-            if id(piece) not in places:
-                placement = piece.placement  # type: ignore[attr-defined]
-                places[id(piece)] = shapes.transform(placement.rotation, placement.translation + shift)
-            self._body[pair] = (piece, places[id(piece)], corners)
+    def place_at(self, number: int, shift: Vector) -> None:
+        """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are."""
+        for stand in self._stands_of[number]:
+            stand.shift = shift
 
     def link(self, pair: int) -> str:
         """Name of the link of a pair."""
@@ -190,8 +196,9 @@ class Separation:
             placed = at.T[sample, other] @ own
             there = shapes.transform(placed[:, :3], placed[:, 3])
         else:
-            body, there, _ = self._body[pair]
-            second = body.shape  # type: ignore[attr-defined]
+            stand = self._body[pair]
+            assert stand is not None
+            second, there = stand.piece.shape, stand.place()
         distance, n, p_link, p_other = self._gauge.measure(
             shape, shapes.transform(here[:, :3], here[:, 3]), second, there
         )
@@ -203,9 +210,13 @@ class Separation:
     def renew(self, pair: int, at: Placements, sample: int) -> float:
         """Measure, and keep the plane; the signed distance [m]."""
         distance, n, offset, _ = self.measure(pair, at, sample)
+        self._keep_plane(pair, n, offset)
+        return distance
+
+    def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
         self.normal[pair] = n
         self.offset[pair] = offset
-        return distance
+        self.drift[pair] = n @ self.velocity[pair]
 
     # --- gaps ------------------------------------------------------------------------
 
@@ -225,9 +236,7 @@ class Separation:
         along = np.matmul(self._corners4[pieces], local.transpose(0, 1, 3, 2))[..., 0]
         return np.asarray((offset - self._fat[pieces])[..., None] - along)
 
-    def least_on(
-        self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float
-    ) -> tuple[Vector, Matrix]:
+    def least_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> tuple[Vector, Matrix]:
         """(K,) proven lower bound of the distance over the whole path, and all gaps (samples, K, V).
 
         Between the samples a corner leaves its chord by no more than `BrakingPath.off_chord`.
@@ -235,7 +244,7 @@ class Separation:
         """
         gaps = self.gaps(pairs, at, path.parts + 1)
         if drift_time > 0.0:
-            drift = np.minimum((self.normal[pairs] * self.velocity[pairs]).sum(axis=1), 0.0)
+            drift = np.minimum(self.drift[pairs], 0.0)
             if drift.any():
                 gaps += (drift_time * np.linspace(0.0, 1.0, path.parts + 1))[:, None, None] * drift[None, :, None]
         return gaps.min(axis=(0, 2)) - path.off_chord(self.travel[self.classes[pairs]]), gaps
@@ -263,7 +272,7 @@ class Separation:
             a, b = distance[part], distance[part + 1]
             parts[part] = max(min(a, float(ahead.min())) - off, min(b, float(back.min())) - off, 0.5 * (a + b - reach))
         tight = int(np.argmin(distance))
-        self.normal[pair], self.offset[pair] = normals[tight], offsets[tight]
+        self._keep_plane(pair, normals[tight], float(offsets[tight]))
         least = float(parts.min())
         least = max(least, self._from_link(pair, normals[0], point, path, at))
         if drift_time > 0.0:
@@ -272,11 +281,10 @@ class Separation:
 
     def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
         """The same with the plane of the path's start moving with the link."""
-        body, place, corners = self._body[pair]
-        if corners is None or self.other_piece[pair] >= 0:
+        stand = self._body[pair]
+        if stand is None or stand.corners is None:
             return -_FAR
-        shift = np.asarray(place.getTranslation()) - body.placement.translation  # type: ignore[attr-defined]
-        corners = corners + shift
+        corners = stand.corners + stand.shift
         joint = int(self.joint[pair])
         local = n @ at.R[0, joint]
         start = float(local @ ((point - at.t[0, joint]) @ at.R[0, joint]))
@@ -284,7 +292,7 @@ class Separation:
         gaps = np.empty((count, len(corners)))
         for sample in range(count):
             gaps[sample] = (corners - at.t[sample, joint]) @ (at.R[sample, joint] @ local)
-        gaps -= start + body.radius  # type: ignore[attr-defined]
+        gaps -= start + stand.piece.radius
         # as seen from the link the corners turn the other way round, and further out
         size = np.abs(path.delta)
         far = float(np.sqrt(((corners - point) ** 2).sum(axis=1).max())) + float(size @ self.travel[self.classes[pair]])
@@ -335,5 +343,3 @@ def _support(robot: Robot, joint: int) -> Vector:
         mask[robot.model.joints[joint].idx_v] = 1.0
         joint = int(robot.model.parents[joint])
     return mask
-
-

@@ -62,7 +62,6 @@ _BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows le
 _ATTEMPTS = 3
 _BLENDS = (0.5, 0.2)
 _LOOKS = 12  # pairs that are looked at closely per step at most
-_RENEWED = 2  # planes measured anew per step, however little is amiss
 _RECOVERY = 1.0  # 1/s
 _SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
 _SOFT, _HARD = 8, 0  # daqp's senses
@@ -313,9 +312,7 @@ class Servo:
             self.remove(name)
         if len(cloud) == 0:
             return
-        pieces = tuple(
-            shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in voxel_boxes(cloud, resolution)
-        )
+        pieces = tuple(shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in voxel_boxes(cloud, resolution))
         spec = schema.PointCloud(name=name, shape="pointcloud", file="", resolution=resolution)
         self._add(
             Obstacle(
@@ -353,8 +350,8 @@ class Servo:
         """
         placed = self._find(name)
         placed.shift = placed.shift + _three(by, "by")
-        pairs = np.flatnonzero(self._separation.owner == placed.number)
-        self._separation.place_at(pairs, placed.shift)
+        pairs = (self._separation.owner == placed.number).nonzero()[0]
+        self._separation.place_at(placed.number, placed.shift)
         self._take_in(pairs)
 
     def set_velocity(self, name: str, velocity: object) -> None:
@@ -366,9 +363,9 @@ class Servo:
         """
         placed = self._find(name)
         placed.velocity = _three(velocity, "velocity")
-        pairs = np.flatnonzero(self._separation.owner == placed.number)
+        pairs = (self._separation.owner == placed.number).nonzero()[0]
         self._separation.velocity[pairs] = placed.velocity
-        self._separation.place_at(pairs, placed.shift)
+        self._separation.place_at(placed.number, placed.shift)
         self._find_moving()
         self._take_in(pairs)
 
@@ -383,7 +380,9 @@ class Servo:
 
     def _find(self, name: str) -> _Placed:
         if name not in self._placed:
-            raise InputError("there is no obstacle of that name", key="name", found=name, allowed=", ".join(self._placed))
+            raise InputError(
+                "there is no obstacle of that name", key="name", found=name, allowed=", ".join(self._placed)
+            )
         return self._placed[name]
 
     def _add(self, obstacle: Obstacle) -> None:
@@ -405,10 +404,13 @@ class Servo:
         self._take_in(pairs)
 
     def _find_moving(self) -> None:
-        self._moving_pairs = np.flatnonzero(self._separation.velocity.any(axis=1))
+        self._moving_pairs = (self._separation.velocity.any(axis=1)).nonzero()[0]
         self._stands = np.ones(len(self._separation), dtype=bool)
         self._stands[self._moving_pairs] = False
-        self._speed = np.sqrt((self._separation.velocity[self._moving_pairs] ** 2).sum(axis=1))
+        self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
+        self._per_step = self.dt * np.sqrt((self._separation.velocity**2).sum(axis=1))
+        # the braking path of one step later may end up to 2 / _BRAKING steps later
+        self._per_step_on_path = (1.0 + 2.0 / _BRAKING) * self._per_step
 
     def _take_in(self, pairs: Indices) -> None:
         """Measure pairs that are new or were moved, and note what the braking path leaves of them."""
@@ -423,7 +425,7 @@ class Servo:
         self._renewed_at[pairs] = self._steps
         self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
         bound, _ = separation.least_on(pairs, path, self._at, path.time)
-        for row in np.flatnonzero(bound < separation.clearance[pairs]).tolist():
+        for row in (bound < separation.clearance[pairs]).nonzero()[0].tolist():
             bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, self._at, path.time))
         self._proven[pairs] = bound
         self._proven_at[pairs] = self._path_odometer[separation.classes[pairs]]
@@ -488,8 +490,8 @@ class Servo:
         wish, tip_wish, singular = self._wished(near, gaps)
         low, high, at_limit = self._velocity_bounds(wish)
         chosen = self._choose(wish, low, high, near, gaps)
-        self._advance(chosen.v, chosen.end)
         self._renew(near)
+        self._advance(chosen.v, chosen.end)
         return self._state(command, chosen, wish, tip_wish, near, at_limit, singular)
 
     def _braked(self, command: Command) -> ServoState:
@@ -518,15 +520,12 @@ class Servo:
         if len(pairs) == 0:
             return
         separation = self._separation
-        separation.offset[pairs] += self.dt * (separation.normal[pairs] * separation.velocity[pairs]).sum(axis=1)
-        self._distance[pairs] -= self.dt * self._speed
-        # the path of one step later ends up to 2 / _BRAKING steps later
-        self._proven[pairs] -= (1.0 + 2.0 / _BRAKING) * self.dt * self._speed
-        for placed in self._placed.values():
-            if placed.velocity.any():
-                placed.shift = placed.shift + self.dt * placed.velocity
-                mine = pairs[separation.owner[pairs] == placed.number]
-                separation.place_at(mine, placed.shift)
+        separation.offset += self.dt * separation.drift
+        self._distance -= self._per_step
+        self._proven -= self._per_step_on_path
+        for placed in self._movers:
+            placed.shift = placed.shift + self.dt * placed.velocity
+            separation.place_at(placed.number, placed.shift)
 
     def _place_start(self) -> None:
         """Forward kinematics at q, and the tip's Jacobian."""
@@ -555,7 +554,7 @@ class Servo:
         """Pairs within the influence distance, and the gaps of their corners (K, V) at q."""
         separation = self._separation
         lower = self._distance + self._distance_at - self._start_odometer[separation.classes]
-        near = np.flatnonzero(lower < separation.clearance + self._law.influence)
+        near = (lower < separation.clearance + self._law.influence).nonzero()[0]
         if len(near) == 0:
             return near, np.zeros((0, 1))
         gaps = separation.gaps(near, self._at, 1)[0]
@@ -567,16 +566,12 @@ class Servo:
         """The same as the law wants it: one row each, of the nearest corner."""
         separation = self._separation
         margin = self._distance[near] - separation.clearance[near]
-        acts = np.flatnonzero(margin < self._law.influence)
+        acts = (margin < self._law.influence).nonzero()[0]
         if len(acts) == 0:
             return _NOBODY
         pairs = near[acts]
         rows = separation.rows(pairs, 0, gaps[acts].argmin(axis=1), self._at)
-        drift = (
-            (separation.normal[pairs] * separation.velocity[pairs]).sum(axis=1)
-            if len(self._moving_pairs)
-            else np.zeros(len(pairs))
-        )
+        drift = separation.drift[pairs]
         return Nearby(
             pair=pairs,
             distance=self._distance[pairs],
@@ -743,7 +738,7 @@ class Servo:
         change += np.abs(self._v) * (self.dt / _BRAKING)
         budget = separation.travel @ change
         left = self._proven + self._proven_at - self._required
-        return np.flatnonzero(left < (self._path_odometer + budget)[separation.classes]), budget
+        return (left < (self._path_odometer + budget)[separation.classes]).nonzero()[0], budget
 
     def _prove(self, awake: Indices, path: BrakingPath) -> _Proof:
         separation = self._separation
@@ -753,7 +748,7 @@ class Servo:
         required = self._required[awake]
         bound, gaps = separation.least_on(awake, path, self._at, path.time if len(self._moving_pairs) else 0.0)
         closely = np.zeros(len(awake), dtype=bool)
-        short = np.flatnonzero(bound < required - _TOLERANCE)
+        short = (bound < required - _TOLERANCE).nonzero()[0]
         if len(short):
             # those that are tightest at the start come last: there the plane is right already
             for row in short[:_LOOKS].tolist():
@@ -764,7 +759,7 @@ class Servo:
                 bound[row] = max(bound[row], found)
                 closely[row] = True
             gaps[:, closely] = separation.gaps(awake[closely], self._at, path.parts + 1)
-            short = np.flatnonzero(bound < required - _TOLERANCE)
+            short = (bound < required - _TOLERANCE).nonzero()[0]
         stands_clear = not self._stands[awake[short]].any()
         free = len(short) == 0 and bool((bound >= required + _BUFFER).all())
         return _Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
@@ -783,8 +778,9 @@ class Servo:
         counts[0] = False
         # seen closely, only where the plane that was kept is right: at its tightest
         settled = proof.closely & (proof.bound >= wanted + 2.0 * budget[classes])
-        counts[:, settled] = False
-        for row in np.flatnonzero(proof.closely & ~settled).tolist():
+        if settled.any():
+            counts[:, settled] = False
+        for row in (proof.closely & ~settled).nonzero()[0].tolist():
             tight = int(proof.gaps[1:, row].min(axis=1).argmax()) + 1
             only = counts[tight, row].copy()
             counts[:, row] = False
@@ -808,11 +804,11 @@ class Servo:
         clearance = separation.clearance[near]
         too_close = np.maximum(self._distance[near], self._required[near]) < clearance - _VIOLATED
         if len(self._moving_pairs):
-            drift = (separation.normal[near] * separation.velocity[near]).sum(axis=1)
-            chosen = np.flatnonzero((drift < 0.0) | too_close)
+            drift = separation.drift[near]
+            chosen = ((drift < 0.0) | too_close).nonzero()[0]
         elif too_close.any():
             drift = np.zeros(len(near))
-            chosen = np.flatnonzero(too_close)
+            chosen = (too_close).nonzero()[0]
         else:
             return np.zeros((0, n)), np.zeros(0)
         if len(chosen) == 0:
@@ -886,19 +882,16 @@ class Servo:
         if len(near) == 0:
             return
         separation = self._separation
-        age = self._steps - self._renewed_at[near]
-        # the nearer, the sooner
-        margin = np.maximum(self._distance[near] - separation.clearance[near], 0.0)
-        value = age / (0.02 + margin)
-        count = min(_RENEWED if float(margin.min()) < _WARN else 1, len(near))
-        oldest = near[np.argpartition(value, len(near) - count)[-count:]]
-        # the placements of row 0 are those of the beginning of the step
-        for pair in oldest.tolist():
-            distance = separation.renew(pair, self._at, 0)
-            c = separation.classes[pair]
-            self._distance[pair] = distance
-            # the step that was just taken is not in this distance
-            self._distance_at[pair] = self._start_odometer[c] - float(separation.travel[c] @ np.abs(self._v)) * self.dt
+        margin = self._distance[near] - separation.clearance[near]
+        nearest = int(margin.argmin())
+        # the nearer, the sooner; the placements of row 0 are those of the beginning of the step
+        value = (self._steps - self._renewed_at[near]) / (0.02 + np.maximum(margin, 0.0))
+        chosen = {int(near[value.argmax()])}
+        if margin[nearest] < _WARN:
+            chosen.add(int(near[nearest]))
+        for pair in chosen:
+            self._distance[pair] = separation.renew(pair, self._at, 0)
+            self._distance_at[pair] = self._start_odometer[separation.classes[pair]]
             self._renewed_at[pair] = self._steps
 
     # --- what is said ----------------------------------------------------------------------
