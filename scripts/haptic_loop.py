@@ -26,9 +26,10 @@ import matplotlib.pyplot as plt  # noqa: E402
 
 DT = 0.001
 MASS, SPRING, DAMPER = 0.5, 120.0, 8.0  # kg, N/m, N s/m of the hand
-REACH = 0.25  # m by which the hand goes to and fro
-PERIOD = 3.0  # s
-WALL = 5.0  # m
+REACH = 0.3  # m by which the hand goes to and fro
+PERIOD = 4.0  # s
+WALL = 4.4  # m
+SCALE = 2.0  # of the hand's velocity to the tip's
 
 Record = dict[str, np.ndarray]
 
@@ -55,9 +56,9 @@ def simulate(seconds: float, *, period: float = PERIOD, reach: float = REACH) ->
         x_dot = x_dot + DT / MASS * (SPRING * (wanted - x) - DAMPER * x_dot + force)
         x = x + DT * x_dot
         work += DT * float(force @ x_dot)
-        state = servo.step(4.0 * x_dot)
-        # the servo's hand moves four times as far: power is kept when the force is scaled alike
-        force = 4.0 * state.feedback_force
+        state = servo.step(SCALE * x_dot)
+        # power is kept when velocity and force are scaled alike
+        force = SCALE * state.feedback_force
         for name, value in zip(rows, (step * DT, state.tip_position, state.margin, force, x, work), strict=True):
             rows[name].append(value)
     return {name: np.array(values) for name, values in rows.items()}

@@ -7,11 +7,13 @@ the way and no joint limit, minus what it does. The second rises smoothly, befor
 anything is refused, as the way into an obstacle narrows. It saturates smoothly at the
 largest force.
 
-Passivity. Whatever would push along with the hand's own velocity is taken out, and a
-ledger (a passivity observer after Hannaford and Ryu, 2002) holds the energy that the
-hand has given so far. The force that holds until the next sample, over which the hand
-may move otherwise than it did, is bounded so that it cannot give back more than the
-ledger holds, however the hand moves up to its greatest speed.
+Both are smoothed over a hundredth of a second, so that nothing in them jumps.
+
+Passivity. A ledger (a passivity observer after Hannaford and Ryu, 2002) holds the
+energy that the hand has given so far. A force F holds until the next sample, over which
+the hand moves at its velocity w changed by at most dw, what a hand can change in a
+sample. F is scaled so that the most that it can give, dt (F . w + |F| dw), is no more
+than the ledger holds.
 """
 
 from __future__ import annotations
@@ -25,7 +27,9 @@ __all__ = ["Feedback"]
 
 Vector = NDArray[np.float64]
 
-_SEED = 1e-8  # J: what may be lent before anything was taken
+_SEED = 1e-7  # J: what may be lent, to a force against the hand, before anything was taken
+_LEAK = 1e-13  # J per sample, so that an empty ledger can fill again
+_SMOOTHED_OVER = 0.01  # s
 _MOST_STORED = 0.2  # J: of what the hand has given, this much may come back
 
 
@@ -37,16 +41,19 @@ class Feedback:
     dt: time between samples, over which a force is held [s].
     damping: B [N s/m].
     largest: force that is approached, never exceeded [N].
-    fastest: greatest speed of the hand for which passivity is promised [m/s].
+    sharpest: greatest acceleration of the hand for which passivity is promised [m/s^2].
     """
 
-    def __init__(self, dt: float, *, damping: float = 60.0, largest: float = 30.0, fastest: float = 3.0) -> None:
+    def __init__(self, dt: float, *, damping: float = 60.0, largest: float = 30.0, sharpest: float = 200.0) -> None:
         self._dt = dt
         self._damping = damping
         self._largest = largest
-        self._fastest = fastest
+        self._change = sharpest * dt
         self._stored = 0.0
         self._force = np.zeros(3)
+        self._smooth = np.zeros(3)
+        self._scale = 1.0
+        self._part = 1.0 - math.exp(-dt / _SMOOTHED_OVER)
 
     @property
     def stored(self) -> float:
@@ -65,15 +72,20 @@ class Feedback:
         """
         given = -self._dt * float(self._force @ hand)
         self._stored = min(self._stored + given, _MOST_STORED)
-        force = -self._damping * (refused + nearness * max(float(hand @ normal), 0.0) * normal)
-        square = float(hand @ hand)
-        power = float(force @ hand)
-        if power > 0.0:
-            force = force - (power / square) * hand
+        wished = -self._damping * (refused + nearness * max(float(hand @ normal), 0.0) * normal)
+        self._smooth = self._smooth + self._part * (wished - self._smooth)
+        force = self._smooth
         size = math.sqrt(float(force @ force))
         if size > 0.0:
-            bounded = self._largest * math.tanh(size / self._largest)
-            lent = max(self._stored + _SEED, 0.0) / (self._dt * self._fastest)
-            force = force * (min(bounded, lent) / size)
+            force = force * (self._largest * math.tanh(size / self._largest) / size)
+            along = float(force @ hand)
+            most = self._dt * (along + math.sqrt(float(force @ force)) * self._change)
+            held = max(self._stored + (_SEED if along <= 0.0 else 0.0), _LEAK)
+            # neither spent at once nor let go at once, so that the scale is smooth too
+            scale = min(self._scale + self._part, 1.0)
+            if most > 0.0:
+                scale = min(scale, max(self._part * held, _LEAK) / most)
+            self._scale = scale
+            force = force * scale
         self._force = force
         return force

@@ -70,6 +70,8 @@ _FREE = 0.005  # weight of the null space beside the tip
 _TOLERANCE = 1e-9  # m
 _VIOLATED = 1e-7  # m
 _INFLUENCE = 0.3  # m: further away the null space need not care
+_REMEMBERED = 0.02  # s for which being held back counts
+_FAR_RENEWED_EVERY = 4  # steps, where nothing is within
 _WARN = 0.10  # m of margin within which it says so
 _AT_REST = 1e-9
 _FAR = 1e3  # m
@@ -203,6 +205,9 @@ class Servo:
         self._steps = 0
         self._acceleration = _BRAKING * self.limits.acceleration
         self._change = self.limits.acceleration * self.dt * (1.0 - 1e-9)
+        self._holds = max(math.ceil(_REMEMBERED / self.dt), 1)
+        self._held_back_for = 0
+        self._forgets = 1.0 - math.exp(-self.dt / _REMEMBERED)
         self._changes: list[float] = self._change.tolist()
         self._per_acceleration: list[float] = (1.0 / self._acceleration).tolist()
         limits = self.limits
@@ -871,7 +876,8 @@ class Servo:
                 self._proven[awake] = bound
                 self._proven_at[awake] = self._path_odometer[classes]
         moved = v * self.dt
-        self._start_odometer += separation.travel @ np.abs(moved)
+        self._moved_by = separation.travel @ np.abs(moved)
+        self._start_odometer += self._moved_by
         self._q = self._q + moved
         self._v = v
         if end is None:  # what is left of the path that was proven before
@@ -884,6 +890,8 @@ class Servo:
         separation = self._separation
         margin = self._distance[near] - separation.clearance[near]
         nearest = int(margin.argmin())
+        if self._steps % _FAR_RENEWED_EVERY and margin[nearest] > _WARN:
+            return
         # the nearer, the sooner; the placements of row 0 are those of the beginning of the step
         value = (self._steps - self._renewed_at[near]) / (0.02 + np.maximum(margin, 0.0))
         chosen = {int(near[value.argmax()])}
@@ -912,21 +920,26 @@ class Servo:
         margin, link, obstacle, normal = math.inf, None, None, _ZERO
         separation = self._separation
         if len(near):
-            margins = self._distance[near] - separation.clearance[near]
+            margins = self._distance[near] - separation.clearance[near] - self._moved_by[separation.classes[near]]
             row = int(margins.argmin())
-            margin, pair = float(margins[row]), int(near[row])
-            link = separation.link(pair)
-            owner = int(separation.owner[pair])
-            obstacle = f"self: {separation.inner_link(pair)}" if owner == MACHINE else self._names[owner]
-            if margin < _WARN:
-                normal = separation.world_normals(near[row : row + 1], self._at)[0]
+            found, pair = float(margins[row]), int(near[row])
+            if found < self._law.influence:
+                margin = found
+                if margin < 0.0 and chosen.proven and self._stands[pair]:  # then this much was proven of it
+                    margin = max(margin, float(self._required[pair] - separation.clearance[pair]))
+                link = separation.link(pair)
+                owner = int(separation.owner[pair])
+                obstacle = f"self: {separation.inner_link(pair)}" if owner == MACHINE else self._names[owner]
+                if margin < _WARN:
+                    normal = separation.world_normals(near[row : row + 1], self._at)[0]
+        self._held_back_for = self._holds if chosen.held_back else self._held_back_for - 1
         if chosen.held_back or at_limit:
             change = wish - self._free_v
             self._free_v = self._free_v + np.minimum(np.maximum(change, -self._change), self._change)
             refused = J @ (self._free_v - v - wish) + tip_wish
         else:
-            self._free_v = v
-            refused = tip_wish - J @ wish
+            self._free_v = self._free_v + self._forgets * (v - self._free_v)
+            refused = J @ (self._free_v - v - wish) + tip_wish
         self._blocking = normal if chosen.held_back else _ZERO
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / _WARN, 0.0), 1.0)))
         hand = self._wish[0] if self._wish[0] is not None else tip_wish
@@ -937,7 +950,7 @@ class Servo:
             status = Status.EVADING
         elif not moving and (wishes or command in (Command.TIMED_OUT, Command.INVALID)):
             status = Status.STOPPED
-        elif chosen.held_back and wishes:
+        elif self._held_back_for > 0 and wishes:
             status = Status.SLIDING if moving else Status.STOPPED
         elif margin < _WARN:
             status = Status.NEAR_OBSTACLE
