@@ -128,7 +128,13 @@ class Gauge:
         distance = coal.distance(first, T_first, second, T_second, self._request, result)
         if not (distance > _CONTACT or _NONSENSE < distance < -_CONTACT):
             distance = self._measure_again(first, T_first, second, T_second)
-        return distance, result.normal, result.getNearestPoint1(), result.getNearestPoint2()
+        # copies: coal's own memory is overwritten by the next measurement
+        return (
+            distance,
+            np.array(result.normal),
+            np.array(result.getNearestPoint1()),
+            np.array(result.getNearestPoint2()),
+        )
 
     def _measure_again(
         self,

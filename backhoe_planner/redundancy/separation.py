@@ -35,6 +35,7 @@ Indices = NDArray[np.intp]
 MACHINE = -1  # owner of the pairs of the machine with itself
 _MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
 _FAR = 1e3  # m: where nothing is
+_PLANES = 4
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
@@ -250,31 +251,26 @@ class Separation:
         return gaps.min(axis=(0, 2)) - path.off_chord(self.travel[self.classes[pairs]]), gaps
 
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
-        """Lower bound of one pair's distance over the path, with a plane for every part of it [m].
+        """Lower bound of one pair's distance over the path, with a plane of its own for each part [m].
 
-        The tightest plane is kept.
+        Up to `_PLANES` are measured along the path. The tightest is kept.
         """
-        one = np.array([pair], dtype=np.intp)
+        joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
         count = path.parts + 1
-        distance = np.zeros(count)
-        normals, offsets = np.zeros((count, 3)), np.zeros(count)
-        point = np.zeros(3)
-        for sample in range(count):
-            distance[sample], normals[sample], offsets[sample], p = self.measure(pair, at, sample)
-            if sample == 0:
-                point = p
-        off = float(path.off_chord(self.travel[self.classes[pair] : self.classes[pair] + 1])[0])
-        reach = float(np.abs(path.delta) @ self.travel[self.classes[pair]]) / path.parts
-        parts = np.empty(path.parts)
-        for part in range(path.parts):
-            ahead = self._gaps(one, normals[part][None], offsets[part : part + 1], at.T[part + 1 : part + 2])
-            back = self._gaps(one, normals[part + 1][None], offsets[part + 1 : part + 2], at.T[part : part + 1])
-            a, b = distance[part], distance[part + 1]
-            parts[part] = max(min(a, float(ahead.min())) - off, min(b, float(back.min())) - off, 0.5 * (a + b - reach))
-        tight = int(np.argmin(distance))
+        measured = sorted({round(k * path.parts / (_PLANES - 1)) for k in range(_PLANES)})
+        found = [self.measure(pair, at, sample) for sample in measured]
+        distance = [entry[0] for entry in found]
+        normals, offsets = np.array([entry[1] for entry in found]), np.array([entry[2] for entry in found])
+        corners = self._corners4[piece] @ at.T[:count, joint].transpose(0, 2, 1)  # (S, V, 3)
+        if other:
+            corners = np.matmul(corners - at.t[:count, None, other], at.R[:count, other])
+        gaps = (offsets - self._fat[piece] - corners @ normals.T).min(axis=1)  # (S, planes)
+        # a part is clear if any one plane clears both its ends
+        parts = np.minimum(gaps[:-1], gaps[1:]).max(axis=1)
+        off = float(path.off_chord(self.travel[self.classes[pair]][None])[0])
+        tight = distance.index(min(distance))
         self._keep_plane(pair, normals[tight], float(offsets[tight]))
-        least = float(parts.min())
-        least = max(least, self._from_link(pair, normals[0], point, path, at))
+        least = max(float(parts.min()) - off, self._from_link(pair, normals[0], found[0][3], path, at))
         if drift_time > 0.0:
             least -= float(np.linalg.norm(self.velocity[pair])) * drift_time
         return least
@@ -289,9 +285,9 @@ class Separation:
         local = n @ at.R[0, joint]
         start = float(local @ ((point - at.t[0, joint]) @ at.R[0, joint]))
         count = path.parts + 1
-        gaps = np.empty((count, len(corners)))
-        for sample in range(count):
-            gaps[sample] = (corners - at.t[sample, joint]) @ (at.R[sample, joint] @ local)
+        normals = at.R[:count, joint] @ local  # (S, 3)
+        base = np.einsum("si,si->s", normals, at.t[:count, joint])
+        gaps = normals @ corners.T - base[:, None]
         gaps -= start + stand.piece.radius
         # as seen from the link the corners turn the other way round, and further out
         size = np.abs(path.delta)

@@ -751,19 +751,25 @@ class Servo:
             return _Proof(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
         path.place(self._at)
         required = self._required[awake]
-        bound, gaps = separation.least_on(awake, path, self._at, path.time if len(self._moving_pairs) else 0.0)
+        drift_time = path.time if len(self._moving_pairs) else 0.0
+        bound, gaps = separation.least_on(awake, path, self._at, drift_time)
         closely = np.zeros(len(awake), dtype=bool)
         short = (bound < required - _TOLERANCE).nonzero()[0]
         if len(short):
-            # those that are tightest at the start come last: there the plane is right already
+            # first with a plane measured where it is tightest, then with several
             for row in short[:_LOOKS].tolist():
+                separation.renew(int(awake[row]), self._at, int(gaps[:, row].min(axis=1).argmin()))
+            again = short[:_LOOKS]
+            better, gaps[:, again] = separation.least_on(awake[again], path, self._at, drift_time)
+            bound[again] = np.maximum(bound[again], better)
+            for row in again[better < required[again] - _TOLERANCE].tolist():
                 pair = int(awake[row])
-                moves = not self._stands[pair]
-                found = separation.closer_look(pair, path, self._at, path.time if moves else 0.0)
-                self._renewed_at[pair] = self._steps
+                found = separation.closer_look(pair, path, self._at, 0.0 if self._stands[pair] else drift_time)
                 bound[row] = max(bound[row], found)
                 closely[row] = True
-            gaps[:, closely] = separation.gaps(awake[closely], self._at, path.parts + 1)
+            if closely.any():
+                gaps[:, closely] = separation.gaps(awake[closely], self._at, path.parts + 1)
+            self._renewed_at[awake[again]] = 0
             short = (bound < required - _TOLERANCE).nonzero()[0]
         stands_clear = not self._stands[awake[short]].any()
         free = len(short) == 0 and bool((bound >= required + _BUFFER).all())
