@@ -24,7 +24,7 @@ from bench_step import libraries_alone, random_site, summary
 import backhoe_planner as bp
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 
 def resident() -> float:

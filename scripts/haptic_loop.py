@@ -22,7 +22,7 @@ import numpy as np
 import backhoe_planner as bp
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 DT = 0.001
 MASS, SPRING, DAMPER = 0.5, 120.0, 8.0  # kg, N/m, N s/m of the hand

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from backhoe_planner.errors import InputError
 from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.trajectory import Trajectory
-from backhoe_planner.redundancy.servo import Servo, ServoState
+from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.redundancy.servo_state import ServoState
 
 __all__ = ["Followed", "PlanFollower"]
 
@@ -73,7 +74,7 @@ class PlanFollower:
                 "has another number of joints than the machine",
                 key="plan.trajectory",
                 found=trajectory.q.shape[1],
-                allowed=servo.robot.n,
+                allowed=str(servo.robot.n),
             )
         self.servo = servo
         self._time, self._q = trajectory.time, trajectory.q

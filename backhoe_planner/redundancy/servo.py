@@ -25,8 +25,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
-from pathlib import Path
 from typing import Any
 
 import daqp
@@ -46,12 +44,13 @@ from backhoe_planner.redundancy.braking_path import MOST_PARTS, BrakingPath, Pla
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.redundancy.feedback import Feedback
 from backhoe_planner.redundancy.separation import MACHINE, Separation
+from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
 from backhoe_planner.site import scene as schema
 from backhoe_planner.site.limits import scaled_limits
 from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles
 from backhoe_planner.site.proximity import Nearby
 
-__all__ = ["Command", "Servo", "ServoState", "Status"]
+__all__ = ["Servo"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -76,62 +75,6 @@ _WARN = 0.10  # m of margin within which it says so
 _AT_REST = 1e-9
 _FAR = 1e3  # m
 _FASTEST_WISH = 100.0  # m/s or rad/s
-
-
-class Status(str, Enum):
-    """What the servo is doing; the first that holds, from the bottom up."""
-
-    OK = "ok"
-    NEAR_SINGULARITY = "near_singularity"
-    NEAR_LIMIT = "near_limit"
-    NEAR_OBSTACLE = "near_obstacle"
-    SLIDING = "sliding"
-    STOPPED = "stopped"
-    EVADING = "evading"
-
-
-class Command(str, Enum):
-    """What became of the last command."""
-
-    NEW = "new"
-    HELD = "held"
-    TIMED_OUT = "timed_out"
-    INVALID = "invalid"
-
-
-@dataclass(frozen=True)
-class ServoState:
-    """Where the machine is to be at the end of a step.
-
-    Attributes
-    ----------
-    time: since the servo began [s].
-    q, v: (n,) joint positions, and the velocity that led there.
-    status: what the servo is doing.
-    command: whether the wish was new, is held from before, timed out, or could not be understood.
-    margin: of the tightest pair, a proven lower bound of distance minus clearance [m];
-        infinite where nothing is near.
-    link, obstacle: of that pair; None where nothing is near.
-    tip_position: (3,) at the beginning of the step [m], world.
-    tip_velocity: (3,) that v gives the tip [m/s], world.
-    refused: (3,) part of the wish that the tip does not follow [m/s], world.
-    feedback_force: (3,) on the hand [N], world.
-    proven: whether this step's braking path was proven clear of all that stands still.
-    """
-
-    time: float
-    q: Vector
-    v: Vector
-    status: Status
-    command: Command
-    margin: float
-    link: str | None
-    obstacle: str | None
-    tip_position: Vector
-    tip_velocity: Vector
-    refused: Vector
-    feedback_force: Vector
-    proven: bool
 
 
 @dataclass
@@ -234,6 +177,7 @@ class Servo:
         self._waiting: list[Obstacle] = []
         self._next_number = 0
         self._names: dict[int, str] = {}
+        self._renewed_bounds: tuple[Indices, Vector, Indices] | None = None
         self._find_moving()
         self._wish: tuple[Vector | None, Vector | None, float | None] = (None, None, None)
         self._since_command = math.inf
@@ -409,7 +353,7 @@ class Servo:
         self._take_in(pairs)
 
     def _find_moving(self) -> None:
-        self._moving_pairs = (self._separation.velocity.any(axis=1)).nonzero()[0]
+        self._moving_pairs = np.flatnonzero(self._separation.velocity.any(axis=1))
         self._stands = np.ones(len(self._separation), dtype=bool)
         self._stands[self._moving_pairs] = False
         self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
@@ -454,13 +398,11 @@ class Servo:
         """
         self._steps += 1
         command = self._understand(tip_velocity, joint_velocity, pitch_rate)
-        before = self._v
+        before = self._q
         try:
             return self._moved(command)
-        except (ArithmeticError, LookupError, RuntimeError, TypeError, ValueError):
-            # braking was proven before; what went wrong does not matter to it
-            self._v = before
-            return self._braked(command)
+        except Exception:  # noqa: BLE001  braking was proven before; what went wrong does not matter to it
+            return self._braked(command, moved=self._q is not before)
 
     def _understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
         if tip_velocity is None and joint_velocity is None and pitch_rate is None:
@@ -499,18 +441,27 @@ class Servo:
         self._advance(chosen.v, chosen.end)
         return self._state(command, chosen, wish, tip_wish, near, at_limit, singular)
 
-    def _braked(self, command: Command) -> ServoState:
-        v = self._brake()
-        tip = self._jacobian[:3] @ v
-        self._advance(v, None)
-        wish = self._wish[0]
-        nothing = np.zeros(3)
-        refused = nothing if wish is None else wish - tip
-        force = self._feedback.next(nothing if wish is None else wish, refused, nothing, 0.0)
+    def _braked(self, command: Command, *, moved: bool) -> ServoState:
+        """The way out where something failed: brake, unless the step was taken already."""
+        if not moved:
+            self._advance(self._brake(), None)
+        tip = self._jacobian[:3] @ self._v
+        wish = _ZERO if self._wish[0] is None else self._wish[0]
         return ServoState(
-            self.time, self.q, self.v, Status.STOPPED, command, math.inf, None, None,
-            self._tip.copy(), tip, refused, force, False,
-        )  # fmt: skip
+            time=self.time,
+            q=self.q,
+            v=self.v,
+            status=Status.STOPPED,
+            command=command,
+            margin=math.inf,
+            link=None,
+            obstacle=None,
+            tip_position=self._tip.copy(),
+            tip_velocity=tip,
+            refused=wish - tip,
+            feedback_force=self._feedback.next(wish, _ZERO, _ZERO, 0.0),
+            proven=False,
+        )
 
     def _appear(self) -> None:
         if self._waiting:
@@ -676,7 +627,6 @@ class Servo:
 
     def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity nearest to the wish whose braking path is proven clear."""
-        separation = self._separation
         v = self._towards(wish, low, high)
         target = v
         awake, budget = self._awake()
@@ -819,7 +769,7 @@ class Servo:
             chosen = ((drift < 0.0) | too_close).nonzero()[0]
         elif too_close.any():
             drift = np.zeros(len(near))
-            chosen = (too_close).nonzero()[0]
+            chosen = too_close.nonzero()[0]
         else:
             return np.zeros((0, n)), np.zeros(0)
         if len(chosen) == 0:
@@ -857,8 +807,8 @@ class Servo:
             sense,
         )
         if flag < 1 or not np.isfinite(x).all():
-            return np.minimum(np.maximum(self._brake(), low), high)
-        return np.minimum(np.maximum(x, low), high)
+            x = self._brake()
+        return np.asarray(np.minimum(np.maximum(x, low), high))
 
     def _accepted(self, path: BrakingPath, held_back: bool, evading: bool, awake: Indices, proof: _Proof) -> _Chosen:
         if len(awake):
