@@ -10,6 +10,7 @@ distance functions (`independent`), at every `--check`-th step and at every step
 own margin is small; limits, accelerations and finiteness at every step.
 
     python scripts/study_servo.py [--steps 200000] [--seed 0] [--check 10] [--save FILE]
+    python scripts/study_servo.py --recoveries 20
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from independent import _bodies, _obstacle, cylinder_distance  # noqa: F401
+from independent import _bodies, _obstacle
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
@@ -320,13 +321,73 @@ def run(robot: bp.Robot, steps: int, seed: int, every: int) -> dict[str, Any]:
     }
 
 
+def recoveries(robot: bp.Robot, count: int, seed: int) -> dict[str, Any]:
+    """Starts inside an obstacle, from rest, with any wish: does the violation shrink at every step?
+
+    The violation is the largest shortfall of any pair's clearance, by `Proximity`.
+    """
+    rng = np.random.default_rng([seed, 1])
+    alone = Proximity(robot)
+    out, not_shrinking, stuck, longest = 0, 0, 0, 0.0
+    notes: list[str] = []
+    number = 0
+    while out + stuck < count:
+        number += 1
+        q = robot.random_q(rng)
+        if np.any(alone.distances(q) < 0.02):
+            continue
+        scene = scene_of(robot, q, [random_spec(rng, f"obstacle {number % 5}")])
+        proximity = Proximity(robot, [build_obstacle(s, folder=Path(), clearance=CLEARANCE) for s in scene.obstacles])
+
+        def violation(at: np.ndarray, proximity: Proximity = proximity) -> float:
+            return float(np.max(proximity.clearance - proximity.distances(at)))
+
+        before = violation(q)
+        if not 0.02 < before < 0.3:
+            continue
+        servo = Servo(robot, scene)
+        wish = (
+            {"tip_velocity": rng.normal(size=3)} if rng.integers(2) else {"joint_velocity": rng.uniform(-1, 1, robot.n)}
+        )
+        first, grew = before, 0
+        for _ in range(10_000):
+            now = violation(servo.step(**wish).q)
+            grew += before > 1e-6 and now >= before
+            before = now
+            if now <= 1e-6:
+                break
+        if before <= 1e-6:
+            out += 1
+            longest = max(longest, servo.time)
+        else:
+            stuck += 1
+            notes.append(
+                f"case {number}: {first:.3f} m at first, {before:.3f} m at the end, {scene.obstacles[0].shape}"
+            )
+        if grew:
+            not_shrinking += 1
+            notes.append(f"case {number}: {grew} steps without shrinking, {scene.obstacles[0].shape}, {first:.3f} m")
+    return {
+        "starts inside": count,
+        "out": out,
+        "not out after 10 s": stuck,
+        "with a step at which the violation did not shrink": not_shrinking,
+        "longest way out [s]": longest,
+        "notes": notes[:20],
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--check", type=int, default=10)
+    parser.add_argument("--recoveries", type=int, default=0, help="starts inside an obstacle, instead of the steps")
     parser.add_argument("--save", type=Path, help="write the figures as JSON")
     arguments = parser.parse_args()
+    if arguments.recoveries:
+        print(json.dumps(recoveries(bp.load_robot("example:backhoe"), arguments.recoveries, arguments.seed), indent=2))
+        return
     found = run(bp.load_robot("example:backhoe"), arguments.steps, arguments.seed, arguments.check)
     print(json.dumps(found, indent=2))
     if arguments.save:
