@@ -4,6 +4,8 @@
 The wish changes every 300 steps between tip and joint velocities; the movers go to and
 fro. In the same run, on the same configurations, the Pinocchio and coal calls alone over
 all pairs. The histogram is saved as PNG and JSON; memory is read before and after.
+Beside the time on the clock stands the time on the processor, which other processes of
+the machine do not lengthen.
 
     python scripts/bench_servo.py [--steps 100000] [--obstacles 20] [--moving 5] [--save servo_step]
 """
@@ -35,9 +37,11 @@ def resident() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def measure(servo: bp.Servo, steps: int, moving: int, rng: np.random.Generator) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Times of the steps [us], and every 20th configuration."""
-    times = np.empty(steps)
+def measure(
+    servo: bp.Servo, steps: int, moving: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Times of the steps on the clock and on the processor [us], and every 20th configuration."""
+    times, processor = np.empty(steps), np.empty(steps)
     passed = []
     wish: dict[str, np.ndarray] = {}
     movers = servo.obstacles[:moving]
@@ -49,17 +53,17 @@ def measure(servo: bp.Servo, steps: int, moving: int, rng: np.random.Generator) 
             else:
                 wish = {"joint_velocity": rng.uniform(-1.0, 1.0, servo.robot.n) * servo.limits.velocity}
         if count % 4000 == 0:
-            sense = 1.0 if (count // 4000) % 2 else -1.0
             for name in movers:
                 way = servo.shift_of(name)
                 direction = rng.normal(size=3) if not way.any() else -way
-                servo.set_velocity(name, 0.05 * abs(sense) * direction / np.linalg.norm(direction))
-        begun = time.perf_counter()
+                servo.set_velocity(name, 0.05 * direction / np.linalg.norm(direction))
+        begun, begun_on_processor = time.perf_counter(), time.thread_time()
         state = servo.step(**wish)
+        processor[count] = 1e6 * (time.thread_time() - begun_on_processor)
         times[count] = 1e6 * (time.perf_counter() - begun)
         if count % 20 == 0:
             passed.append(state.q)
-    return times, passed
+    return times, processor, passed
 
 
 def main() -> None:
@@ -80,7 +84,7 @@ def main() -> None:
     gc.collect()
     gc.freeze()
     before = resident()
-    times, passed = measure(servo, arguments.steps, arguments.moving, rng)
+    times, processor, passed = measure(servo, arguments.steps, arguments.moving, rng)
     after = resident()
     alone = libraries_alone(problem, passed[:2000])
     result = {
@@ -88,6 +92,7 @@ def main() -> None:
         "obstacles": arguments.obstacles,
         "moving": arguments.moving,
         "step [us]": {**summary(times.tolist()), "max": float(times.max())},
+        "step, processor [us]": {**summary(processor.tolist()), "max": float(processor.max())},
         "Pinocchio and coal alone, all pairs [us]": summary(alone),
         "ratio of medians": float(np.median(times) / np.median(alone)),
         "memory before [MB]": before,
