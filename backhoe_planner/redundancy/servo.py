@@ -17,7 +17,9 @@ row, which asks for a velocity away from it while the machine can still reach it
     g v + u.n >= -sqrt(2 a_n margin),   a_n = sum_j |g_j| a_j / 2
 
 What is closer than allowed already (it began so, or an obstacle was put there) may only
-get better: the distance that was proven is what the next step must keep.
+get better: of every obstacle the deepest violation over the links falls at every step, and
+what was proven of it is what the next step must keep (`recovery`). Only where no motion of
+the joints makes it smaller, the machine is pinched and stays as deep as it is.
 """
 
 from __future__ import annotations
@@ -43,6 +45,7 @@ from backhoe_planner.machine.target import TipTarget, movable_rows
 from backhoe_planner.redundancy.braking_path import MOST_PARTS, BrakingPath, Placements
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.redundancy.feedback import Feedback
+from backhoe_planner.redundancy.recovery import way_back
 from backhoe_planner.redundancy.separation import MACHINE, Separation
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
 from backhoe_planner.site import scene as schema
@@ -63,6 +66,7 @@ _BLENDS = (0.5, 0.2)
 _LOOKS = 12  # pairs that are looked at closely per step at most
 _RECOVERY = 1.0  # 1/s
 _SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
+_HOLDS = 2.0  # 1/s: how soon what is not the deepest is taken hold of
 _SOFT, _HARD = 8, 0  # daqp's senses
 _UNBOUNDED = -1e30
 _FREE = 0.005  # weight of the null space beside the tip
@@ -171,6 +175,7 @@ class Servo:
         self._distance, self._distance_at = np.full(count, -_FAR), np.zeros(count)
         self._required = self._separation.clearance.copy()
         self._renewed_at = np.zeros(count, dtype=np.int64)
+        self._inside: Indices = np.zeros(0, dtype=np.intp)  # pairs of what stands that are not clear yet
         classes = len(self._separation.travel)
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
         self._placed: dict[str, _Placed] = {}
@@ -289,6 +294,7 @@ class Servo:
             setattr(self, array, getattr(self, array)[kept])
         del self._placed[name], self._names[placed.number]
         self._find_moving()
+        self._find_inside()
 
     def move(self, name: str, by: object) -> None:
         """Put an obstacle elsewhere at once, `by` (3,) from where it is now [m], world.
@@ -379,6 +385,19 @@ class Servo:
         self._proven[pairs] = bound
         self._proven_at[pairs] = self._path_odometer[separation.classes[pairs]]
         self._required[pairs] = np.minimum(separation.clearance[pairs], bound)
+        self._find_inside()
+
+    def _find_inside(self) -> None:
+        """What is closer than allowed; of one obstacle all pairs need only keep what the deepest keeps."""
+        separation = self._separation
+        violation = separation.clearance - self._required
+        inside = (self._stands & (violation > _TOLERANCE)).nonzero()[0]
+        self._inside = inside
+        if len(inside):
+            owner = separation.owner[inside]
+            for number in set(owner.tolist()):
+                pairs = inside[owner == number]
+                self._required[pairs] = separation.clearance[pairs] - float(violation[pairs].max())
 
     # --- one step ----------------------------------------------------------------------
 
@@ -630,14 +649,16 @@ class Servo:
         v = self._towards(wish, low, high)
         target = v
         awake, budget = self._awake()
+        back = self._back(near, gaps) if len(self._inside) else None
         urgent_rows, urgent_bounds = self._urgent(near, gaps, low, high)
         held_back = evading = False
         tried = v
         for attempt in range(_ATTEMPTS):
             late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + _TOLERANCE).any())
+            returns = back is not None and attempt == 0
             path = self._path(v)
             proof = self._prove(awake, path)
-            if (proof.free if attempt == 0 else proof.clear) and not late:
+            if (proof.free if attempt == 0 else proof.clear) and not (late or returns):
                 return self._accepted(path, held_back, evading, awake, proof)
             if attempt == _ATTEMPTS - 1:
                 tried = v
@@ -645,12 +666,14 @@ class Servo:
                     return self._accepted(path, True, evading, awake, proof)
                 break
             rows, bounds = self._rows(awake, budget, path, proof)
-            solved = self._solve(
-                target, low, high, np.vstack((rows, urgent_rows)), np.concatenate((bounds, urgent_bounds))
-            )
+            rows, bounds = np.vstack((rows, urgent_rows)), np.concatenate((bounds, urgent_bounds))
+            if back is None:
+                solved = self._solve(target, low, high, rows, bounds)
+            else:
+                solved = self._solve_back(target, low, high, back, rows, bounds)
             evading |= late
             held_back = True
-            if np.abs(solved - v).max() < 1e-12:
+            if np.abs(solved - v).max() < 1e-12 and not returns:
                 if proof.stands_clear:
                     return self._accepted(path, True, evading, awake, proof)
                 tried = v
@@ -693,7 +716,10 @@ class Servo:
         change += np.abs(self._v) * (self.dt / _BRAKING)
         budget = separation.travel @ change
         left = self._proven + self._proven_at - self._required
-        return (left < (self._path_odometer + budget)[separation.classes]).nonzero()[0], budget
+        awake = left < (self._path_odometer + budget)[separation.classes]
+        if len(self._inside):
+            awake[self._inside] = True
+        return awake.nonzero()[0], budget
 
     def _prove(self, awake: Indices, path: BrakingPath) -> _Proof:
         separation = self._separation
@@ -722,7 +748,7 @@ class Servo:
             self._renewed_at[awake[again]] = 0
             short = (bound < required - _TOLERANCE).nonzero()[0]
         stands_clear = not self._stands[awake[short]].any()
-        free = len(short) == 0 and bool((bound >= required + _BUFFER).all())
+        free = len(short) == 0 and bool((bound >= required + self._buffer(awake)).all())
         return _Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
     def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: _Proof) -> tuple[Matrix, Vector]:
@@ -733,7 +759,7 @@ class Servo:
             return np.zeros((0, n)), np.zeros(0)
         classes = separation.classes[awake]
         required = self._required[awake]
-        wanted = required + _BUFFER
+        wanted = required + self._buffer(awake)
         room = proof.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
         counts = room < (2.0 * budget[classes])[None, :, None]
         counts[0] = False
@@ -752,9 +778,49 @@ class Servo:
         part = samples / path.parts
         rows = separation.rows(awake[k], samples, corners, self._at) @ path.D / path.look
         bounds = room[samples, k, corners] / (part * path.look) + rows @ path.v
+        if len(self._inside):  # nothing may be asked for that the way back could not give
+            return rows, np.maximum(bounds, 0.0)
         # never ask for more of a way back than the start itself is short of
         short = np.maximum(wanted[k] - proof.gaps[0, k, corners], 0.0)
         return rows, np.maximum(bounds, -2.0 * short)
+
+    def _buffer(self, awake: Indices) -> float | Vector:
+        """What is kept on top; nothing of what has no room to keep."""
+        if len(self._inside) == 0:
+            return _BUFFER
+        return np.where(np.isin(awake, self._inside), 0.0, _BUFFER)
+
+    def _back(self, near: Indices, gaps: Matrix) -> tuple[Matrix, Vector, float]:
+        """Rows, slack and speed of the way back, as `way_back` wants them."""
+        separation = self._separation
+        rows_in = np.isin(near, self._inside).nonzero()[0]
+        pairs = near[rows_in]
+        depth = separation.clearance[pairs][:, None] - gaps[rows_in]
+        owner = separation.owner[pairs]
+        deepest = np.zeros(len(pairs))
+        for number in set(owner.tolist()):
+            own = owner == number
+            deepest[own] = float(depth[own].max())
+        slack = _HOLDS * (deepest[:, None] - depth)
+        k, corners = np.nonzero(slack < _FASTEST_RECOVERY)
+        rows = separation.rows(pairs[k], 0, corners, self._at)
+        speed = min(max(_RECOVERY * float(deepest.max()), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+        return rows, slack[k, corners], speed
+
+    def _solve_back(
+        self,
+        target: Vector,
+        low: Vector,
+        high: Vector,
+        back: tuple[Matrix, Vector, float],
+        rows: Matrix,
+        bounds: Vector,
+    ) -> Vector:
+        out, slack, speed = back
+        found = way_back(
+            out, slack, target=target, low=low, high=high, fastest=speed, soft_rows=rows, soft_bounds=bounds
+        )
+        return np.minimum(np.maximum(self._brake(), low), high) if found is None else found[0]
 
     def _urgent(self, near: Indices, gaps: Matrix, low: Vector, high: Vector) -> tuple[Matrix, Vector]:
         """Rows and bounds, row @ v <= bound, of obstacles that come nearer and of what is too close already."""
@@ -764,6 +830,7 @@ class Servo:
             return np.zeros((0, n)), np.zeros(0)
         clearance = separation.clearance[near]
         too_close = np.maximum(self._distance[near], self._required[near]) < clearance - _VIOLATED
+        too_close &= ~self._stands[near]
         if len(self._moving_pairs):
             drift = separation.drift[near]
             chosen = ((drift < 0.0) | too_close).nonzero()[0]
@@ -817,6 +884,8 @@ class Servo:
             stands = self._stands[awake]
             lowest = np.where(stands, np.maximum(self._required[awake], proof.bound), proof.bound)
             self._required[awake] = np.minimum(self._separation.clearance[awake], lowest)
+            if len(self._inside):
+                self._find_inside()
         else:
             self._renewed_bounds = None
         return _Chosen(path.v, held_back, evading, path.end)
