@@ -214,6 +214,16 @@ class Separation:
         self._keep_plane(pair, n, offset)
         return distance
 
+    def gradients(self, pairs: Indices, at: Placements, sample: int) -> tuple[Vector, Matrix]:
+        """(K,) signed distances [m], and (K, n) how fast they fall with the joints [m/rad], as coal measures them."""
+        distance, n, x = np.zeros(len(pairs)), np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
+        for row, pair in enumerate(pairs.tolist()):
+            distance[row], normal, _, x[row] = self.measure(pair, at, sample)
+            other = int(self.other[pair])
+            n[row] = at.R[sample, other] @ normal if other else normal
+        turn = x[:, _NEXT] * n[:, _LAST] - x[:, _LAST] * n[:, _NEXT]  # x cross n
+        return distance, np.asarray((np.concatenate((n, turn), axis=1) @ at.J[sample]) * self.mask[pairs])
+
     def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
         self.normal[pair] = n
         self.offset[pair] = offset

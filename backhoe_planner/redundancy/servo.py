@@ -78,6 +78,8 @@ _FAR_RENEWED_EVERY = 4  # steps, where nothing is within
 _WARN = 0.10  # m of margin within which it says so
 _AT_REST = 1e-9
 _FAR = 1e3  # m
+_STEP_END = MOST_PARTS + 1  # row of the placements
+_FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
 _FASTEST_WISH = 100.0  # m/s or rad/s
 
 
@@ -161,7 +163,7 @@ class Servo:
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
         self._law = CompletedLaw(robot, influence=min(scene.influence, _INFLUENCE))
         self._feedback = Feedback(self.dt) if feedback is None else feedback
-        self._at = Placements(robot, MOST_PARTS + 1)
+        self._at = Placements(robot, MOST_PARTS + 2)
         frame = robot.model.frames[robot.tip_frame]
         self._tip_joint = int(frame.parentJoint)
         self._tip_R, self._tip_t = np.array(frame.placement.rotation), np.array(frame.placement.translation)
@@ -388,16 +390,9 @@ class Servo:
         self._find_inside()
 
     def _find_inside(self) -> None:
-        """What is closer than allowed; of one obstacle all pairs need only keep what the deepest keeps."""
-        separation = self._separation
-        violation = separation.clearance - self._required
-        inside = (self._stands & (violation > _TOLERANCE)).nonzero()[0]
-        self._inside = inside
-        if len(inside):
-            owner = separation.owner[inside]
-            for number in set(owner.tolist()):
-                pairs = inside[owner == number]
-                self._required[pairs] = separation.clearance[pairs] - float(violation[pairs].max())
+        """Pairs of what stands that are closer than allowed."""
+        short = self._required < self._separation.clearance - _TOLERANCE
+        self._inside = (self._stands & short).nonzero()[0]
 
     # --- one step ----------------------------------------------------------------------
 
@@ -646,19 +641,19 @@ class Servo:
 
     def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity nearest to the wish whose braking path is proven clear."""
+        if len(self._inside):
+            return self._choose_back(wish, low, high, near, gaps)
         v = self._towards(wish, low, high)
         target = v
         awake, budget = self._awake()
-        back = self._back(near, gaps) if len(self._inside) else None
         urgent_rows, urgent_bounds = self._urgent(near, gaps, low, high)
         held_back = evading = False
         tried = v
         for attempt in range(_ATTEMPTS):
             late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + _TOLERANCE).any())
-            returns = back is not None and attempt == 0
             path = self._path(v)
             proof = self._prove(awake, path)
-            if (proof.free if attempt == 0 else proof.clear) and not (late or returns):
+            if (proof.free if attempt == 0 else proof.clear) and not late:
                 return self._accepted(path, held_back, evading, awake, proof)
             if attempt == _ATTEMPTS - 1:
                 tried = v
@@ -667,13 +662,10 @@ class Servo:
                 break
             rows, bounds = self._rows(awake, budget, path, proof)
             rows, bounds = np.vstack((rows, urgent_rows)), np.concatenate((bounds, urgent_bounds))
-            if back is None:
-                solved = self._solve(target, low, high, rows, bounds)
-            else:
-                solved = self._solve_back(target, low, high, back, rows, bounds)
+            solved = self._solve(target, low, high, rows, bounds)
             evading |= late
             held_back = True
-            if np.abs(solved - v).max() < 1e-12 and not returns:
+            if np.abs(solved - v).max() < 1e-12:
                 if proof.stands_clear:
                     return self._accepted(path, True, evading, awake, proof)
                 tried = v
@@ -717,8 +709,8 @@ class Servo:
         budget = separation.travel @ change
         left = self._proven + self._proven_at - self._required
         awake = left < (self._path_odometer + budget)[separation.classes]
-        if len(self._inside):
-            awake[self._inside] = True
+        if len(self._inside):  # these are looked at by themselves
+            awake[self._inside] = False
         return awake.nonzero()[0], budget
 
     def _prove(self, awake: Indices, path: BrakingPath) -> _Proof:
@@ -748,7 +740,7 @@ class Servo:
             self._renewed_at[awake[again]] = 0
             short = (bound < required - _TOLERANCE).nonzero()[0]
         stands_clear = not self._stands[awake[short]].any()
-        free = len(short) == 0 and bool((bound >= required + self._buffer(awake)).all())
+        free = len(short) == 0 and bool((bound >= required + _BUFFER).all())
         return _Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
     def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: _Proof) -> tuple[Matrix, Vector]:
@@ -759,7 +751,7 @@ class Servo:
             return np.zeros((0, n)), np.zeros(0)
         classes = separation.classes[awake]
         required = self._required[awake]
-        wanted = required + self._buffer(awake)
+        wanted = required + _BUFFER
         room = proof.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
         counts = room < (2.0 * budget[classes])[None, :, None]
         counts[0] = False
@@ -778,49 +770,85 @@ class Servo:
         part = samples / path.parts
         rows = separation.rows(awake[k], samples, corners, self._at) @ path.D / path.look
         bounds = room[samples, k, corners] / (part * path.look) + rows @ path.v
-        if len(self._inside):  # nothing may be asked for that the way back could not give
-            return rows, np.maximum(bounds, 0.0)
         # never ask for more of a way back than the start itself is short of
         short = np.maximum(wanted[k] - proof.gaps[0, k, corners], 0.0)
         return rows, np.maximum(bounds, -2.0 * short)
 
-    def _buffer(self, awake: Indices) -> float | Vector:
-        """What is kept on top; nothing of what has no room to keep."""
-        if len(self._inside) == 0:
-            return _BUFFER
-        return np.where(np.isin(awake, self._inside), 0.0, _BUFFER)
+    def _choose_back(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
+        """The velocity by which the deepest violation falls fastest, measured to be falling where it leads.
 
-    def _back(self, near: Indices, gaps: Matrix) -> tuple[Matrix, Vector, float]:
-        """Rows, slack and speed of the way back, as `way_back` wants them."""
-        separation = self._separation
-        rows_in = np.isin(near, self._inside).nonzero()[0]
-        pairs = near[rows_in]
-        depth = separation.clearance[pairs][:, None] - gaps[rows_in]
+        The violated pairs are measured where the step ends and where its braking path
+        ends. Where the linear rows promised more than that, what was found there is one
+        more row (a cutting plane), and the velocity is asked for anew.
+        """
+        pairs, at, separation = self._inside, self._at, self._separation
         owner = separation.owner[pairs]
-        deepest = np.zeros(len(pairs))
-        for number in set(owner.tolist()):
-            own = owner == number
-            deepest[own] = float(depth[own].max())
-        slack = _HOLDS * (deepest[:, None] - depth)
-        k, corners = np.nonzero(slack < _FASTEST_RECOVERY)
-        rows = separation.rows(pairs[k], 0, corners, self._at)
-        speed = min(max(_RECOVERY * float(deepest.max()), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
-        return rows, slack[k, corners], speed
+        distance, rows = separation.gradients(pairs, at, 0)
+        self._distance[pairs] = distance
+        self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
+        depth = separation.clearance[pairs] - distance
+        deepest = _by_owner(depth, owner)
+        fastest = min(max(_RECOVERY * float(deepest.max()), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+        slack = _HOLDS * (deepest - depth)
+        target = self._towards(wish, low, high)
+        awake, budget = self._awake()
+        soft_rows, soft_bounds = self._urgent(near, gaps, low, high)
+        brake = np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change)
+        tried = brake
+        all_rows, all_slack = rows, slack
+        for attempt in range(_ATTEMPTS + len(_BLENDS)):
+            if attempt < _ATTEMPTS:
+                found = way_back(
+                    all_rows, all_slack, target=target, low=low, high=high,
+                    fastest=fastest, soft_rows=soft_rows, soft_bounds=soft_bounds,
+                )  # fmt: skip
+                if found is None:
+                    continue
+                v = tried = found[0]
+            else:
+                v = brake + _BLENDS[attempt - _ATTEMPTS] * (tried - brake)
+            path = self._path(v)
+            if len(awake) == 0:
+                path.place(at)
+            proof = self._prove(awake, path)
+            at.place(_STEP_END, self._q + v * self.dt)
+            falls = True
+            for sample, span, least in ((_STEP_END, self.dt, _FALLS), (path.parts, path.look, _FALLS)):
+                there, cuts = separation.gradients(pairs, at, sample)
+                deep = separation.clearance[pairs] - there
+                worse = deep > np.maximum(deepest - least, 0.0)
+                if sample != _STEP_END:  # still falling there, so that it falls all the way, braking too
+                    worse |= (deep > np.maximum(_by_owner(deep, owner) - _FALLS, 0.0)) & (cuts @ v >= 0.0)
+                if worse.any():
+                    falls = False
+                    more = slack[worse] + (there - distance)[worse] / span + cuts[worse] @ v
+                    all_rows, all_slack = np.vstack((all_rows, cuts[worse])), np.append(all_slack, more)
+                if sample == _STEP_END:
+                    level = _by_owner(deep, owner)
+            if falls and proof.stands_clear and (proof.clear or attempt == _ATTEMPTS - 1):
+                self._required[pairs] = separation.clearance[pairs] - np.maximum(level, 0.0)
+                self._let_out(path, level)
+                return self._accepted(path, True, False, awake, proof)
+            if not proof.clear:
+                more_rows, bounds = self._rows(awake, budget, path, proof)
+                # nothing may be asked for that the way back could not give
+                soft_rows = np.vstack((soft_rows, more_rows))
+                soft_bounds = np.append(soft_bounds, np.maximum(bounds, 0.0))
+        return _Chosen(self._brake(), True, False, None)
 
-    def _solve_back(
-        self,
-        target: Vector,
-        low: Vector,
-        high: Vector,
-        back: tuple[Matrix, Vector, float],
-        rows: Matrix,
-        bounds: Vector,
-    ) -> Vector:
-        out, slack, speed = back
-        found = way_back(
-            out, slack, target=target, low=low, high=high, fastest=speed, soft_rows=rows, soft_bounds=bounds
-        )
-        return np.minimum(np.maximum(self._brake(), low), high) if found is None else found[0]
+    def _let_out(self, path: BrakingPath, level: Vector) -> None:
+        """Hold what is out to its clearance again, once that is proven of the braking path."""
+        separation = self._separation
+        pairs = self._inside[level <= 0.0]
+        if len(pairs) == 0:
+            return
+        bound, _ = separation.least_on(pairs, path, self._at, 0.0)
+        for row in (bound < separation.clearance[pairs]).nonzero()[0].tolist():
+            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, self._at, 0.0))
+        out = bound >= separation.clearance[pairs]
+        self._proven[pairs[out]] = bound[out]
+        self._proven_at[pairs[out]] = self._path_odometer[separation.classes[pairs[out]]]
+        self._inside = self._inside[~np.isin(self._inside, pairs[out])]
 
     def _urgent(self, near: Indices, gaps: Matrix, low: Vector, high: Vector) -> tuple[Matrix, Vector]:
         """Rows and bounds, row @ v <= bound, of obstacles that come nearer and of what is too close already."""
@@ -884,8 +912,6 @@ class Servo:
             stands = self._stands[awake]
             lowest = np.where(stands, np.maximum(self._required[awake], proof.bound), proof.bound)
             self._required[awake] = np.minimum(self._separation.clearance[awake], lowest)
-            if len(self._inside):
-                self._find_inside()
         else:
             self._renewed_bounds = None
         return _Chosen(path.v, held_back, evading, path.end)
@@ -1044,6 +1070,15 @@ _NOBODY = Nearby(
     drift=np.zeros(0),
     moves=_NONE,
 )
+
+
+def _by_owner(depth: Vector, owner: Indices) -> Vector:
+    """(K,) of every pair the deepest of its obstacle."""
+    deepest = np.zeros(len(depth))
+    for number in set(owner.tolist()):
+        own = owner == number
+        deepest[own] = depth[own].max()
+    return deepest
 
 
 def _numbers(values: object, count: int) -> Vector | None:
