@@ -20,7 +20,7 @@ from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo import Servo
 from backhoe_planner.redundancy.servo_state import Command, Status
 from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.proximity import Nearby, Proximity
 
 Vector = NDArray[np.float64]
 
@@ -485,7 +485,7 @@ def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
     def fails(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(servo._law, "wish", fails)
+    monkeypatch.setattr(servo._law, "wish_with_one_spare", fails)
     states = pushed(servo, {"tip_velocity": [0.0, 0.6, 0.2]}, 1500)
     keeps_limits(servo, states, moving.v)
     assert not any(state.proven for state in states)
@@ -500,6 +500,36 @@ def test_activation_row_by_row_is_activation(backhoe: Robot) -> None:
     margins = np.linspace(-0.1, 0.5, 61)
     expected = activation(margins, law.unity, law.influence)
     np.testing.assert_allclose([law._activation(margin) for margin in margins.tolist()], expected, atol=1e-15)
+
+
+def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
+    """The closed form against the general one, near limits and obstacles too; both ways out of it are met."""
+    rng = np.random.default_rng(12)
+    law, kinematics = CompletedLaw(backhoe, influence=0.3), bp.Kinematics(backhoe)
+    faster = bent = 0
+    for _ in range(500):
+        at = kinematics.at(backhoe.random_q(rng))
+        J, xdot, count = at.jacobian[:3], rng.normal(size=3), int(rng.integers(0, 6))
+        nearby = Nearby(
+            pair=np.arange(count), distance=np.zeros(count), margin=rng.uniform(-0.05, 0.4, count),
+            normal=np.zeros((count, 3)), point_link=np.zeros((count, 3)), point_obstacle=np.zeros((count, 3)),
+            gradient=rng.normal(size=(count, 4)), drift=rng.normal(size=count) * 0.1,
+            moves=np.zeros((count, count), dtype=bool),
+        )  # fmt: skip
+        plain, found = law.wish(at, J, xdot, nearby), law.wish_with_one_spare(at.q, J, xdot, nearby)
+        if found is None:
+            continue
+        assert plain.resolved.damping == 0.0
+        np.testing.assert_allclose(found, plain.v, rtol=1e-8, atol=1e-8)
+        faster += 1
+        bent += bool(np.abs(plain.null).max() > 1e-3)
+    assert faster > 300
+    assert bent > 200
+    stretched = kinematics.at(np.array([0.0, 0.3, -0.2, 0.0]))
+    flat = stretched.jacobian[:3].copy()
+    flat[1] = 0.0
+    assert law.wish_with_one_spare(stretched.q, flat, np.ones(3), nearby) is None
+    assert law.wish_with_one_spare(stretched.q, flat[:2], np.ones(2), nearby) is None
 
 
 def test_a_tip_that_is_wished_somewhere_goes_there(backhoe: Robot) -> None:

@@ -570,11 +570,16 @@ class Servo:
             turn = self._jacobian[3:]
             J = np.vstack((J, self.robot.pitch_sense * turn[:, -1] @ turn))
             xdot = np.append(xdot, pitch)
-        at = Configuration(self.robot, self._q, None, self._jacobian, self._at.J[0], _NOTHING)
-        wish = self._law.wish(at, J, xdot, self._nearby(near, gaps))
-        ratio = float((np.abs(wish.v) / velocity).max())
-        v = wish.v / ratio if ratio > 1.0 else wish.v
-        return v, tip, wish.resolved.damping > 0.0
+        nearby, damped = self._nearby(near, gaps), False
+        quick = self._law.wish_with_one_spare(self._q, J, xdot, nearby)
+        if quick is None:
+            at = Configuration(self.robot, self._q, None, self._jacobian, self._at.J[0], _NOTHING)
+            wish = self._law.wish(at, J, xdot, nearby)
+            v, damped = wish.v, wish.resolved.damping > 0.0
+        else:
+            v = quick
+        ratio = float((np.abs(v) / velocity).max())
+        return v / ratio if ratio > 1.0 else v, tip, damped
 
     def _around(self, tip: Vector) -> Vector:
         """The tip's wish, turned along the surface that blocks it where that is asked for."""
@@ -945,13 +950,11 @@ class Servo:
             return
         # the nearer, the sooner; the placements of row 0 are those of the beginning of the step
         value = (self._steps - self._renewed_at[near]) / (0.02 + np.maximum(margin, 0.0))
-        chosen = {int(near[value.argmax()])}
-        if margin[nearest] < _WARN:
-            chosen.add(int(near[nearest]))
-        for pair in chosen:
-            self._distance[pair] = separation.renew(pair, self._at, 0)
-            self._distance_at[pair] = self._start_odometer[separation.classes[pair]]
-            self._renewed_at[pair] = self._steps
+        # and every other step the nearest of all
+        pair = int(near[nearest if margin[nearest] < _WARN and self._steps % 2 else value.argmax()])
+        self._distance[pair] = separation.renew(pair, self._at, 0)
+        self._distance_at[pair] = self._start_odometer[separation.classes[pair]]
+        self._renewed_at[pair] = self._steps
 
     # --- what is said ----------------------------------------------------------------------
 
