@@ -31,13 +31,9 @@ from typing import Any
 
 import daqp
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine import shapes
-from backhoe_planner.machine.convex import voxel_boxes
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
 from backhoe_planner.machine.kinematics import Configuration, Kinematics
 from backhoe_planner.machine.robot import Robot
@@ -46,11 +42,12 @@ from backhoe_planner.redundancy.braking_path import MOST_PARTS, BrakingPath, Pla
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.redundancy.feedback import Feedback
 from backhoe_planner.redundancy.recovery import way_back
-from backhoe_planner.redundancy.separation import MACHINE, Separation
+from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
+from backhoe_planner.redundancy.surroundings import Surroundings
 from backhoe_planner.site import scene as schema
 from backhoe_planner.site.limits import scaled_limits
-from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles
+from backhoe_planner.site.obstacles import Obstacle, build_obstacles
 from backhoe_planner.site.proximity import Nearby
 
 __all__ = ["Servo"]
@@ -81,16 +78,6 @@ _FAR = 1e3  # m
 _STEP_END = MOST_PARTS + 1  # row of the placements
 _FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
 _FASTEST_WISH = 100.0  # m/s or rad/s
-
-
-@dataclass
-class _Placed:
-    """An obstacle in the servo: what was built, and how far it has moved since [m]."""
-
-    number: int
-    obstacle: Obstacle
-    velocity: Vector
-    shift: Vector
 
 
 @dataclass(frozen=True)
@@ -180,12 +167,9 @@ class Servo:
         self._inside: Indices = np.zeros(0, dtype=np.intp)  # pairs of what stands that are not clear yet
         classes = len(self._separation.travel)
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
-        self._placed: dict[str, _Placed] = {}
-        self._waiting: list[Obstacle] = []
-        self._next_number = 0
-        self._names: dict[int, str] = {}
+        self._site = Surroundings(robot, scene, self._separation)
         self._renewed_bounds: tuple[Indices, Vector, Indices] | None = None
-        self._find_moving()
+        self._sort()
         self._wish: tuple[Vector | None, Vector | None, float | None] = (None, None, None)
         self._since_command = math.inf
         self._blocking = np.zeros(3)
@@ -217,7 +201,7 @@ class Servo:
     @property
     def obstacles(self) -> tuple[str, ...]:
         """Names of what stands around now."""
-        return tuple(self._placed)
+        return self._site.names
 
     def add(self, obstacle: Obstacle | Mapping[str, Any]) -> None:
         """Put an obstacle there, from the next step on.
@@ -230,18 +214,7 @@ class Servo:
         ------
         InputError: the name is taken, or the record is not one of an obstacle.
         """
-        if isinstance(obstacle, Mapping):
-            try:
-                spec = _SPEC.validate_python(dict(obstacle))
-            except ValidationError as error:
-                raise InputError(f"is not an obstacle: {error}", key=str(obstacle.get("name"))) from None
-            for link in spec.links or ():
-                if link not in self.robot.all_link_names:
-                    raise InputError("the machine has no such link", key=f"{spec.name}.links", found=link)
-            obstacle = build_obstacle(spec, folder=self.scene.folder, clearance=self.scene.clearance)
-        if obstacle.name in self._placed or any(obstacle.name == other.name for other in self._waiting):
-            raise InputError("there is an obstacle of that name", key="name", found=obstacle.name)
-        self._add(obstacle)
+        self._add(self._site.built(obstacle))
 
     def add_points(self, name: str, points: object, *, resolution: float = 0.1, clearance: float | None = None) -> None:
         """Put a scan there: every voxel in which a point lies is solid. A scan of that name is replaced.
@@ -256,31 +229,11 @@ class Servo:
         ------
         InputError: the points are not (k, 3) finite numbers, or resolution is not positive.
         """
-        try:
-            cloud = np.array(points, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError("are not points", key=name) from error
-        if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.isfinite(cloud).all():
-            raise InputError("are not points", key=name, found=f"shape {cloud.shape}", allowed="(k, 3) finite numbers")
-        if not resolution > 0.0:
-            raise InputError("is the edge of a voxel", key="resolution", found=resolution, allowed="positive")
-        if name in self._placed:
+        scan = self._site.scanned(name, points, resolution=resolution, clearance=clearance)
+        if name in self.obstacles:
             self.remove(name)
-        if len(cloud) == 0:
-            return
-        pieces = tuple(shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in voxel_boxes(cloud, resolution))
-        spec = schema.PointCloud(name=name, shape="pointcloud", file="", resolution=resolution)
-        self._add(
-            Obstacle(
-                name=name,
-                pieces=pieces,
-                clearance=self.scene.clearance if clearance is None else float(clearance),
-                links=None,
-                appears_at=0.0,
-                velocity=np.zeros(3),
-                spec=spec,
-            )
-        )
+        if scan is not None:
+            self._add(scan)
 
     def remove(self, name: str) -> None:
         """Take an obstacle away.
@@ -289,13 +242,10 @@ class Servo:
         ------
         InputError: there is none of that name.
         """
-        placed = self._find(name)
-        kept = self._separation.owner != placed.number
-        self._separation.keep(kept)
+        kept = self._site.take_away(name)
         for array in _PER_PAIR:
             setattr(self, array, getattr(self, array)[kept])
-        del self._placed[name], self._names[placed.number]
-        self._find_moving()
+        self._sort()
         self._find_inside()
 
     def move(self, name: str, by: object) -> None:
@@ -305,11 +255,7 @@ class Servo:
         ------
         InputError: there is none of that name, or `by` is not three finite numbers.
         """
-        placed = self._find(name)
-        placed.shift = placed.shift + _three(by, "by")
-        pairs = (self._separation.owner == placed.number).nonzero()[0]
-        self._separation.place_at(placed.number, placed.shift)
-        self._take_in(pairs)
+        self._take_in(self._site.move(name, by))
 
     def set_velocity(self, name: str, velocity: object) -> None:
         """Let an obstacle move at `velocity` (3,) from now on [m/s], world.
@@ -318,12 +264,8 @@ class Servo:
         ------
         InputError: there is none of that name, or `velocity` is not three finite numbers.
         """
-        placed = self._find(name)
-        placed.velocity = _three(velocity, "velocity")
-        pairs = (self._separation.owner == placed.number).nonzero()[0]
-        self._separation.velocity[pairs] = placed.velocity
-        self._separation.place_at(placed.number, placed.shift)
-        self._find_moving()
+        pairs = self._site.set_velocity(name, velocity)
+        self._sort()
         self._take_in(pairs)
 
     def shift_of(self, name: str) -> Vector:
@@ -333,39 +275,25 @@ class Servo:
         ------
         InputError: there is none of that name.
         """
-        return self._find(name).shift.copy()
-
-    def _find(self, name: str) -> _Placed:
-        if name not in self._placed:
-            raise InputError(
-                "there is no obstacle of that name", key="name", found=name, allowed=", ".join(self._placed)
-            )
-        return self._placed[name]
+        return self._site.shift_of(name)
 
     def _add(self, obstacle: Obstacle) -> None:
-        if obstacle.appears_at > 0.0:
-            self._waiting.append(_appearing(obstacle, obstacle.appears_at + self.time))
+        pairs = self._site.put(obstacle, now=self.time)
+        if len(pairs) == 0:
             return
-        number = self._next_number
-        self._next_number += 1
-        self._placed[obstacle.name] = _Placed(number, obstacle, np.array(obstacle.velocity), np.zeros(3))
-        self._names[number] = obstacle.name
-        pairs = self._separation.add(number, obstacle)
         count = len(pairs)
         far, none = np.full(count, -_FAR), np.zeros(count)
         self._proven, self._proven_at = np.append(self._proven, far), np.append(self._proven_at, none)
         self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
         self._required = np.append(self._required, self._separation.clearance[pairs])
         self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
-        self._find_moving()
+        self._sort()
         self._take_in(pairs)
 
-    def _find_moving(self) -> None:
-        self._moving_pairs = np.flatnonzero(self._separation.velocity.any(axis=1))
-        self._stands = np.ones(len(self._separation), dtype=bool)
-        self._stands[self._moving_pairs] = False
-        self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
-        self._per_step = self.dt * np.sqrt((self._separation.velocity**2).sum(axis=1))
+    def _sort(self) -> None:
+        site = self._site
+        self._moving_pairs, self._stands = site.moving_pairs, site.stands
+        self._per_step = self.dt * site.speed
         # the braking path of one step later may end up to 2 / _BRAKING steps later
         self._per_step_on_path = (1.0 + 2.0 / _BRAKING) * self._per_step
 
@@ -478,24 +406,16 @@ class Servo:
         )
 
     def _appear(self) -> None:
-        if self._waiting:
-            due = [obstacle for obstacle in self._waiting if obstacle.appears_at <= self.time]
-            self._waiting = [obstacle for obstacle in self._waiting if obstacle.appears_at > self.time]
-            for obstacle in due:
-                self._add(_appearing(obstacle, 0.0))
+        for obstacle in self._site.due(self.time):
+            self._add(obstacle)
 
     def _drift(self) -> None:
         """Let the obstacles move on, and what is known of them with them."""
-        pairs = self._moving_pairs
-        if len(pairs) == 0:
+        if len(self._moving_pairs) == 0:
             return
-        separation = self._separation
-        separation.offset += self.dt * separation.drift
+        self._site.drift(self.dt)
         self._distance -= self._per_step
         self._proven -= self._per_step_on_path
-        for placed in self._movers:
-            placed.shift = placed.shift + self.dt * placed.velocity
-            separation.place_at(placed.number, placed.shift)
 
     def _place_start(self) -> None:
         """Forward kinematics at q, and the tip's Jacobian."""
@@ -982,8 +902,7 @@ class Servo:
                 if margin < 0.0 and chosen.proven and self._stands[pair]:  # then this much was proven of it
                     margin = max(margin, float(self._required[pair] - separation.clearance[pair]))
                 link = separation.link(pair)
-                owner = int(separation.owner[pair])
-                obstacle = f"self: {separation.inner_link(pair)}" if owner == MACHINE else self._names[owner]
+                obstacle = self._site.said(pair)
                 if margin < _WARN:
                     normal = separation.world_normals(near[row : row + 1], self._at)[0]
         self._held_back_for = self._holds if chosen.held_back else self._held_back_for - 1
@@ -1056,7 +975,6 @@ class _Proof:
 _PER_PAIR = (
     "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at",
 )  # fmt: skip
-_SPEC: TypeAdapter[Any] = TypeAdapter(schema.ObstacleSpec)
 _ZERO = np.zeros(3)
 _ZERO.setflags(write=False)
 _UP = np.array([0.0, 0.0, 1.0])
@@ -1103,20 +1021,6 @@ def _capped(wish: Vector | None) -> Vector | None:
         return None
     largest = max(map(abs, wish.tolist()))
     return wish if largest <= _FASTEST_WISH else wish / largest * _FASTEST_WISH
-
-
-def _three(values: object, key: str) -> Vector:
-    found = _numbers(values, 3)
-    if found is None:
-        raise InputError("is not a vector", key=key, found=values, allowed="three finite numbers")
-    return found
-
-
-def _appearing(obstacle: Obstacle, at: float) -> Obstacle:
-    """The same obstacle, with the servo's time at which it appears."""
-    return Obstacle(
-        obstacle.name, obstacle.pieces, obstacle.clearance, obstacle.links, at, obstacle.velocity, obstacle.spec
-    )
 
 
 def _start(robot: Robot, scene: schema.Scene) -> Vector:
