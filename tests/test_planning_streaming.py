@@ -73,6 +73,27 @@ def test_held_by_what_turns_up_and_going_on_once_it_is_gone(backhoe: Robot) -> N
     np.testing.assert_allclose(resumed[-1].state.q, END, atol=1e-3)
 
 
+def test_what_stays_on_the_plan_is_gone_round(backhoe: Robot) -> None:
+    """A small ball is put on the way and stays: the plan is left, rejoined beyond it and finished, nothing touched."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [4.7, 0.4, -0.05]}
+    scene = bp.scene_from_dict(
+        {**empty_site(backhoe).model_dump(by_alias=True, exclude_none=True), "obstacles": [ball]}
+    )
+    proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
+    motion = smooth_motion()
+    assert min(float(np.min(proximity.distances(q) - proximity.clearance)) for q in motion.q) < -0.1
+    servo = Servo(backhoe, empty_site(backhoe))
+    follower = PlanFollower(servo, motion)
+    followed(follower, 1200)
+    servo.add(ball)
+    steps = followed(follower, 14_000)
+    assert steps[-1].done
+    assert max(step.deviation for step in steps) > 0.1
+    margins = [float(np.min(proximity.distances(step.state.q) - proximity.clearance)) for step in steps[::20]]
+    assert -1e-6 <= min(margins) < 0.02
+    np.testing.assert_allclose(steps[-1].state.q, END, atol=1e-3)
+
+
 def test_where_it_stands_elsewhere_it_goes_to_the_beginning_first(backhoe: Robot) -> None:
     servo = Servo(backhoe, empty_site(backhoe), q=[-0.1, 0.4, -1.0, -0.3])
     steps = followed(PlanFollower(servo, smooth_motion()), 12_000)

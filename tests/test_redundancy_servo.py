@@ -10,12 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.redundancy.braking_path import BrakingPath, Placements, bend
 from backhoe_planner.redundancy.completed import CompletedLaw, activation
 from backhoe_planner.redundancy.feedback import Feedback
+from backhoe_planner.redundancy.recovery import way_back
 from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo import Servo
 from backhoe_planner.redundancy.servo_state import Command, Status
@@ -415,6 +417,104 @@ def test_from_inside_an_obstacle_the_violation_shrinks_at_every_step(backhoe: Ro
             break
         before = now
     assert now >= -1e-6
+
+
+def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity]:
+    """A random posture with a random obstacle over one of its joints or its tip."""
+    rng = np.random.default_rng([seed, 7])
+    alone, kinematics = Proximity(robot), bp.Kinematics(robot)
+    while True:
+        q = robot.random_q(rng)
+        if np.any(alone.distances(q) < 0.02):
+            continue
+        part = rng.uniform(0.4, 1.0)
+        place = (part * kinematics.at(q).tip_position + rng.normal(size=3) * 0.3).tolist()
+        obstacle: dict[str, Any] = [
+            {"shape": "sphere", "radius": float(rng.uniform(0.1, 0.5)), "position": place},
+            {"shape": "box", "size": rng.uniform(0.1, 1.2, 3).tolist(), "position": place, "rpy": [0.3, 0.2, seed]},
+            {"shape": "capsule", "radius": 0.1, "from": place, "to": (np.array(place) + rng.normal(size=3)).tolist()},
+        ][seed % 3]
+        scene = site(robot, [{"name": "thing", **obstacle}], q=q.tolist())
+        proximity = Proximity(robot, build_obstacles(scene, robot))
+        if -0.3 < float(np.min(proximity.distances(q) - proximity.clearance)) < -0.03:
+            return q, scene, proximity
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: Robot, seed: int) -> None:
+    q, scene, proximity = started_inside(backhoe, seed)
+    rng = np.random.default_rng(seed)
+    wish = {"tip_velocity": rng.normal(size=3)} if seed % 2 else {"joint_velocity": rng.uniform(-1, 1, 4)}
+    servo = Servo(backhoe, scene)
+    before = float(np.max(proximity.clearance - proximity.distances(q)))
+    v = np.zeros(4)
+    for _ in range(10_000):
+        state = servo.step(**wish)
+        now = float(np.max(proximity.clearance - proximity.distances(state.q)))
+        assert now < before
+        assert np.all(np.abs(state.v - v) <= backhoe.limits.acceleration * servo.dt * (1.0 + 1e-9))
+        v, before = state.v, now
+        if now <= 1e-6:
+            break
+    assert before <= 1e-6
+
+
+def test_where_the_joints_cannot_make_it_less_it_stays_as_deep_as_it_is(backhoe: Robot) -> None:
+    """A post up through the middle of the swing's body: it only turns there. Nothing gets deeper, and it stands."""
+    post = {"name": "post", "shape": "capsule", "radius": 0.1, "from": [0.3, 0, -1.0], "to": [0.3, 0, 2.0]}
+    scene = site(backhoe, [post])
+    proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
+    servo = Servo(backhoe, scene)
+    deepest = [float(np.max(proximity.clearance - proximity.distances(servo.q)))]
+    for _ in range(12_000):
+        state = servo.step([0.5, 0.5, 0.5])
+        deepest.append(float(np.max(proximity.clearance - proximity.distances(state.q))))
+    assert deepest[0] > 0.1
+    assert np.max(np.diff(deepest)) <= 0.0
+    assert state.status is Status.STOPPED
+    np.testing.assert_allclose(state.v, 0.0, atol=1e-9)
+
+
+def test_the_way_back_is_the_best_there_is() -> None:
+    """Against a linear programme in (v, t), where no limit on the speed and no other row takes part."""
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        rows, slack = rng.normal(size=(6, 4)), rng.uniform(0.0, 0.2, 6)
+        low, high = -rng.uniform(0.0005, 0.5, 4), rng.uniform(0.0005, 0.5, 4)
+        found = way_back(
+            rows, slack, target=rng.normal(size=4), low=low, high=high, fastest=10.0,
+            soft_rows=np.zeros((0, 4)), soft_bounds=np.zeros(0),
+        )  # fmt: skip
+        best = linprog(
+            [0.0, 0.0, 0.0, 0.0, -1.0], A_ub=np.hstack((rows, np.ones((6, 1)))), b_ub=slack,
+            bounds=[*zip(low, high, strict=True), (None, None)],
+        )  # fmt: skip
+        assert found is not None
+        v, speed = found
+        assert np.all(rows @ v + speed <= slack + 1e-6)
+        scale = float(np.max(np.abs(rows) @ np.maximum(-low, high)))
+        assert speed == pytest.approx(best.x[4], abs=0.02 * scale)
+
+
+def test_gradients_of_inside_pairs_against_central_differences(backhoe: Robot) -> None:
+    checked = 0
+    for seed in range(0, 30, 3):  # round things, whose distance is smooth
+        q, scene, _ = started_inside(backhoe, seed)
+        separation = Separation(backhoe, self_collision=False)
+        pairs = separation.add(0, build_obstacles(scene, backhoe)[0])
+        at = Placements(backhoe, 1)
+
+        def distances(where: Vector, separation: Separation = separation, at: Any = at, pairs: Any = pairs) -> Vector:
+            at.place(0, where)
+            return np.array([separation.measure(pair, at, 0)[0] for pair in pairs.tolist()])
+
+        at.place(0, q)
+        found, falls = separation.gradients(pairs, at, 0)
+        numeric = np.array([(distances(q - step) - distances(q + step)) / 2e-5 for step in 1e-5 * np.eye(4)]).T
+        smooth = np.abs(distances(q + 1e-5) + distances(q - 1e-5) - 2.0 * found) < 1e-7
+        np.testing.assert_allclose(falls[smooth], numeric[smooth], atol=2e-3)
+        checked += int(np.sum(smooth & (found < 0.0)))
+    assert checked > 5
 
 
 # --- commands ------------------------------------------------------------------------------------

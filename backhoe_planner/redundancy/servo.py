@@ -75,6 +75,7 @@ _FAR_RENEWED_EVERY = 4  # steps, where nothing is within
 _WARN = 0.10  # m of margin within which it says so
 _AT_REST = 1e-9
 _FAR = 1e3  # m
+_INSIDE_SPEED = 0.5  # m/s
 _STEP_END = MOST_PARTS + 1  # row of the placements
 _FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
 _FASTEST_WISH = 100.0  # m/s or rad/s
@@ -167,6 +168,8 @@ class Servo:
         self._inside: Indices = np.zeros(0, dtype=np.intp)  # pairs of what stands that are not clear yet
         classes = len(self._separation.travel)
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
+        # no point moves faster than this by one joint while the machine is inside something
+        self._slow = np.array([_INSIDE_SPEED / max(radius, 0.1) for radius in self._separation.furthest])
         self._site = Surroundings(robot, scene, self._separation)
         self._renewed_bounds: tuple[Indices, Vector, Indices] | None = None
         self._sort()
@@ -702,9 +705,9 @@ class Servo:
     def _choose_back(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity by which the deepest violation falls fastest, measured to be falling where it leads.
 
-        The violated pairs are measured where the step ends and where its braking path
-        ends. Where the linear rows promised more than that, what was found there is one
-        more row (a cutting plane), and the velocity is asked for anew.
+        The violated pairs are measured where the step ends and along its braking path.
+        Where the linear rows promised more than that, what was found there is one more
+        row (a cutting plane), and the velocity is asked for anew.
         """
         pairs, at, separation = self._inside, self._at, self._separation
         owner = separation.owner[pairs]
@@ -715,6 +718,10 @@ class Servo:
         deepest = _by_owner(depth, owner)
         fastest = min(max(_RECOVERY * float(deepest.max()), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
         slack = _HOLDS * (deepest - depth)
+        # slowly, so that little lies between what is measured of the braking path
+        up, down = self._v + self._change, self._v - self._change
+        low = np.minimum(np.maximum(np.maximum(low, -self._slow), down), up)
+        high = np.minimum(np.maximum(np.minimum(high, self._slow), down), up)
         target = self._towards(wish, low, high)
         awake, budget = self._awake()
         soft_rows, soft_bounds = self._urgent(near, gaps, low, high)
@@ -737,19 +744,23 @@ class Servo:
                 path.place(at)
             proof = self._prove(awake, path)
             at.place(_STEP_END, self._q + v * self.dt)
-            falls = True
-            for sample, span, least in ((_STEP_END, self.dt, _FALLS), (path.parts, path.look, _FALLS)):
+            falls, before = True, deepest - _FALLS
+            ends = [(_STEP_END, self.dt), *((part, path.look * part / path.parts) for part in range(1, path.parts + 1))]
+            for sample, span in ends:
                 there, cuts = separation.gradients(pairs, at, sample)
                 deep = separation.clearance[pairs] - there
-                worse = deep > np.maximum(deepest - least, 0.0)
-                if sample != _STEP_END:  # still falling there, so that it falls all the way, braking too
-                    worse |= (deep > np.maximum(_by_owner(deep, owner) - _FALLS, 0.0)) & (cuts @ v >= 0.0)
+                now = _by_owner(deep, owner)
+                worse = deep > np.maximum(before, 0.0)
+                # still falling there, so that it falls all the way, braking too
+                worse |= (deep > np.maximum(now - _FALLS, 0.0)) & (cuts @ v >= 0.0)
+                if sample == _STEP_END:
+                    level = now
+                before = now
                 if worse.any():
                     falls = False
                     more = slack[worse] + (there - distance)[worse] / span + cuts[worse] @ v
                     all_rows, all_slack = np.vstack((all_rows, cuts[worse])), np.append(all_slack, more)
-                if sample == _STEP_END:
-                    level = _by_owner(deep, owner)
+                    break
             if falls and proof.stands_clear and (proof.clear or attempt == _ATTEMPTS - 1):
                 self._required[pairs] = separation.clearance[pairs] - np.maximum(level, 0.0)
                 self._let_out(path, level)
