@@ -144,6 +144,7 @@ class Servo:
         self._change = self.limits.acceleration * self.dt * (1.0 - 1e-9)
         self._holds = max(math.ceil(_REMEMBERED / self.dt), 1)
         self._held_back_for = 0
+        self._look = self.dt  # s: of the longest braking path that this step could begin
         self._forgets = 1.0 - math.exp(-self.dt / _REMEMBERED)
         self._changes: list[float] = self._change.tolist()
         self._per_acceleration: list[float] = (1.0 / self._acceleration).tolist()
@@ -540,7 +541,7 @@ class Servo:
         """
         dt = self.dt
         time = max(abs(rate) * per for rate, per in zip(self._v.tolist(), self._per_acceleration, strict=True))
-        look = dt + 0.5 * (time + dt / _BRAKING)
+        look = self._look = dt + 0.5 * (time + dt / _BRAKING)
         lows, highs = [], []
         tight = cut = False
         for position, rate, wished, change, (lower, upper, fastest) in zip(
@@ -630,7 +631,7 @@ class Servo:
     def _awake(self) -> tuple[Indices, Vector]:
         """Pairs that could come into question this step; and by how much the path may change (C,) [m]."""
         separation = self._separation
-        look = self.dt + 0.5 * (float((np.abs(self._v) / self._acceleration).max()) + self.dt / _BRAKING)
+        look = self._look
         # the end moves with the step taken, and with the change of velocity
         change = np.abs(self._q + self._v * look - self._end) + look * self._change
         change += np.abs(self._v) * (self.dt / _BRAKING)
