@@ -30,7 +30,10 @@ from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.plan_file import load_plan
 from backhoe_planner.planning.planner import plan
 from backhoe_planner.planning.stepping import Step
+from backhoe_planner.planning.streaming import PlanFollower
 from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.redundancy.servo_state import ServoState
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene import Scene, load_scene, scene_from_dict, scene_schema
@@ -48,12 +51,15 @@ __all__ = [
     "OutputError",
     "Plan",
     "PlanFileError",
+    "PlanFollower",
     "PlannerError",
     "Proximity",
     "Robot",
     "RobotError",
     "Scene",
     "SceneError",
+    "Servo",
+    "ServoState",
     "Step",
     "TipTarget",
     "Trajectory",

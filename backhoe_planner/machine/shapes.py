@@ -13,11 +13,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-__all__ = ["Piece", "box", "capsule", "convex", "cylinder", "halfspace", "sphere"]
+__all__ = ["Gauge", "Piece", "box", "capsule", "convex", "cylinder", "halfspace", "sphere", "transform"]
 
 Vector = NDArray[np.float64]
 
 _SIDES = 32
+_NONSENSE = -1e7  # m: no two shapes are this deep inside each other
+_CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
+_TOLERANCE = 1e-12  # of coal's iterations [m]
 
 
 @dataclass(frozen=True)
@@ -88,3 +91,68 @@ def halfspace(point: Vector, normal: Vector) -> Piece:
     """Solid where (x - point) . normal < 0; `normal` is a unit vector."""
     shape = coal.Halfspace(np.asarray(normal, dtype=float), float(np.dot(normal, point)))
     return Piece(shape=shape, placement=pin.SE3.Identity(), hull=np.zeros((0, 3)))
+
+
+def transform(rotation: Vector, translation: Vector) -> coal.Transform3s:
+    """T_world_shape as coal wants it, of rotation (3, 3) and translation (3,) [m]."""
+    return coal.Transform3s(rotation, translation)
+
+
+class Gauge:
+    """Signed distances between single pairs of shapes, without a geometry model around them.
+
+    It owns its working memory: do not share one between threads.
+    """
+
+    def __init__(self) -> None:
+        self._request = coal.DistanceRequest()
+        self._request.gjk_max_iterations = self._request.epa_max_iterations = 256
+        self._set_tolerance(_TOLERANCE)
+        self._result = coal.DistanceResult()
+
+    def measure(
+        self,
+        first: coal.CollisionGeometry,
+        T_first: coal.Transform3s,
+        second: coal.CollisionGeometry,
+        T_second: coal.Transform3s,
+    ) -> tuple[float, Vector, Vector, Vector]:
+        """Signed distance [m], unit normal from the first to the second, and both witness points (3,).
+
+        Where coal's iterations end without an answer, they are run again with a looser
+        tolerance; if that gives no depth either, the shapes touch to within rounding,
+        and 0 is said.
+        """
+        result = self._result
+        result.clear()
+        distance = coal.distance(first, T_first, second, T_second, self._request, result)
+        if not (distance > _CONTACT or _NONSENSE < distance < -_CONTACT):
+            distance = self._measure_again(first, T_first, second, T_second)
+        # copies: coal's own memory is overwritten by the next measurement
+        return (
+            distance,
+            np.array(result.normal),
+            np.array(result.getNearestPoint1()),
+            np.array(result.getNearestPoint2()),
+        )
+
+    def _measure_again(
+        self,
+        first: coal.CollisionGeometry,
+        T_first: coal.Transform3s,
+        second: coal.CollisionGeometry,
+        T_second: coal.Transform3s,
+    ) -> float:
+        try:
+            for tolerance in (1e-10, 1e-9, 1e-6):
+                self._set_tolerance(tolerance)
+                self._result.clear()
+                distance = float(coal.distance(first, T_first, second, T_second, self._request, self._result))
+                if distance > _NONSENSE:
+                    return distance
+        finally:
+            self._set_tolerance(_TOLERANCE)
+        return 0.0
+
+    def _set_tolerance(self, tolerance: float) -> None:
+        self._request.gjk_tolerance = self._request.epa_tolerance = tolerance

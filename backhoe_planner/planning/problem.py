@@ -11,6 +11,7 @@ from backhoe_planner.errors import SceneError, nearest_name
 from backhoe_planner.machine.robot import JointLimits, Robot
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.site.limits import scaled_limits
 from backhoe_planner.site.obstacles import Obstacle, build_obstacles
 from backhoe_planner.site.scene import Gains, Goal, Pose, Scene
 
@@ -99,21 +100,6 @@ def hand_set_gains(problem: Problem) -> Gains | None:
     """The gains that the scene sets by hand; None where it leaves them to the criterion."""
     gains = problem.scene.gains
     return None if gains == "auto" else gains
-
-
-def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
-    """The machine's limits with the scene's velocity scale and accelerations."""
-    own = robot.limits
-    acceleration = np.array(own.acceleration)
-    for index, name in enumerate(robot.joint_names):
-        acceleration[index] = scene.limits.acceleration.get(name, acceleration[index])
-    return JointLimits(
-        lower=own.lower.copy(),
-        upper=own.upper.copy(),
-        velocity=own.velocity * scene.limits.velocity_scale,
-        acceleration=acceleration,
-        effort=own.effort.copy(),
-    )
 
 
 def _check_joint_names(robot: Robot, scene: Scene, key: str, names: dict[str, float]) -> None:

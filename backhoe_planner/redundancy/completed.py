@@ -25,6 +25,7 @@ The weights are the criterion for the gains that the paper leaves open:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import eigenpy
@@ -34,6 +35,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Configuration
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.redundancy.directionality import all_link_jacobians, all_link_velocities
+from backhoe_planner.redundancy.one_spare import one_spare
 from backhoe_planner.redundancy.projector import Resolved, resolve
 from backhoe_planner.site.proximity import Nearby
 from backhoe_planner.site.scene import Gains
@@ -45,6 +47,8 @@ Matrix = NDArray[np.float64]
 
 _EPSILON = 2e-2  # (m/rad)^2: rows weaker than its root fade out
 _LARGEST_PUSH = 3.0  # times nominal
+_NEAREST_PUSH = math.sqrt(1.0 + _LARGEST_PUSH)
+_UNDAMPED = 0.08  # singular values above this are never damped, see `resolve`
 _NEAR_LIMIT = 0.15  # of a joint's range: within this it counts as near its limit
 
 
@@ -124,7 +128,7 @@ class CompletedLaw:
         xdot_e: (m,) task velocity, [m/s] and [rad/s].
         nearby: critical points within clearance + influence.
         """
-        resolved = resolve(J_e)
+        resolved = resolve(J_e, threshold=_UNDAMPED)
         primary = self._s_e * (resolved.inverse @ xdot_e)
         N = resolved.projector
         A = self._epsilon.copy()
@@ -141,6 +145,51 @@ class CompletedLaw:
             return Wish(v=primary, primary=primary, null=b, resolved=resolved)
         null = N @ eigenpy.LDLT(A).solve(b)
         return Wish(v=primary + null, primary=primary, null=null, resolved=resolved)
+
+    def wish_with_one_spare(self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby) -> Vector | None:
+        """(4,) the same velocity as `wish`, several times faster, where the null space is one line.
+
+        With N = z z^T the problem is one for the number along z:
+
+            H = z (sum_i w_i (g_i z) missing_i - sum_j h_j z_j v_j) / (eps + sum_i w_i (g_i z)^2 + sum_j h_j z_j^2)
+
+        None where J_e is not (3, 4), comes near a singularity, or links are to be turned:
+        there `wish` answers.
+        """
+        if J_e.shape != (3, 4) or self._turns:
+            return None
+        found = one_spare(J_e, xdot_e, threshold=_UNDAMPED)
+        if found is None:
+            return None
+        primary, z = found
+        if self._s_e != 1.0:
+            primary = [self._s_e * rate for rate in primary]
+        above, below = 0.0, _EPSILON
+        if self._s_o > 0.0 and len(nearby):
+            along = (nearby.gradient @ np.array((z, primary)).T).tolist()
+            for margin, drift, (by_z, rate) in zip(nearby.margin.tolist(), nearby.drift.tolist(), along, strict=True):
+                if margin >= self.influence:
+                    continue
+                weight, away = self._s_o * self._activation(margin), -drift
+                if margin < self.unity:
+                    nearest = max(margin, self.unity / _NEAREST_PUSH)
+                    away += self.nominal * max((self.unity / nearest) ** 2 - 1.0, 0.0)
+                below += weight * by_z * by_z
+                if away > rate:
+                    above += weight * by_z * (away - rate)
+        if self.directionality:
+            for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, self._ranges, strict=True):
+                if abs(rate) < 1e-9:
+                    continue
+                hold = 1.0 - (high - position if rate > 0.0 else position - low) / zone
+                if hold > 0.0:
+                    hold = min(hold, 1.0) ** 2
+                    above -= hold * part * rate
+                    below += hold * part * part
+        if above == 0.0:
+            return np.array(primary)
+        size = above / below
+        return np.array([rate + size * part for rate, part in zip(primary, z, strict=True)])
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
@@ -161,7 +210,7 @@ class CompletedLaw:
             if not acts.any():
                 return False
             margin, gradient = margin[acts], gradient[acts]
-        weight = self._s_o * activation(margin, self.unity, self.influence)
+        weight = np.array([self._s_o * self._activation(near) for near in margin.tolist()])
         away = -nearby.drift if len(margin) == len(nearby) else -nearby.drift[acts]
         if margin.min() < self.unity:
             away = away + self.nominal * push_factor(margin, self.unity)
@@ -171,6 +220,14 @@ class CompletedLaw:
         A += weighted @ G
         b += weighted @ missing
         return True
+
+    def _activation(self, margin: float) -> float:
+        """`activation` of one margin: a handful of rows costs less one by one."""
+        if margin <= self.unity:
+            return 1.0
+        if margin >= self.influence:
+            return 0.0
+        return 0.5 * (1.0 + math.cos(math.pi * (margin - self.unity) / (self.influence - self.unity)))
 
     def _add_holds(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> bool:
         """Add the rows h_j (v_j + H_j)^2 of joints that near a limit."""

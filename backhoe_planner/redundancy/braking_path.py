@@ -1,0 +1,151 @@
+"""The braking path: where the machine goes if it brakes from now on.
+
+Braking in proportion, all joints slow down together and the joints move on a straight
+line. With T = max_j |v_j| / a_j, a step of dt at v and then braking lead from q to
+
+    e = q + v (dt + T / 2)
+
+and wherever braking begins later, what is left of it is a part of that line. A motion
+whose braking path is clear at one step can therefore always be ended without touching
+anything: braking is an answer that was proven before it is needed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import Robot
+
+__all__ = ["BrakingPath", "Placements", "bend"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+MOST_PARTS = 8
+_BEND = 0.002  # m that a point may deviate from the chord of a part, where parts are left
+
+
+def bend(travel: Matrix, delta: Vector, turning: Vector) -> Vector:
+    """(C,) bound on how sharply points bend off a straight line over a motion delta [m].
+
+    With s from 0 to 1 along the motion, |x''| <= sum_j r_j |d_j| (w_j + 2 sum_{i<j} w_i),
+    since the second derivative by joints i <= j is a_i x (a_j x (x - o_j)); w is |d| for
+    hinges and 0 for slides.
+
+    Parameters
+    ----------
+    travel: (C, n) r, see `travel_bounds`.
+    delta: (n,) the motion.
+    turning: (n,) 1 for hinges, 0 for slides.
+    """
+    size = np.abs(delta)
+    angle = size * turning
+    return np.asarray(travel @ (size * (2.0 * angle.cumsum() - angle)))
+
+
+class Placements:
+    """Where the bodies are at several configurations at once; working memory.
+
+    Attributes
+    ----------
+    T: (S, joints, 3, 4) pose [R | t] of every joint's frame in the world; joint 0 is the world.
+    R, t: (S, joints, 3, 3) and (S, joints, 3), views of it.
+    J: (S, 6, n) Pinocchio's joint Jacobians, linear part taken at the world's origin.
+    """
+
+    def __init__(self, robot: Robot, most: int) -> None:
+        model = robot.model
+        self._model = model
+        self._data = model.createData()
+        count, n = model.njoints, robot.n
+        self.T = np.zeros((most, count, 3, 4))
+        self.R, self.t = self.T[..., :3], self.T[..., 3]
+        self.R[:, 0] = np.eye(3)
+        self.J = np.zeros((most, 6, n))
+        # views of Pinocchio's own memory, which stays where it is
+        joints = range(1, count)
+        rotations = [self._data.oMi[joint].rotation for joint in joints]
+        translations = [self._data.oMi[joint].translation for joint in joints]
+        self._jacobian = self._data.J.reshape(6, n)
+        self._copies = [
+            [
+                *zip((self.R[sample, joint] for joint in joints), rotations, strict=True),
+                *zip((self.t[sample, joint] for joint in joints), translations, strict=True),
+                (self.J[sample], self._jacobian),
+            ]
+            for sample in range(most)
+        ]
+
+    def place(self, sample: int, q: Vector) -> None:
+        """Fill row `sample` with the placements at q (n,)."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        for target, source in self._copies[sample]:
+            target[:] = source
+
+
+class BrakingPath:
+    """The line from q to e, looked at in equal parts.
+
+    Parameters
+    ----------
+    q, v: (n,) where the joints are, and the velocity of the step that is about to be taken.
+    dt: its length [s]; 0 for braking from now on.
+    acceleration: (n,) that braking is planned with.
+    furthest: (n,) the largest travel radius of any pair, see `travel_bounds`.
+    turning: (n,) 1 for hinges, 0 for slides.
+
+    Attributes
+    ----------
+    delta: (n,) e - q.
+    end: (n,) e.
+    parts: how many; `parts + 1` rows of the placements belong to it.
+    time: [s] until it stands.
+    """
+
+    def __init__(
+        self, q: Vector, v: Vector, dt: float, *, acceleration: Vector, furthest: list[float], turning: Vector
+    ) -> None:
+        braking, slowest, sign = 0.0, 0, 1.0
+        rates = v.tolist()
+        for joint, (rate, a) in enumerate(zip(rates, acceleration.tolist(), strict=True)):
+            time = abs(rate) / a
+            if time > braking:
+                braking, slowest, sign = time, joint, math.copysign(1.0 / a, rate)
+        look = dt + 0.5 * braking
+        self.q = q
+        self.v = v
+        self.delta = v * look
+        self.end = q + self.delta
+        self.look = look
+        self.time = dt + braking
+        self._slowest = slowest
+        self._per_rate = 0.5 * sign if braking > 0.0 else 0.0
+        self._turning = turning
+        # no class of pairs bends more than this
+        most = inner = 0.0
+        for rate, radius, turns in zip(rates, furthest, turning.tolist(), strict=True):
+            size = abs(rate) * look
+            angle = size * turns
+            most += radius * size * (angle + 2.0 * inner)
+            inner += angle
+        self.parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
+
+    def off_chord(self, travel: Matrix) -> Vector:
+        """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""
+        return bend(travel, self.delta, self._turning) / (8.0 * self.parts * self.parts)
+
+    @property
+    def D(self) -> Matrix:
+        """(n, n) derivative of the end by v [s]."""
+        D = self.look * np.eye(len(self.v))
+        D[:, self._slowest] += self.v * self._per_rate
+        return D
+
+    def place(self, placements: Placements) -> None:
+        """Fill the placements at the ends of the parts; row 0, at q, is already there."""
+        for part in range(1, self.parts + 1):
+            placements.place(part, self.q + (part / self.parts) * self.delta)

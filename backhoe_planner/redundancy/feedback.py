@@ -1,0 +1,91 @@
+"""The force that goes back to the hand: what the machine refuses, and never any energy.
+
+    F_wished = -B (x_free - x)  -  B rho(margin) (x_w . n)^+ n
+
+The first part is the refused part of the wish: what the tip would do with nothing in
+the way and no joint limit, minus what it does. The second rises smoothly, before
+anything is refused, as the way into an obstacle narrows. It saturates smoothly at the
+largest force.
+
+Both are smoothed over a hundredth of a second, so that nothing in them jumps.
+
+Passivity. A ledger (a passivity observer after Hannaford and Ryu, 2002) holds the
+energy that the hand has given so far. A force F holds until the next sample, over which
+the hand moves at its velocity w changed by at most dw, what a hand can change in a
+sample. F is scaled so that the most that it can give, dt (F . w + |F| dw), is no more
+than the ledger holds.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Feedback"]
+
+Vector = NDArray[np.float64]
+
+_SEED = 1e-7  # J: what may be lent, to a force against the hand, before anything was taken
+_LEAK = 1e-13  # J per sample, so that an empty ledger can fill again
+_SMOOTHED_OVER = 0.01  # s
+_MOST_STORED = 0.2  # J: of what the hand has given, this much may come back
+
+
+class Feedback:
+    """The force on one hand.
+
+    Parameters
+    ----------
+    dt: time between samples, over which a force is held [s].
+    damping: B [N s/m].
+    largest: force that is approached, never exceeded [N].
+    sharpest: greatest acceleration of the hand for which passivity is promised [m/s^2].
+    """
+
+    def __init__(self, dt: float, *, damping: float = 60.0, largest: float = 30.0, sharpest: float = 200.0) -> None:
+        self._dt = dt
+        self._damping = damping
+        self._largest = largest
+        self._change = sharpest * dt
+        self._stored = 0.0
+        self._force = np.zeros(3)
+        self._smooth = np.zeros(3)
+        self._scale = 1.0
+        self._part = 1.0 - math.exp(-dt / _SMOOTHED_OVER)
+
+    @property
+    def stored(self) -> float:
+        """Energy that the hand has given and that may still come back [J]."""
+        return self._stored
+
+    def next(self, hand: Vector, refused: Vector, normal: Vector, nearness: float) -> Vector:
+        """(3,) force on the hand, to be held until the next sample [N], world.
+
+        Parameters
+        ----------
+        hand: (3,) velocity of the hand since the last sample: the wish [m/s].
+        refused: (3,) part of it that the tip does not follow [m/s].
+        normal: (3,) unit vector into the nearest obstacle; zeros where none is near.
+        nearness: 0 where obstacles are far, 1 where no more approach is possible.
+        """
+        given = -self._dt * float(self._force @ hand)
+        self._stored = min(self._stored + given, _MOST_STORED)
+        wished = -self._damping * (refused + nearness * max(float(hand @ normal), 0.0) * normal)
+        self._smooth = self._smooth + self._part * (wished - self._smooth)
+        force = self._smooth
+        size = math.sqrt(float(force @ force))
+        if size > 0.0:
+            force = force * (self._largest * math.tanh(size / self._largest) / size)
+            along = float(force @ hand)
+            most = self._dt * (along + math.sqrt(float(force @ force)) * self._change)
+            held = max(self._stored + (_SEED if along <= 0.0 else 0.0), _LEAK)
+            # neither spent at once nor let go at once, so that the scale is smooth too
+            scale = min(self._scale + self._part, 1.0)
+            if most > 0.0:
+                scale = min(scale, max(self._part * held, _LEAK) / most)
+            self._scale = scale
+            force = force * scale
+        self._force = force
+        return force

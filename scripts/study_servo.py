@@ -1,0 +1,435 @@
+#!/usr/bin/env python
+"""Whether anything drives the servo into an obstacle: random steps with a second opinion.
+
+The backhoe is driven by wishes that jump, push into obstacles, run into limits and into
+singular poses, among obstacles that stand, obstacles that appear where the machine can
+still stop, and obstacles that come towards it no faster than it can evade (a linear
+programme over the joint rates says how fast that is; half of it is used). Distances are
+computed without coal, from points on the links' surfaces and the obstacles' signed
+distance functions (`independent`), at every `--check`-th step and at every step whose
+own margin is small; limits, accelerations and finiteness at every step.
+
+    python scripts/study_servo.py [--steps 200000] [--seed 0] [--check 10] [--save FILE]
+    python scripts/study_servo.py --recoveries 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from independent import _bodies, _obstacle
+from scipy.optimize import linprog
+
+import backhoe_planner as bp
+from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.redundancy.servo_state import ServoState
+from backhoe_planner.site.obstacles import build_obstacle
+from backhoe_planner.site.proximity import Proximity
+
+EPISODE = 4000
+CLEARANCE = 0.05
+CLOSE = 0.004  # m of margin below which every step is checked
+EVADED_PART = 0.5  # of the speed that the machine can evade at
+
+
+class SecondOpinion:
+    """Signed distances without coal, obstacle by obstacle."""
+
+    def __init__(self, robot: bp.Robot) -> None:
+        self._robot = robot
+        self._data = robot.model.createData()
+        self._bodies = [body for body in _bodies(robot) if body.joint > 0]
+        self._centres = [body.points.mean(axis=0) for body in self._bodies]
+        self._radii = [
+            float(np.linalg.norm(body.points - centre, axis=1).max()) + body.fat
+            for body, centre in zip(self._bodies, self._centres, strict=True)
+        ]
+
+    def least(self, q: np.ndarray, obstacles: dict[str, tuple[Any, np.ndarray]]) -> tuple[float, str, str]:
+        """(distance, link, obstacle) of the least signed distance; only exact below 0.3 m."""
+        pin.forwardKinematics(self._robot.model, self._data, q)
+        found = (np.inf, "", "")
+        for body, centre, radius in zip(self._bodies, self._centres, self._radii, strict=True):
+            placement = self._data.oMi[body.joint]
+            middle = placement.rotation @ centre + placement.translation
+            points = None
+            for name, (distance, shift) in obstacles.items():
+                rough = float(distance((middle - shift)[None])[0]) - radius
+                if rough > min(0.3, found[0]):
+                    continue
+                if points is None:
+                    points = body.points @ placement.rotation.T + placement.translation
+                exact = float(distance(points - shift).min()) - body.fat
+                if exact < found[0]:
+                    found = (exact, body.link, name)
+        return found
+
+
+def random_spec(rng: np.random.Generator, name: str) -> dict[str, Any]:
+    radius, angle = rng.uniform(1.5, 6.0), rng.uniform(-1.5, 1.5)
+    place = [float(radius * np.cos(angle)), float(radius * np.sin(angle)), float(rng.uniform(-2.5, 3.5))]
+    kind = int(rng.integers(4))
+    if kind == 0:
+        return {"name": name, "shape": "sphere", "radius": float(rng.uniform(0.1, 0.5)), "position": place}
+    if kind == 1:
+        size = rng.uniform(0.1, 1.2, 3).tolist()
+        return {"name": name, "shape": "box", "size": size, "position": place, "rpy": rng.uniform(-3, 3, 3).tolist()}
+    end = (np.array(place) + rng.uniform(-1.0, 1.0, 3)).tolist()
+    if kind == 2:
+        return {"name": name, "shape": "capsule", "radius": float(rng.uniform(0.05, 0.2)), "from": place, "to": end}
+    depth = float(rng.uniform(-4.5, -1.0))
+    if name.endswith("0"):
+        return {"name": name, "shape": "halfspace", "point": [0.0, 0.0, depth], "normal": [0.0, 0.0, 1.0]}
+    return {"name": name, "shape": "box", "size": [0.3, 3.0, 2.0], "position": place}
+
+
+def scene_of(robot: bp.Robot, q: np.ndarray, obstacles: list[dict[str, Any]]) -> bp.Scene:
+    return bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(robot.joint_names, q.tolist(), strict=True))},
+            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+            "clearance": CLEARANCE,
+            "obstacles": obstacles,
+        }
+    )
+
+
+class Episode:
+    """One site, and what happens in it."""
+
+    def __init__(self, robot: bp.Robot, opinion: SecondOpinion, rng: np.random.Generator) -> None:
+        self.robot, self.opinion, self.rng = robot, opinion, rng
+        self.known: dict[str, tuple[Any, np.ndarray]] = {}
+        self.specs: dict[str, Any] = {}
+        alone = Proximity(robot)
+        while True:
+            q = robot.random_q(rng)
+            if np.all(alone.distances(q) > 0.02):
+                break
+        chosen = []
+        empty = scene_of(robot, q, [])
+        while len(chosen) < int(rng.integers(4, 21)):
+            content = random_spec(rng, f"obstacle {len(chosen)}")
+            if self._clear_of(q[None], content, empty, CLEARANCE + 0.02):
+                chosen.append(content)
+        self.scene = scene_of(robot, q, chosen)
+        self.servo = Servo(robot, self.scene, circulate=bool(rng.integers(2)))
+        for spec in self.scene.obstacles:
+            self.specs[spec.name] = spec
+            self.known[spec.name] = (_obstacle(spec, self.scene), np.zeros(3))
+        self.movers: dict[str, np.ndarray] = {}
+        self.kind = "none"
+        self.count = 0
+        self.tip = np.zeros(3)
+        self.joints = np.zeros(robot.n)
+        self.state: ServoState | None = None
+
+    def _clear_of(self, poses: np.ndarray, content: dict[str, Any], scene: bp.Scene, least: float) -> bool:
+        """Whether the machine keeps `least` from a new obstacle in all of some postures."""
+        spec = bp.scene_from_dict({**scene.model_dump(by_alias=True, exclude_none=True), "obstacles": [content]})
+        distance = _obstacle(spec.obstacles[0], spec)
+        return all(self.opinion.least(q, {"new": (distance, np.zeros(3))})[0] > least for q in poses)
+
+    # --- what happens ------------------------------------------------------------------
+
+    def change_wish(self) -> None:
+        rng, limits = self.rng, self.servo.limits
+        self.kind = str(rng.choice(["tip", "joints", "push", "limit", "stretch", "zero", "jump"]))
+        self.tip = rng.normal(size=3)
+        self.tip *= rng.uniform(0.1, 3.0) / np.linalg.norm(self.tip)
+        self.joints = rng.uniform(-1.5, 1.5, self.robot.n) * limits.velocity
+        if self.kind == "limit":
+            self.joints = np.sign(rng.normal(size=self.robot.n)) * limits.velocity * 2.0
+
+    def wish(self) -> dict[str, Any]:
+        rng = self.rng
+        if self.kind == "zero":
+            return {"tip_velocity": np.zeros(3)}
+        if self.kind in ("joints", "limit"):
+            return {"joint_velocity": self.joints}
+        if self.kind == "jump":
+            return {"tip_velocity": rng.normal(size=3) * 2.0}
+        if self.kind == "push" and self.known:
+            tip = self.servo._tip
+            goals = [
+                np.array(getattr(self.specs[n], "position", (4.0, 0.0, 0.0))) + s for n, (_, s) in self.known.items()
+            ]
+            goal = min(goals, key=lambda goal: float(np.linalg.norm(goal - tip)))
+            way = goal - tip
+            return {"tip_velocity": 1.5 * way / max(float(np.linalg.norm(way)), 1e-6)}
+        if self.kind == "stretch":
+            tip = self.servo._tip
+            return {"tip_velocity": 1.0 * tip / np.linalg.norm(tip)}
+        return {"tip_velocity": self.tip}
+
+    def appear(self) -> bool:
+        """Put an obstacle where the machine can still stop before it; whether it was put."""
+        rng, servo = self.rng, self.servo
+        name = f"new {self.count}"
+        self.count += 1
+        content = random_spec(rng, name)
+        q, v = servo.q, servo.v
+        braking = float(np.max(np.abs(v) / (0.8 * servo.limits.acceleration)))
+        line = q + np.linspace(0.0, 1.0, 25)[:, None] * v * braking / 2.0
+        if not self._clear_of(line, content, self.scene, CLEARANCE + 0.02):
+            return False
+        spec = bp.scene_from_dict(
+            {**self.scene.model_dump(by_alias=True, exclude_none=True), "obstacles": [content]}
+        ).obstacles[0]
+        servo.add(build_obstacle(spec, folder=Path(), clearance=CLEARANCE))
+        self.specs[name] = spec
+        self.known[name] = (_obstacle(spec, self.scene), np.zeros(3))
+        if rng.integers(2) and spec.shape != "halfspace":
+            self.movers[name] = np.zeros(3)
+        return True
+
+    def drive_movers(self) -> None:
+        """Let the movers come at the machine, no faster than it can evade them."""
+        if not self.movers:
+            return
+        speed = EVADED_PART * self.evasion_speed()
+        for name, velocity in self.movers.items():
+            spec = self.specs[name]
+            place = np.array(getattr(spec, "position", getattr(spec, "start", (0.0, 0.0, 0.0)))) + self.servo.shift_of(
+                name
+            )
+            if self.rng.random() < 0.05 or not velocity.any():
+                joint = int(self.rng.integers(2, self.robot.model.njoints))
+                pin.forwardKinematics(self.robot.model, self.opinion._data, self.servo.q)
+                way = self.opinion._data.oMi[joint].translation - place + self.rng.normal(size=3) * 0.5
+                velocity = way / max(float(np.linalg.norm(way)), 1e-6) * self.rng.uniform(0.05, 0.3)
+                self.movers[name] = velocity
+            size = float(np.linalg.norm(velocity))
+            self.servo.set_velocity(name, velocity * min(1.0, speed / size))
+
+    def evasion_speed(self) -> float:
+        """The speed at which every mover nearby can be evaded at once [m/s]."""
+        servo, limits = self.servo, self.servo.limits
+        obstacles = []
+        for name, (_, shift) in self.known.items():
+            spec = self.specs[name]
+            built = build_obstacle(spec, folder=Path(), clearance=CLEARANCE)
+            if np.any(shift):
+                built = moved(built, shift)
+            obstacles.append(built)
+        nearby = Proximity(self.robot, obstacles).at(servo.q, margin=0.5)
+        gap_up, gap_down = limits.upper - servo.q, servo.q - limits.lower
+        high, low = np.minimum(limits.velocity, gap_up), -np.minimum(limits.velocity, gap_down)
+        names = list(self.known)
+        A, b = [], []
+        some = False
+        proximity_owner = Proximity(self.robot, obstacles).owner
+        for row, pair in enumerate(nearby.pair):
+            owner = int(proximity_owner[pair])
+            comes = owner >= 0 and names[owner] in self.movers
+            some |= comes
+            A.append([*(-nearby.gradient[row]), 1.0 if comes else 0.0])
+            b.append(
+                2.0 * max(float(nearby.margin[row]) - 0.01, 0.0)
+                if not comes
+                else max(float(nearby.margin[row]) - 0.1, 0.0)
+            )
+        if not some:
+            return 1.0
+        n = self.robot.n
+        solved = linprog(
+            [0.0] * n + [-1.0],
+            A_ub=A,
+            b_ub=b,
+            bounds=[*zip(np.minimum(low, 0.0), np.maximum(high, 0.0), strict=True), (0.0, 1.0)],
+        )
+        return float(solved.x[-1]) if solved.status == 0 else 0.0
+
+
+def moved(obstacle: Any, shift: np.ndarray) -> Any:
+    from dataclasses import replace
+
+    pieces = tuple(
+        replace(piece, placement=pin.SE3(piece.placement.rotation, piece.placement.translation + shift))
+        for piece in obstacle.pieces
+    )
+    return replace(obstacle, pieces=pieces)
+
+
+def run(robot: bp.Robot, steps: int, seed: int, every: int) -> dict[str, Any]:
+    opinion = SecondOpinion(robot)
+    counts: Counter[str] = Counter()
+    statuses: Counter[str] = Counter()
+    problems: list[str] = []
+    least = (np.inf, "", "", 0)
+    done, episode_number = 0, 0
+    begun = time.monotonic()
+    while done < steps:
+        rng = np.random.default_rng([seed, episode_number])
+        episode = Episode(robot, opinion, rng)
+        servo, limits = episode.servo, episode.servo.limits
+        episode_number += 1
+        before = np.zeros(robot.n)
+        for step in range(min(EPISODE, steps - done)):
+            if step % int(rng.integers(1, 400)) == 0:
+                episode.change_wish()
+            if step % 500 == 250:
+                counts["appeared"] += episode.appear()
+            if step % 20 == 0:
+                episode.drive_movers()
+            state = servo.step(**episode.wish())
+            for name in episode.movers:
+                episode.known[name] = (episode.known[name][0], servo.shift_of(name))
+            statuses[state.status.value] += 1
+            counts["unproven"] += not state.proven
+            where = f"episode {episode_number - 1}, step {step}, {episode.kind}"
+            if not (
+                np.isfinite(state.q).all() and np.isfinite(state.v).all() and np.isfinite(state.feedback_force).all()
+            ):
+                problems.append(f"not finite: {where}")
+            if (np.abs(state.v - before) > limits.acceleration * servo.dt * (1.0 + 1e-9)).any():
+                problems.append(f"acceleration: {where}")
+            if (np.abs(state.v) > limits.velocity * (1.0 + 1e-9)).any():
+                problems.append(f"velocity: {where}")
+            if (state.q > limits.upper + 1e-9).any() or (state.q < limits.lower - 1e-9).any():
+                problems.append(f"position: {where}")
+            before = state.v
+            if step % every == 0 or state.margin < CLOSE:
+                distance, link, obstacle = opinion.least(state.q, episode.known)
+                counts["checked"] += 1
+                comes = obstacle in episode.movers
+                if distance < least[0]:
+                    least = (distance, link, obstacle, episode_number - 1)
+                if distance < 0.0:
+                    problems.append(f"contact: {where}: {link} with {obstacle}, {distance:.5f} m, moving: {comes}")
+                elif distance < CLEARANCE - 1e-4:
+                    counts["clearance of what moves cut" if episode.movers else "clearance of what stands cut"] += 1
+        done += min(EPISODE, steps - done)
+        print(f"{done} steps, {time.monotonic() - begun:.0f} s, {len(problems)} problems, least {least}", flush=True)
+    return {
+        "steps": done,
+        "episodes": episode_number,
+        "checked without coal": counts["checked"],
+        "counts": dict(counts),
+        "statuses": dict(statuses),
+        "least distance": [float(least[0]), *least[1:]],
+        "problems": len(problems),
+        "first problems": problems[:20],
+    }
+
+
+def descended(robot: bp.Robot, proximity: Proximity, q: np.ndarray) -> float:
+    """How deep the machine still is where steps of a linear programme over `Proximity`'s gradients end [m].
+
+    A second opinion on whether the joints could do better: no dynamics, no braking, no
+    promise but the deepest violation falling.
+    """
+    nearby, trust = proximity.at(q, margin=0.3), 0.02
+    deepest = float(-np.min(nearby.margin))
+    for _ in range(400):
+        if deepest <= 0.0 or trust < 1e-5:
+            break
+        inside = nearby.margin < 0.0
+        solved = linprog(
+            [0.0] * robot.n + [-1.0],
+            A_ub=np.column_stack((-nearby.gradient, inside.astype(float))),
+            b_ub=nearby.margin + np.where(inside, deepest, 0.0),
+            bounds=[
+                *zip(
+                    np.maximum(-trust, robot.limits.lower - q), np.minimum(trust, robot.limits.upper - q), strict=True
+                ),
+                (0.0, None),
+            ],
+        )
+        if solved.status != 0 or solved.x[-1] < 1e-7:
+            break
+        tried = q + solved.x[:-1]
+        there = proximity.at(tried, margin=0.3)
+        now = float(-np.min(there.margin)) if len(there) else -0.3
+        if now < deepest:
+            q, nearby, deepest, trust = tried, there, now, min(1.5 * trust, 0.02)
+        else:
+            trust *= 0.5
+    return deepest
+
+
+def recoveries(robot: bp.Robot, count: int, seed: int) -> dict[str, Any]:
+    """Starts inside an obstacle, from rest, with any wish: does the violation shrink at every step?
+
+    The violation is the largest shortfall of any pair's clearance, by `Proximity`. Where
+    the machine comes to rest inside, `descended` says whether it is pinched.
+    """
+    rng = np.random.default_rng([seed, 1])
+    alone = Proximity(robot)
+    counts: Counter[str] = Counter()
+    longest, number = 0.0, 0
+    notes: list[str] = []
+    while sum(counts.values()) < count:
+        number += 1
+        q = robot.random_q(rng)
+        if np.any(alone.distances(q) < 0.02):
+            continue
+        scene = scene_of(robot, q, [random_spec(rng, f"obstacle {number % 5}")])
+        proximity = Proximity(robot, [build_obstacle(s, folder=Path(), clearance=CLEARANCE) for s in scene.obstacles])
+
+        def violation(at: np.ndarray, proximity: Proximity = proximity) -> float:
+            return float(np.max(proximity.clearance - proximity.distances(at)))
+
+        before = violation(q)
+        if not 0.02 < before < 0.3:
+            continue
+        own = np.random.default_rng([seed, number, 7])
+        servo = Servo(robot, scene)
+        wish = (
+            {"tip_velocity": own.normal(size=3)} if own.integers(2) else {"joint_velocity": own.uniform(-1, 1, robot.n)}
+        )
+        first, grew, unmoved, resting = before, 0, 0, 0
+        for _ in range(20_000):
+            state = servo.step(**wish)
+            now = violation(state.q)
+            resting = resting + 1 if np.all(np.abs(state.v) < 1e-9) else 0
+            grew += now > before + 1e-9
+            unmoved += before > 1e-6 and now >= before and resting == 0
+            before = now
+            if now <= 1e-6 or resting > 300:
+                break
+        shape = scene.obstacles[0].shape
+        if before <= 1e-6:
+            found = "out"
+            longest = max(longest, servo.time)
+        else:
+            could = descended(robot, proximity, state.q)
+            found = "at rest, pinched" if resting and could > before - 1e-3 else "not out, and could be"
+            notes.append(f"case {number}: {shape}, {first:.3f} m, now {before:.4f} m; by descent {could:.4f} m")
+        if grew or (unmoved and found == "out"):
+            found += ", grew"
+            notes.append(f"case {number}: {shape}, {first:.3f} m: grew at {grew} steps, did not shrink at {unmoved}")
+        counts[found] += 1
+        if sum(counts.values()) % 20 == 0:
+            print(dict(counts), flush=True)
+    return {"starts inside": count, **counts, "longest way out [s]": longest, "notes": notes}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=200_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--check", type=int, default=10)
+    parser.add_argument("--recoveries", type=int, default=0, help="starts inside an obstacle, instead of the steps")
+    parser.add_argument("--save", type=Path, help="write the figures as JSON")
+    arguments = parser.parse_args()
+    if arguments.recoveries:
+        print(json.dumps(recoveries(bp.load_robot("example:backhoe"), arguments.recoveries, arguments.seed), indent=2))
+        return
+    found = run(bp.load_robot("example:backhoe"), arguments.steps, arguments.seed, arguments.check)
+    print(json.dumps(found, indent=2))
+    if arguments.save:
+        arguments.save.write_text(json.dumps(found, indent=2) + "\n")
+    raise SystemExit(1 if found["problems"] else 0)
+
+
+if __name__ == "__main__":
+    main()
