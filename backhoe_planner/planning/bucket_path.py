@@ -92,6 +92,25 @@ class BucketPath:
                 best = (s0 + part * (s1 - s0), distance)
         return best
 
+    def turn(self, a: float, b: float) -> float:
+        """How far the asked orientation turns from arc length `a` to `b` [rad]; 0 where none is asked."""
+        before, after = self.target(a), self.target(b)
+        if before.rotation is not None and after.rotation is not None:
+            return float(np.linalg.norm(pin.log3(before.rotation.T @ after.rotation)))
+        if before.pitch is not None and after.pitch is not None:
+            return abs(wrap_angle(0.5 * sum(after.pitch) - 0.5 * sum(before.pitch)))
+        return 0.0
+
+    def corners(self, angle: float) -> Vector:
+        """(C,) arc lengths at which the path bends by more than `angle` [rad], [m]."""
+        found = []
+        for mark in self.stations[1:-1].tolist():
+            before, after = self(mark - 1e-6, 1), self(mark + 1e-6, 1)
+            size = float(np.linalg.norm(before) * np.linalg.norm(after))
+            if size < 1e-12 or float(before @ after) / size < np.cos(angle):
+                found.append(mark)
+        return np.array(found)
+
     def _locate(self, s: float) -> tuple[int, float]:
         s = float(np.clip(s, 0.0, self.length))
         leg = int(np.clip(np.searchsorted(self.stations, s, side="right") - 1, 0, len(self.points) - 2))

@@ -35,7 +35,7 @@ RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least dist
 _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
 _EFFORT = 200_000  # measurements per obstacle at most
 _EFFORT_REFUTED = 2_000  # where the motion is already known not to keep its clearance
-KEPT_WITHIN = RESOLUTION + 1e-6  # m: a motion at exactly its clearance counts as keeping it
+KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts as keeping it
 _LIMIT_TOLERANCE = 1e-6  # relative, for rounding
 _NEVER = 10.0  # m: clearances above this are not told apart
 
@@ -308,8 +308,9 @@ def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vec
 
 
 def segment_is_clear(
-    proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0, dt: float = 0.0, depth: int = 6
-) -> bool:
+    proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0, dt: float = 0.0, depth: int = 6,
+    spare: float = 0.0,
+) -> bool:  # fmt: skip
     """Whether every clearance provably holds on one segment.
 
     Parameters
@@ -317,24 +318,28 @@ def segment_is_clear(
     q_a, q_b: (n,) its ends; the joints move linearly between them.
     time, dt: when it begins, and how long it takes [s].
     depth: how often it may be halved.
+    spare: to be kept beyond every clearance [m]; less than 0 allows as much less.
     """
-    if proximity.is_at(q_a, time=time) and proximity.stays_clear(q_b, time=time + dt):
+    if spare <= 0.0 and proximity.is_at(q_a, time=time) and proximity.stays_clear(q_b, time=time + dt):
         return True
     travel = np.abs(q_b - q_a) @ proximity.travel.T + dt * proximity.speed
-    floor = proximity.clearance + travel
+    least = proximity.clearance + spare
+    floor = least + travel
     present = proximity.appears_at <= time + dt
     d_a, _ = proximity.lower_bounds(q_a, time=time, floor=floor)
     d_b, _ = proximity.lower_bounds(q_b, time=time + dt, floor=floor)
     bound = 0.5 * (d_a + d_b - travel)
-    undecided = present & (bound < proximity.clearance)
+    undecided = present & (bound < least)
     if not np.any(undecided):
         return True
-    if np.any(present & ((d_a < proximity.clearance) | (d_b < proximity.clearance))) or depth == 0:
+    if np.any(present & ((d_a < least) | (d_b < least))) or depth == 0:
         return False
     middle = 0.5 * (q_a + q_b)
-    return segment_is_clear(proximity, q_a, middle, time=time, dt=0.5 * dt, depth=depth - 1) and segment_is_clear(
-        proximity, middle, q_b, time=time + 0.5 * dt, dt=0.5 * dt, depth=depth - 1
-    )
+    return segment_is_clear(
+        proximity, q_a, middle, time=time, dt=0.5 * dt, depth=depth - 1, spare=spare
+    ) and segment_is_clear(
+        proximity, middle, q_b, time=time + 0.5 * dt, dt=0.5 * dt, depth=depth - 1, spare=spare
+    )  # fmt: skip
 
 
 # --- joint limits -----------------------------------------------------------------

@@ -11,7 +11,6 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +18,10 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.local_resolution import Resolution, resolve_along
+from backhoe_planner.planning.path_timing import time_stretch
 from backhoe_planner.planning.postures import Postures
 from backhoe_planner.planning.reactive import approach_goal
 from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.timing import time_along
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["Followed", "Follower"]
@@ -34,7 +33,6 @@ _COARSE = 0.25  # m to the next such point, once one was found that cannot be go
 _MOST_DETOURS = 8
 _MOST_REJOINS = 4
 _POSTURES = 4  # tried per point
-_CORNER = np.radians(5.0)  # a sharper corner of the path is stopped at
 
 
 @dataclass(frozen=True)
@@ -113,28 +111,10 @@ class Follower:
         )  # fmt: skip
 
     def _play(self, stepper: Stepper, resolution: Resolution) -> None:
-        """Time what was resolved, stopping at sharp corners of the path."""
-        marks = [0, *self._corners(resolution.stations), len(resolution.stations) - 1]
-        for first, last in pairwise(marks):
-            if last > first:
-                piece = slice(first, last + 1)
-                stepper.play(
-                    time_along(
-                        resolution.stations[piece], resolution.q[piece], stepper.problem.limits, speed=self._speed
-                    )
-                )
-
-    def _corners(self, stations: Vector) -> list[int]:
-        """Samples at which the path bends sharply."""
-        found = []
-        for mark in self._path.stations[1:-1]:
-            if not stations[0] < mark < stations[-1]:
-                continue
-            before, after = self._path(mark - 1e-6, 1), self._path(mark + 1e-6, 1)
-            size = float(np.linalg.norm(before) * np.linalg.norm(after))
-            if size < 1e-12 or float(before @ after) / size < np.cos(_CORNER):
-                found.append(int(np.argmin(np.abs(stations - mark))))
-        return found
+        for piece in time_stretch(
+            self._path, resolution.stations, resolution.q, stepper.problem.limits, speed=self._speed
+        ):
+            stepper.play(piece)
 
     def _rejoin(self, stepper: Stepper, resolution: Resolution) -> tuple[Followed, float]:
         """Get back onto the path behind what blocks it; and where that was [m]."""

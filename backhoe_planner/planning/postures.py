@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.target import TipTarget
@@ -66,6 +68,7 @@ class Postures:
         self._proximity = proximity
         self._kinematics = kinematics
         self._rng = rng
+        self._batch = BatchKinematics(problem.robot)
 
     def contact(self, q: Vector, *, time: float = 0.0) -> Contact | None:
         """The tightest pair at `q` (n,), None where nothing can be touched."""
@@ -89,28 +92,29 @@ class Postures:
         """
         robot = self._problem.robot
         near = robot.middle if near is None else near
+        guesses = np.array([near, *(robot.random_q(self._rng) for _ in range(count - 1))])
+        batch = TargetBatch.of([target] * count)
+        ends, reached = solve_batch(self._batch, batch, guesses)
+        best: InverseKinematics | None = None
         clear: list[Vector] = []
         mildest: Contact | None = None
-        best: InverseKinematics | None = None
-        guess = near
-        for attempt in range(count):
-            found = solve_inverse_kinematics(robot, target, start=guess, attempts=1, kinematics=self._kinematics)
-            guess = robot.random_q(self._rng)
-            if best is None or found.position_error + found.angle_error < best.position_error + best.angle_error:
-                best = found
-            if not found.reached:
-                if attempt >= 11 and not best.reached:
-                    break
+        for q in ends[reached]:
+            best = best or InverseKinematics(True, q, *target.distances(self._kinematics.at(q)), count)
+            if any(float(np.max(np.abs(q - other))) <= _SAME for other in clear):
                 continue
-            contact = self.contact(found.q, time=time)
+            contact = self.contact(q, time=time)
             if contact is None or contact.margin >= _SPARE:
-                if all(float(np.max(np.abs(found.q - other))) > _SAME for other in clear):
-                    clear.append(found.q)
+                clear.append(q)
             elif mildest is None or contact.margin > mildest.margin:
                 mildest = contact
-        assert best is not None  # count >= 1
-        if not best.reached:
+        if best is None:
             best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng, kinematics=self._kinematics)
+            if best.reached:
+                contact = self.contact(best.q, time=time)
+                if contact is None or contact.margin >= _SPARE:
+                    clear.append(best.q)
+                else:
+                    mildest = contact
         rate = self._problem.limits.velocity
         clear.sort(key=lambda q: float(np.max(np.abs(q - near) / rate)))
         return Found(tuple(clear), best.reached, best, None if clear else mildest)

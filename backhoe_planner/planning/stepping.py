@@ -31,6 +31,7 @@ STEP = 0.02  # s
 _BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
 _HALVINGS = 5
 _CORRECTIONS = 3
+_LONGEST_STOP = 10.0  # s after which giving way has to be over
 
 
 @dataclass(frozen=True)
@@ -150,6 +151,23 @@ class Stepper:
         self._last_dt = float(piece.time[-1] - piece.time[-2])
         self.shielded = None
 
+    def replay(self, motion: Trajectory, until: float) -> None:
+        """Make this motion the part of `motion` up to the time `until` [s], with its velocity there."""
+        count = int(np.searchsorted(motion.time, until - 1e-9))
+        self._times = [*motion.time[:count].tolist(), until]
+        self._path = [*(np.array(q) for q in motion.q[:count]), motion.at(until)]
+        self.time, self.q = until, self._path[-1]
+        self.shielded = None
+        self.v = np.zeros_like(self.q)
+        if len(self._times) > 1:
+            self._last_dt = self._times[-1] - self._times[-2]
+            self.v = (self._path[-1] - self._path[-2]) / self._last_dt
+
+    def rest(self, until: float) -> None:
+        """Stand, where the motion is at rest, until the time `until` [s]."""
+        if until > self.time:
+            self._take(self.q, until - self.time, None)
+
     def stopped(self) -> bool:
         """Whether the machine can be at rest after one more step."""
         return bool(np.all(np.abs(self.v) <= self.problem.limits.acceleration * STEP + 1e-12))
@@ -159,6 +177,22 @@ class Stepper:
         for _ in range(10_000):
             if not np.any(np.abs(self.v) > 1e-9) or not self._brake(STEP):
                 break
+
+    def give_way(self, until: float) -> bool:
+        """Come to rest, out of the way of whatever moves, until the time `until` [s].
+
+        Returns
+        -------
+        Whether that was possible without coming too near to anything, and the machine
+        is at rest at the end.
+        """
+        still = np.zeros_like(self.q)
+        no_tip = np.zeros((3, len(self.q)))
+        while self.time < until or np.any(np.abs(self.v) > 1e-9):
+            _, nearby = self.look()
+            if not self.advance(still, nearby, no_tip) or self.time > until + _LONGEST_STOP:
+                return False
+        return True
 
     def pair(self, index: int) -> Pair:
         """The pair that a `Nearby` names by its index."""

@@ -18,7 +18,7 @@ from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.trajectory import Trajectory
 
-__all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "track_goal", "track_path"]
+__all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "progress", "track_goal", "track_path"]
 
 Vector = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ def track_path(
         )  # fmt: skip
     # the approach ends where the tip comes nearest to the path's beginning
     at_begin = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
-    begins = np.flatnonzero(on & at_begin & (station <= _BEGINNING * path.length))
+    begins = np.flatnonzero(on & at_begin & (station <= _beginning(path, tolerance)))
     if not len(begins):
         begins = np.flatnonzero(on)[:1]
     first, last = int(begins[np.argmin(error[begins])]), len(on) - 1 - int(np.argmax(on[::-1]))
@@ -141,6 +141,22 @@ def track_path(
     )
 
 
+def progress(path: BucketPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:
+    """Arc length up to which a motion has followed a path [m]; None where it has not begun to.
+
+    Parameters
+    ----------
+    tolerance: within which the tip counts as on the path [m].
+    """
+    station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
+    begun = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
+    if not begun.any():
+        return None
+    on = (error <= tolerance) & (angle <= ANGLE_TOLERANCE)
+    on[: int(np.argmax(begun))] = False
+    return float(np.max(station[on], initial=0.0))
+
+
 def _follow(
     path: BucketPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics
 ) -> tuple[Vector, Vector, Vector, NDArray[np.float64]]:
@@ -150,11 +166,12 @@ def _follow(
     tips = np.zeros((count, 3))
     reached = 0.0
     joined = False
+    beginning = _beginning(path, tolerance)
     for row in range(count):
         at = kinematics.at(trajectory.q[row])
         tips[row] = at.tip_position
         from_begin = float(np.linalg.norm(at.tip_position - path.points[0]))
-        if from_begin <= tolerance and reached <= _BEGINNING * path.length:
+        if from_begin <= tolerance and reached <= beginning:
             # an approach may brush along the path before it settles on its beginning
             reached, joined = 0.0, True
         if not joined:
@@ -169,6 +186,18 @@ def _follow(
         station[row], error[row] = s, distance
         angle[row] = path.target(s).distances(at)[1] if path.asks_orientation else 0.0
     return station, error, angle, tips
+
+
+def _beginning(path: BucketPath, tolerance: float) -> float:
+    """Arc length up to which a tip at the path's first point counts as only now beginning [m].
+
+    Where the path itself comes back to its first point that is less.
+    """
+    usual = _BEGINNING * path.length
+    raster = np.arange(0.0, 2.0 * usual, max(tolerance, 1e-3, usual / 5000.0))
+    away = np.array([np.linalg.norm(path(float(s)) - path.points[0]) for s in raster]) > 2.0 * tolerance
+    back = np.flatnonzero(~away & (np.cumsum(away) > 0))
+    return min(usual, 0.5 * float(raster[back[0]])) if len(back) else usual
 
 
 def _cut_corners(path: BucketPath, station: Vector, tips: NDArray[np.float64]) -> Vector:

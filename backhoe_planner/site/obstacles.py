@@ -8,7 +8,7 @@ that of the piece.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from backhoe_planner.machine.convex import convex_cover, load_mesh, terrain_colu
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.site import scene as schema
 
-__all__ = ["Obstacle", "build_obstacle", "build_obstacles"]
+__all__ = ["Obstacle", "build_obstacle", "build_obstacles", "swept"]
 
 Vector = NDArray[np.float64]
 
@@ -118,6 +118,32 @@ def build_obstacle(spec: schema.ObstacleSpec, *, folder: Path, clearance: float)
         velocity=velocity,
         spec=spec,
     )
+
+
+def swept(obstacle: Obstacle, start: float, end: float) -> Obstacle:
+    """All the space that an obstacle takes up from time `start` to `end` [s], standing still.
+
+    What bulges is taken a little larger: the hull of a ball's circumscribed octahedra.
+    """
+    ways = [obstacle.velocity * max(moment - obstacle.appears_at, 0.0) for moment in (start, end)]
+    return replace(
+        obstacle,
+        pieces=tuple(_swept_piece(piece, *ways) for piece in obstacle.pieces),
+        appears_at=0.0,
+        velocity=np.zeros(3),
+    )
+
+
+def _swept_piece(piece: shapes.Piece, start: Vector, end: Vector) -> shapes.Piece:
+    if not len(piece.hull):  # a half-space: the further of the two holds both
+        normal = np.asarray(piece.shape.n)
+        further = end if float((end - start) @ normal) > 0.0 else start
+        return replace(piece, placement=pin.SE3(piece.placement.rotation, piece.placement.translation + further))
+    around = (
+        piece.radius * np.sqrt(3.0) * np.vstack((np.eye(3), -np.eye(3))) if piece.radius > 0.0 else np.zeros((1, 3))
+    )
+    points = (piece.hull[:, None, :] + around[None, :, :]).reshape(-1, 3)
+    return shapes.convex(np.vstack((points + start, points + end)), pin.SE3.Identity())
 
 
 def _pieces(spec: schema.ObstacleSpec, folder: Path) -> list[shapes.Piece]:

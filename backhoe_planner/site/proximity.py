@@ -103,6 +103,7 @@ class Proximity:
     clearance: (P,) of every pair [m].
     travel: (P, n) r of every pair: |dq| @ travel bounds how much the distance changes.
     speed: (P,) of the obstacle [m/s].
+    owner: (P,) index of the obstacle, -1 for the machine itself.
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle] = (), *, self_collision: bool = True) -> None:
@@ -116,6 +117,7 @@ class Proximity:
         owner: list[int] = []  # index of the obstacle, -1 for the machine itself
         other: list[int] = []  # joint of the second body
         first_of: list[int] = []  # index of the obstacle's first geometry
+        second: list[int] = []  # part of the obstacle, or the machine's other piece
         for index, obstacle in enumerate(self.obstacles):
             first_of.append(int(self._model.ngeoms))
             for part, piece in enumerate(obstacle.pieces):
@@ -130,6 +132,7 @@ class Proximity:
                     travel.append(radii[row])
                     owner.append(index)
                     other.append(0)
+                    second.append(part)
         for a, b in self_pairs(robot) if self_collision else ():
             # the one further out is the link, the other what it must not touch
             outer, inner = (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
@@ -139,11 +142,13 @@ class Proximity:
             travel.append(np.where(shared, 0.0, radii[outer]))
             owner.append(-1)
             other.append(robot.pieces[inner].joint)
+            second.append(inner)
         self.pairs = tuple(pairs)
         count = len(pairs)
         self.travel = np.array(travel).reshape(count, robot.n)
         self.clearance = np.array([pair.clearance for pair in pairs])
         self.owner = np.array(owner, dtype=int)
+        self._second = tuple(second)
         self._other_joint = np.array(other, dtype=int)
         self._first_geometry = first_of
         self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
@@ -261,6 +266,29 @@ class Proximity:
         """Signed distance of one pair [m]."""
         self._place(q, time)
         return float(self._measure(pair).min_distance)
+
+    def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
+        """(K,) signed distances [m] of `pairs` (K,), whether or not their obstacles have appeared."""
+        self._place(q, time)
+        return np.array([self._measure(index).min_distance for index in pairs.tolist()])
+
+    def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
+        """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; the first that is not ends it."""
+        if not len(pairs):
+            return True
+        self._place(q, time)
+        return all(
+            self._measure(pair).min_distance >= bound
+            for pair, bound in zip(pairs.tolist(), least.tolist(), strict=True)
+        )
+
+    def part_of(self, pair: int) -> int:
+        """Which piece of its obstacle a pair is about."""
+        return self._second[pair]
+
+    def other_piece(self, pair: int) -> int:
+        """The machine's own piece that must not be touched, of a pair with ``owner`` -1."""
+        return self._second[pair]
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""

@@ -1,0 +1,66 @@
+"""What every part of one planning run shares."""
+
+from __future__ import annotations
+
+import copy
+import time as clock
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics import Kinematics
+from backhoe_planner.planning.postures import Postures
+from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.stepping import Stepper, Watcher
+from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = ["Context"]
+
+Vector = NDArray[np.float64]
+
+
+class Context:
+    """One run of the planner: the problem, and the working memory for it.
+
+    Attributes
+    ----------
+    problem: what is to be planned.
+    seed: of every random choice.
+    deadline: on `time.monotonic`.
+    proximity: to all obstacles, over time.
+    world: to what is taken to stand still while a way is searched; see `in_world`.
+    kinematics: of the machine.
+    postures: finds configurations for the tip in `world`.
+    """
+
+    def __init__(self, problem: Problem, *, seed: int, deadline: float, watch: Watcher | None) -> None:
+        self.problem = problem
+        self.seed = seed
+        self.deadline = deadline
+        self.proximity = Proximity(problem.robot, problem.obstacles)
+        self.kinematics = Kinematics(problem.robot)
+        self._watch = watch
+        self._look_at(self.proximity)
+
+    def _look_at(self, world: Proximity) -> None:
+        self.world = world
+        self.postures = Postures(
+            self.problem, proximity=world, kinematics=self.kinematics, rng=np.random.default_rng(self.seed)
+        )
+
+    def in_world(self, obstacles: Sequence[Obstacle]) -> Context:
+        """The same run, with ways searched among `obstacles`, which stand still."""
+        other = copy.copy(self)
+        other._look_at(Proximity(self.problem.robot, obstacles))
+        return other
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the budget is used up."""
+        return clock.monotonic() > self.deadline
+
+    def stepper(self, q: Vector) -> Stepper:
+        """A motion that begins at `q` (n,), at rest."""
+        return Stepper(self.problem, q, proximity=self.proximity, kinematics=self.kinematics, watch=self._watch)

@@ -1,0 +1,57 @@
+"""Planning to a goal: the completed law first, then sampling (`method: auto`)."""
+
+from __future__ import annotations
+
+from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.law_planning import reach_with_law, stuck
+from backhoe_planner.planning.outcome import Outcome, no_posture
+from backhoe_planner.planning.postures import Found
+from backhoe_planner.planning.reactive import approach_goal
+from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.transit import find_transit
+
+__all__ = ["find_goal_postures", "plan_to_goal", "swerve_to_goal"]
+
+_SEARCH = 48  # starting points of the inverse kinematics for a goal
+_LONG_SEARCH = 400  # before a goal is said to be in collision
+
+
+def find_goal_postures(context: Context, stepper: Stepper, goal: TipTarget) -> Found | Outcome:
+    """Clear configurations on the goal, the nearest first; or why there is none."""
+    found = context.postures.at(goal, near=stepper.q, count=_SEARCH, time=stepper.time)
+    if found.reachable and not found.clear:
+        found = context.postures.at(goal, near=stepper.q, count=_LONG_SEARCH, time=stepper.time)
+    return no_posture(context, found, goal, "goal_in_collision", "goal") or found
+
+
+def plan_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome:
+    """From a motion that is at rest to the goal, and be at rest there.
+
+    The tip straight for it by the completed law, then a sampled way to any of the
+    configurations on the goal, then what else the law can do.
+    """
+    found = find_goal_postures(context, stepper, goal)
+    if isinstance(found, Outcome):
+        return found
+    straight = next(iter(approach_goal(stepper, goal, (), deadline=context.deadline)))
+    if straight.arrived:
+        return Outcome(straight.stepper.trajectory(), details={"way": straight.way})
+    transit = find_transit(context, stepper, found.clear)
+    if transit.stepper is not None:
+        return Outcome(transit.stepper.trajectory(), details={"way": "sampled"})
+    if context.out_of_time:
+        return stuck(context, [straight])
+    outcome = reach_with_law(context, stepper, goal, found.clear)
+    if outcome.reason == "blocked":
+        message = f"{outcome.message}; {transit.told}"
+        return Outcome(outcome.trajectory, outcome.reason, message, dict(outcome.details) | {"sampled": transit.told})
+    return outcome
+
+
+def swerve_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome | None:
+    """On to the goal by the completed law, from a motion that need not be at rest; None where it does not arrive."""
+    attempt = next(iter(approach_goal(stepper, goal, (), deadline=context.deadline)))
+    if not attempt.arrived:
+        return None
+    return Outcome(attempt.stepper.trajectory(), details={"way": attempt.way})

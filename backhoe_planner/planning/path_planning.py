@@ -1,0 +1,257 @@
+"""Planning along a path: resolved globally, left only where it must be (`method: auto`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
+from backhoe_planner.planning.blending import PERIOD
+from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.deadline import OutOfTime
+from backhoe_planner.planning.outcome import Outcome, no_posture, standing
+from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
+from backhoe_planner.planning.path_timing import time_stretch
+from backhoe_planner.planning.plan import Reason
+from backhoe_planner.planning.postures import Found
+from backhoe_planner.planning.refinement import smooth_stretch
+from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.transit import find_transit, find_way_near, play_way
+
+__all__ = ["out_of_reach", "plan_along_path"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_MOST_WAYPOINTS = 32  # of a path are tried before it is planned
+_GUESSES = 24  # for each of them
+_SEARCH = 48
+_ROOM = 5e-4  # m of margin below which the samples lie closer
+_FINE_PERIOD = 0.004  # s between them then
+_ON_PATH = 1e-4  # m and rad
+
+
+def out_of_reach(context: Context, path: BucketPath) -> Outcome | None:
+    """Says which waypoint the tip cannot be put on, None where there is none."""
+    robot = context.problem.robot
+    count = len(path.stations)
+    indices = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
+    targets = [path.target(float(path.stations[index])) for index in indices]
+    rng = np.random.default_rng(context.seed)
+    guesses = np.array([robot.middle, *(robot.random_q(rng) for _ in range(_GUESSES - 1))])
+    rows = np.repeat(np.arange(len(targets)), len(guesses))
+    _, reached = solve_batch(
+        BatchKinematics(robot), TargetBatch.of(targets).take(rows), np.tile(guesses, (len(targets), 1))
+    )
+    for row in np.flatnonzero(~reached.reshape(len(targets), -1).any(axis=1)).tolist():
+        found = solve_inverse_kinematics(robot, targets[row], kinematics=context.kinematics)
+        if not found.reached:
+            index = int(indices[row])
+            what = "beginning of the path" if index == 0 else f"waypoint {index + 1} of the path"
+            return no_posture(context, Found((), False, found, None), targets[row], "unreachable", what)
+    return None
+
+
+def plan_along_path(
+    context: Context, path: BucketPath, *, stepper: Stepper | None, since: float | None = None
+) -> Outcome:
+    """To the path and along it to its end.
+
+    Parameters
+    ----------
+    stepper: a motion that is at rest; None where the machine may begin anywhere on the
+        beginning of the path.
+    since: arc length up to which the motion has followed the path already [m]; None
+        where it has not begun to.
+    """
+    low = 0.0 if since is None else since
+    time = 0.0 if stepper is None else stepper.time
+    on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
+    try:
+        resolver = PathResolver(
+            context.problem,
+            path,
+            proximity=context.world,
+            since=low,
+            begin=stepper.q if stepper is not None and on_path else None,
+            time=time,
+            deadline=context.deadline,
+            find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
+        )
+    except OutOfTime:
+        motion = standing(context.problem.robot.middle) if stepper is None else stepper.trajectory()
+        return Outcome(motion, "budget", "time ran out while the configurations along the path were computed")
+    if since is None and not len(resolver.first_layer) and not on_path:
+        near = None if stepper is None else stepper.q
+        found = context.postures.at(path.target(0.0), near=near, count=_SEARCH, time=time)
+        failure = no_posture(context, found, path.target(0.0), "goal_in_collision", "beginning of the path")
+        if failure is not None:
+            return failure
+    along = _Along(context, path, resolver, stepper)
+    if stepper is None or (since is None and not on_path):
+        return along.plan(None)
+    return along.plan(stepper.q, off_path=not on_path)
+
+
+class _Along:
+    """One path, and the ways to resolve it."""
+
+    def __init__(self, context: Context, path: BucketPath, resolver: PathResolver, stepper: Stepper | None) -> None:
+        self._context = context
+        self._path = path
+        self._resolver = resolver
+        self._stepper = stepper
+        task = context.problem.scene.task.path
+        assert task is not None
+        self._speed, self._may_leave = task.speed, task.detour
+
+    def plan(self, begin: Vector | None, *, off_path: bool = False) -> Outcome:
+        """The motion, from the joints `begin` (n,) where the tip begins to follow, or from wherever it is.
+
+        Parameters
+        ----------
+        off_path: with the joints at `begin` the tip is not on the path.
+        """
+        resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
+        if not resolved.complete and not resolved.out_of_time:
+            # also where detours are not allowed: then to say what one would take
+            around = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
+            resolved = around if around.complete or self._may_leave else resolved
+        pieces = self._smoothed(resolved, begin)
+        if not pieces:
+            return self._blocked(resolved, standing(self._anywhere() if self._stepper is None else self._stepper.q))
+        first = pieces[0]
+        assert isinstance(first, Stretch)
+        stepper = self._stepper
+        if stepper is None:
+            stepper = self._context.stepper(first.q[0])
+        elif begin is not None:
+            stepper = stepper.branch(attempt=stepper.attempt)
+        else:
+            transit = find_transit(self._context, stepper, [first.q[0]])
+            if transit.stepper is None:
+                return self._from_elsewhere(stepper, resolved, transit.told)
+            stepper = transit.stepper
+        self._play(stepper, pieces)
+        if not resolved.complete:
+            return self._blocked(resolved, stepper.trajectory())
+        detours = [piece for piece in pieces if isinstance(piece, Detouring)]
+        if detours and not self._may_leave:
+            return self._not_allowed(detours, stepper)
+        return Outcome(stepper.trajectory(), details=_details(detours))
+
+    def _price(self, nodes: Matrix) -> Vector:
+        """(N,) what it costs to begin at each: how far the joints have to go to be there."""
+        if self._stepper is None:
+            return np.zeros(len(nodes))
+        return np.asarray(np.linalg.norm(nodes - self._stepper.q, axis=1))
+
+    def _anywhere(self) -> Vector:
+        nodes = self._resolver.first_layer
+        return nodes[0] if len(nodes) else self._context.problem.robot.middle
+
+    def _from_elsewhere(self, stepper: Stepper, resolved: Resolved, told: str) -> Outcome:
+        """The same from any configuration at the beginning that the machine can get to."""
+        transit = find_transit(self._context, stepper, list(self._resolver.first_layer))
+        if transit.stepper is None:
+            reason: Reason = "budget" if self._context.out_of_time else "blocked"
+            message = f"no way was found to the beginning of the path: {told}"
+            return Outcome(stepper.trajectory(), reason, message, {"path_from": 0.0, "path_to": 0.0})
+        arrived = _Along(self._context, self._path, self._resolver, transit.stepper)
+        return arrived.plan(transit.stepper.q)
+
+    def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
+        """The pieces, with the grid's steps taken out of those that follow the path."""
+        found: list[Stretch | Detouring] = []
+        last = len(resolved.pieces) - 1
+        for index, piece in enumerate(resolved.pieces):
+            if isinstance(piece, Stretch) and len(piece.q) > 2:
+                q = smooth_stretch(
+                    self._context.problem,
+                    self._path,
+                    piece.stations,
+                    piece.q,
+                    proximity=self._context.world,
+                    time=0.0 if self._stepper is None else self._stepper.time,
+                    free_start=index == 0 and begin is None and self._stepper is None,
+                    free_end=index == last,
+                    deadline=self._context.deadline,
+                )
+                piece = Stretch(piece.stations, q)
+            found.append(piece)
+        return found
+
+    def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Detouring]) -> None:
+        limits = self._context.problem.limits
+        for piece in pieces:
+            if isinstance(piece, Detouring):
+                play_way(self._context, stepper, piece.way)
+            elif len(piece.q) > 1:
+                period = _FINE_PERIOD if self._is_tight(piece.q, stepper.time) else PERIOD
+                for motion in time_stretch(
+                    self._path, piece.stations, piece.q, limits, speed=self._speed, period=period
+                ):
+                    stepper.play(motion)
+
+    def _is_tight(self, q: Matrix, time: float) -> bool:
+        """Whether there is no room for what the chords between the usual samples deviate by."""
+        world = self._context.world
+        floor = world.clearance + _ROOM
+        return any(bool(np.any(world.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)
+
+    # --- what went wrong ---------------------------------------------------------
+
+    def _blocked(self, resolved: Resolved, trajectory: Any) -> Outcome:
+        if resolved.blame is None:
+            return Outcome(trajectory, "budget", "time ran out while the path was resolved")
+        details: dict[str, Any] = {
+            "path_from": resolved.blocked_from,
+            "path_to": resolved.blocked_to,
+            "link": resolved.blame.link,
+            "obstacle": resolved.blame.obstacle,
+        }
+        message = (
+            f"the path is blocked from {resolved.blocked_from:.2f} m to {resolved.blocked_to:.2f} m "
+            f"of {self._path.length:.2f} m by {resolved.blame}"
+        )
+        if not self._may_leave:
+            message += ", and detours are not allowed"
+        else:
+            message += ", and no way round was found"
+        return Outcome(trajectory, "blocked", message, details)
+
+    def _not_allowed(self, detours: Sequence[Detouring], stepper: Stepper) -> Outcome:
+        first = detours[0]
+        message = (
+            f"the path is blocked from {first.path_from:.2f} m to {first.path_to:.2f} m "
+            f"of {self._path.length:.2f} m by {first.blame}, and detours are not allowed"
+        )
+        details = _details(detours) | {
+            "path_from": first.path_from,
+            "path_to": first.path_to,
+            "link": first.blame.link,
+            "obstacle": first.blame.obstacle,
+        }
+        return Outcome(stepper.trajectory(), "blocked", message, details)
+
+
+def _details(detours: Sequence[Detouring]) -> dict[str, Any]:
+    if not detours:
+        return {}
+    return {
+        "detours": [
+            {
+                "path_from": detour.path_from,
+                "path_to": detour.path_to,
+                "link": detour.blame.link,
+                "obstacle": detour.blame.obstacle,
+            }
+            for detour in detours
+        ]
+    }

@@ -1,0 +1,121 @@
+"""From where the machine stands to one of several configurations, by a sampled way."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.planning.blending import blend
+from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.motion_check import MotionCheck
+from backhoe_planner.planning.sampling import Way, sample_way
+from backhoe_planner.planning.shortening import shorten
+from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.timing import time_way
+
+__all__ = ["Transit", "find_transit", "find_way_near", "play_way"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
+_TUBES = (0.25, 0.6, 1.5)  # m, and half of what is left out, that a detour may go off the path
+_TUBE_MOTIONS = 1500  # that are looked at within each
+_DETOUR_MOTIONS = 6000  # and then without
+_SHARE = 0.6  # of the remaining budget that one search may take
+
+
+@dataclass(frozen=True)
+class Transit:
+    """What came of a search.
+
+    Attributes
+    ----------
+    stepper: the motion, at rest on one of the goals; None where no way was found.
+    told: what was tried, in words, where no way was found.
+    """
+
+    stepper: Stepper | None
+    told: str
+
+
+def find_transit(context: Context, stepper: Stepper, goals: Sequence[Vector]) -> Transit:
+    """Bring a motion that is at rest to one of `goals`, (n,) each."""
+    if not len(goals):
+        return Transit(None, "there is nowhere to go")
+    begun = clock.monotonic()
+    for spare in _SPARES:
+        deadline = _deadline(context)
+        check = MotionCheck(
+            context.problem, context.world, [stepper.q, *goals], spare=spare, time=stepper.time, deadline=deadline
+        )
+        way = sample_way(check, stepper.q, goals, seed=context.seed, deadline=deadline)
+        if way is not None:
+            branch = stepper.branch(attempt=stepper.attempt + 1)
+            smooth = blend(check, shorten(check, way, seed=context.seed))
+            branch.play(time_way(smooth, context.problem.limits))
+            return Transit(branch, "")
+    return Transit(None, f"sampling for {clock.monotonic() - begun:.1f} s found no way")
+
+
+def find_way_near(
+    context: Context, path: BucketPath, start: Vector, end: Vector, low: float, high: float, *, time: float
+) -> Matrix | None:
+    """(K, n) a way that stays near the part of a path from arc length `low` to `high` [m].
+
+    Parameters
+    ----------
+    start, end: (n,) joints with the tip on the path at `low` and `high`.
+    time: at which the obstacles are taken to be where they are [s].
+    """
+    for tube in (*_TUBES, np.inf):
+        deadline = _deadline(context)
+        check = MotionCheck(
+            context.problem,
+            context.world,
+            [start, end],
+            spare=_SPARES[1],
+            time=time,
+            deadline=deadline,
+            keep=_near(context, path, low, high, tube + 0.5 * (high - low)) if np.isfinite(tube) else None,
+        )
+        most = _TUBE_MOTIONS if np.isfinite(tube) else _DETOUR_MOTIONS
+        way = sample_way(check, start, [end], seed=context.seed, deadline=deadline, most_motions=most)
+        if way is not None:
+            return np.asarray(shorten(check, way, seed=context.seed).q)
+    return None
+
+
+def play_way(context: Context, stepper: Stepper, way: Matrix) -> None:
+    """Append a way (K, n) that begins where the motion stands, with its corners rounded."""
+    check = MotionCheck(
+        context.problem, context.world, [way[0], way[-1]], spare=_SPARES[1], time=stepper.time,
+    )  # fmt: skip
+    stepper.play(time_way(blend(check, Way(way)), context.problem.limits))
+
+
+def _deadline(context: Context) -> float:
+    """Until when one search may go on."""
+    now = clock.monotonic()
+    return now + _SHARE * max(context.deadline - now, 0.0)
+
+
+def _near(context: Context, path: BucketPath, low: float, high: float, reach: float) -> Callable[[Vector], bool]:
+    """Whether the tip is within `reach` [m] of the path between two arc lengths."""
+    marks = path.stations[(path.stations > low) & (path.stations < high)]
+    corners = np.array([path(float(s)) for s in (low, *marks, high)])
+    steps = np.diff(corners, axis=0)
+    squares = np.maximum(np.einsum("ki,ki->k", steps, steps), 1e-18)
+
+    def keep(q: Vector) -> bool:
+        off = context.kinematics.at(q).tip_position - corners[:-1]
+        part = np.clip(np.einsum("ki,ki->k", off, steps) / squares, 0.0, 1.0)
+        off -= part[:, None] * steps
+        return bool(np.min(np.einsum("ki,ki->k", off, off)) <= reach * reach)
+
+    return keep

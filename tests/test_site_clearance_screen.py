@@ -1,0 +1,58 @@
+"""The screen says what measuring every pair says, and its bounds are below the distances."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.site.clearance_screen import ClearanceScreen
+from backhoe_planner.site.obstacles import build_obstacles, swept
+
+TASK = {"path": {"waypoints": [{"position": [1.0, 0.0, 0.0]}, {"position": [1.0, 0.1, 0.0]}]}}
+OBSTACLES: list[dict[str, Any]] = [
+    {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [0.6, 0.4, 0.5]},
+    {"name": "box", "shape": "box", "size": [0.5, 0.2, 1.0], "position": [-0.4, 0.9, 0.4], "rpy": [0.3, 0.2, 0.5]},
+    {"name": "pipe", "shape": "capsule", "radius": 0.1, "from": [-3, -1, 0.2], "to": [3, -1.2, 0.1], "clearance": 0.2},
+    {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 2.0, "position": [1.5, -0.6, 0.5]},
+    {"name": "ground", "shape": "halfspace", "point": [0, 0, -0.3], "normal": [0, 0, 1], "clearance": 0.0},
+    {
+        "name": "walker", "shape": "capsule", "radius": 0.2, "from": [2, 2, 0], "to": [2, 2, 1.5],
+        "velocity": [0, -0.5, 0], "appears_at": 1.0,
+    },
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("time", [0.0, 3.0])
+def test_agrees_with_measuring_everything(any_robot: bp.Robot, time: float) -> None:
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.05, "obstacles": OBSTACLES})
+    proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
+    rng = np.random.default_rng(1)
+    q = np.array([any_robot.random_q(rng) for _ in range(150)])
+    distances = np.array([proximity.distances(joints, time=time) for joints in q])
+    screen = ClearanceScreen(proximity)
+    expected = np.all(distances >= proximity.clearance + 0.01, axis=1)
+    np.testing.assert_array_equal(screen.keeps(q, time=time, spare=0.01), expected)
+    bounds = screen.lower_bounds(q, time=time)
+    outside = distances > 0.0  # inside each other a distance is a depth, which no ball bounds
+    assert np.all(bounds[outside] <= distances[outside] + 1e-9)
+    assert np.all(bounds[~outside] <= 1e-9)
+    assert np.mean(bounds > 0.0) > 0.3  # it decides often
+
+
+@pytest.mark.parametrize("name", ["ball", "box", "pipe", "post", "ground", "walker"])
+def test_the_space_that_is_swept_holds_the_obstacle_at_every_moment(backhoe: bp.Robot, name: str) -> None:
+    moving = next(one for one in OBSTACLES if one["name"] == name) | {"velocity": [0.3, -0.5, 0.4], "appears_at": 1.0}
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "obstacles": [moving]})
+    [obstacle] = build_obstacles(scene, backhoe)
+    over_time = bp.Proximity(backhoe, [obstacle], self_collision=False)
+    still = bp.Proximity(backhoe, [swept(obstacle, 2.0, 5.0)], self_collision=False)
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        q = backhoe.random_q(rng)
+        nearest = np.min([over_time.distances(q, time=moment) for moment in (2.0, 2.7, 3.5, 4.4, 5.0)], axis=0)
+        apart = still.distances(q)
+        # as near at every moment, or nearer by what the round parts are taken larger
+        assert np.all((apart <= nearest + 1e-6) | (nearest < 0.0))
