@@ -25,6 +25,7 @@ import backhoe_planner as bp
 from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.plan_file import check_writable, plan_to_dict
 from backhoe_planner.planning.planner import DEFAULT_BUDGET
+from backhoe_planner.site.zones import worst_first
 
 __all__ = ["app", "main"]
 
@@ -164,6 +165,7 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
         use = getattr(certificate, kind)
         _out.print(f"{kind:<13}{100.0 * use.ratio:5.1f} % of its limit at most ({use.joint}, {use.time:.2f} s)")
     _out.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
+    _tell_zones(loaded)
     _out.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if certificate.verified else FAILED
 
@@ -323,11 +325,20 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
             f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off"
         )
+    _tell_zones(found)
     metrics = found.metrics
     _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
     _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ (gravity, inertia and payload)")
     _out.print(f"planned in    {metrics['planning_time']:.2f} s")
     _out.print(f"plan          {output}")
+
+
+def _tell_zones(found: Plan) -> None:
+    """One line about the zones that were come too near to, if any."""
+    visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
+    if visits:
+        more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
+        _out.print(f"{'zones':<13} {visits[0]}{more}")
 
 
 def _asks_angle(found: Plan) -> bool:

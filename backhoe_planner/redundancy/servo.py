@@ -18,13 +18,15 @@ row, which asks for a velocity away from it while the machine can still reach it
 
 What is closer than allowed already (it began so, or an obstacle was put there) may only
 get better: the distance that was proven is what the next step must keep.
+
+Within the slow distance of one of the scene's zones the wish is scaled down, direction kept.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import daqp
@@ -46,9 +48,10 @@ from backhoe_planner.redundancy.feedback import Feedback
 from backhoe_planner.redundancy.separation import MACHINE, Separation
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
 from backhoe_planner.site import scene as schema
-from backhoe_planner.site.limits import scaled_limits
+from backhoe_planner.site.limits import scaled_limits, within_sectors
 from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles
 from backhoe_planner.site.proximity import Nearby
+from backhoe_planner.site.zones import pace
 
 __all__ = ["Servo"]
 
@@ -136,7 +139,7 @@ class Servo:
     ) -> None:
         if not (dt > 0.0 and math.isfinite(dt)):
             raise InputError("is the length of a step", key="dt", found=dt, allowed="a positive number of seconds")
-        robot = robot.with_tip(scene.tip)
+        robot = within_sectors(robot.with_tip(scene.tip), scene)
         self.robot, self.scene, self.dt = robot, scene, float(dt)
         self.limits = scaled_limits(robot, scene)
         self.watchdog, self.circulate = watchdog, circulate
@@ -171,6 +174,14 @@ class Servo:
         self._distance, self._distance_at = np.full(count, -_FAR), np.zeros(count)
         self._required = self._separation.clearance.copy()
         self._renewed_at = np.zeros(count, dtype=np.int64)
+        # how far beyond its clearance a pair is looked at; and slows the machine down
+        self._reach, self._slow = np.full(count, self._law.influence), np.zeros(count)
+        self._sectors = [
+            (zone.start + zone.stop, zone.end - zone.stop, zone.slow_distance - zone.stop)
+            for zone in scene.zones
+            if isinstance(zone, schema.SwingSector) and zone.slow_distance > zone.stop
+        ]
+        self._pace = 1.0
         classes = len(self._separation.travel)
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
         self._placed: dict[str, _Placed] = {}
@@ -349,6 +360,8 @@ class Servo:
         self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
         self._required = np.append(self._required, self._separation.clearance[pairs])
         self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
+        self._slow = np.append(self._slow, np.full(count, obstacle.slow))
+        self._reach = np.append(self._reach, np.full(count, max(obstacle.slow, self._law.influence)))
         self._find_moving()
         self._take_in(pairs)
 
@@ -435,6 +448,8 @@ class Servo:
         self._place_start()
         near, gaps = self._near()
         wish, tip_wish, singular = self._wished(near, gaps)
+        self._pace = self._slowed(near)
+        wish = self._pace * wish
         low, high, at_limit = self._velocity_bounds(wish)
         chosen = self._choose(wish, low, high, near, gaps)
         self._renew(near)
@@ -510,13 +525,26 @@ class Servo:
         """Pairs within the influence distance, and the gaps of their corners (K, V) at q."""
         separation = self._separation
         lower = self._distance + self._distance_at - self._start_odometer[separation.classes]
-        near = (lower < separation.clearance + self._law.influence).nonzero()[0]
+        near = (lower < separation.clearance + self._reach).nonzero()[0]
         if len(near) == 0:
             return near, np.zeros((0, 1))
         gaps = separation.gaps(near, self._at, 1)[0]
         self._distance[near] = np.maximum(gaps.min(axis=1), lower[near])
         self._distance_at[near] = self._start_odometer[separation.classes[near]]
         return near, gaps
+
+    def _slowed(self, near: Indices) -> float:
+        """Part of the wished speed that the zones leave."""
+        part = 1.0
+        slow = self._slow[near]
+        if slow.any():
+            rows = slow.nonzero()[0]
+            margin = self._distance[near[rows]] - self._separation.clearance[near[rows]]
+            part = min(pace(left, room) for left, room in zip(margin.tolist(), slow[rows].tolist(), strict=True))
+        swing = float(self._q[0])
+        for low, high, room in self._sectors:
+            part = min(part, pace(min(swing - low, high - swing), room))
+        return part
 
     def _nearby(self, near: Indices, gaps: Matrix) -> Nearby:
         """The same as the law wants it: one row each, of the nearest corner."""
@@ -930,6 +958,7 @@ class Servo:
             refused=refused,
             feedback_force=force,
             proven=chosen.proven,
+            pace=self._pace,
         )
 
 
@@ -956,7 +985,7 @@ class _Proof:
 
 
 _PER_PAIR = (
-    "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at",
+    "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at", "_reach", "_slow",
 )  # fmt: skip
 _SPEC: TypeAdapter[Any] = TypeAdapter(schema.ObstacleSpec)
 _ZERO = np.zeros(3)
@@ -1007,9 +1036,7 @@ def _three(values: object, key: str) -> Vector:
 
 def _appearing(obstacle: Obstacle, at: float) -> Obstacle:
     """The same obstacle, with the servo's time at which it appears."""
-    return Obstacle(
-        obstacle.name, obstacle.pieces, obstacle.clearance, obstacle.links, at, obstacle.velocity, obstacle.spec
-    )
+    return replace(obstacle, appears_at=at)
 
 
 def _start(robot: Robot, scene: schema.Scene) -> Vector:

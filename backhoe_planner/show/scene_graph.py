@@ -85,7 +85,7 @@ class SceneGraph:
         centre = np.array([*(0.5 * (self._machine_points.min(axis=0) + self._machine_points.max(axis=0)))[:2], 0.0])
         # what is drawn of a plane or the ground
         self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
-        self.has_ground = not any(is_ground(obstacle.spec) for obstacle in problem.obstacles)
+        self.has_ground = not any(is_ground(obstacle) for obstacle in problem.obstacles)
         self.site = tuple(
             site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius) for obstacle in problem.obstacles
         )
@@ -152,7 +152,7 @@ class SceneGraph:
     def _draw_site(self, centre: Vector) -> None:
         for order, (obstacle, drawn) in enumerate(zip(self._problem.obstacles, self.site, strict=True)):
             node = self._tree["site"][self._obstacles[drawn.name]]
-            if drawn.bounds is None and is_ground(obstacle.spec) and drawn.facets.normals[0, 2] > 0.999:
+            if drawn.bounds is None and is_ground(obstacle) and drawn.facets.normals[0, 2] > 0.999:
                 draw_ground(
                     node, centre=centre[:2], radius=1.9 * self._radius, height=float(drawn.facets.vertices[0, 2]),
                     opacity=drawn.rgba[3], colour=drawn.rgba[:3],
@@ -224,7 +224,7 @@ class SceneGraph:
                 if abs(normal[1]) > 0.5:  # never from behind a wall
                     side -= 1e3 * float(normal[1])
                 continue
-            if is_ground(obstacle.spec):
+            if is_ground(obstacle):
                 continue
             # of something endless only what is near
             low = np.clip(drawn.bounds[0], middle - self._radius, middle + self._radius)
