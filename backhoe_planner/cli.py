@@ -12,6 +12,7 @@ import json
 import math
 import sys
 import time as clock
+import webbrowser
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -221,6 +222,37 @@ def export(
     export_plan(bp.load_plan(plan_file, urdf=urdf), file)
     _out.print(f"wrote {file}")
     return VERIFIED
+
+
+@app.command()
+def teleop(
+    urdf: Urdf,
+    scene: SceneFile,
+    host: Annotated[
+        str, typer.Option(metavar="H", help="Address to listen on; by default only this computer can connect.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(metavar="N", min=0, max=65535, help="By default the first free one from 7000 on.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to which a recording is written.")
+    ] = Path("teleop.json"),
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+) -> int:
+    """Drive the machine live from a page in the browser; the scene's task is not used."""
+    check_writable(output)
+    loaded = bp.load_scene(scene)
+    robot = bp.load_robot(urdf, tip=loaded.tip)
+    from backhoe_planner.show.teleop.station import TeleopStation
+
+    with TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
+        _warn(station.warnings)
+        _err.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
+        if not no_browser:
+            webbrowser.open(station.url)
+        while station.running:
+            clock.sleep(0.1)
+    return FAILED
 
 
 @app.command()

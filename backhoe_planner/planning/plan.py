@@ -17,8 +17,8 @@ from backhoe_planner.site.scene import Scene
 
 __all__ = ["METHODS", "Method", "Plan", "Reason"]
 
-Method = Literal["auto", "reactive", "paper"]
-METHODS: tuple[Method, ...] = ("auto", "reactive", "paper")
+Method = Literal["auto", "reactive", "paper", "teleop"]
+METHODS: tuple[Method, ...] = ("auto", "reactive", "paper")  # that plan; "teleop" was driven by hand
 
 Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]
 

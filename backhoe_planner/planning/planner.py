@@ -35,7 +35,7 @@ from backhoe_planner.planning.tracking import progress
 from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.site.scene import Scene
 
-__all__ = ["DEFAULT_BUDGET", "plan"]
+__all__ = ["DEFAULT_BUDGET", "judged", "motion_metrics", "plan"]
 
 Vector = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def plan(
     certificate = certify_problem(problem, outcome.trajectory)
     reason, message = outcome.reason, outcome.message
     if not reason and not certificate.verified:
-        reason, message = _judged(problem, certificate)
+        reason, message = judged(problem, certificate)
     return Plan(
         verdict="failed" if reason else "verified",
         reason=reason,
@@ -100,7 +100,7 @@ def plan(
         seed=seed,
         trajectory=outcome.trajectory,
         certificate=certificate,
-        metrics=_metrics(problem, outcome.trajectory, certificate, clock.monotonic() - begun),
+        metrics=motion_metrics(problem, outcome.trajectory, certificate, clock.monotonic() - begun),
         details=outcome.details,
     )
 
@@ -119,7 +119,7 @@ def _checked_method(method: str) -> Method:
     )
 
 
-def _judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
+def judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
     """Why a finished motion is not verified, from the certificate alone."""
     limits = (certificate.position, certificate.velocity, certificate.acceleration)
     reason: Reason = "blocked" if all(use.kept for use in limits) else "outside_limits"
@@ -203,9 +203,10 @@ class _Planning:
         return follow_with_law(self._context, stepper, path)
 
 
-def _metrics(
+def motion_metrics(
     problem: Problem, trajectory: Trajectory, certificate: Certificate, planning_time: float
 ) -> dict[str, Any]:
+    """Duration, lengths, energies and detours of a motion, as the plan file has them."""
     kinematics = Kinematics(problem.robot)
     tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
     energy = motion_costs(

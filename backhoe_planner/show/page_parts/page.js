@@ -112,7 +112,7 @@ function show(recording) {
     }
     get("warnings").hidden = content.warnings.length === 0;
     get("warnings").textContent = content.warnings.join("\n");
-    fit();
+    if (!movedByHand) fit();
   }
 
   function applySwitch(node) {
@@ -279,13 +279,14 @@ function show(recording) {
   });
 
   function hear(content) {
-    get("notice").hidden = true;
+    if (content.type === "problem" || content.type === "step") get("notice").hidden = true;
     if (content.type === "problem") showProblem(content);
     else if (content.type === "plan") showPlan(content);
     else if (content.type === "step" && problem !== null) {
       time = content.time;
       showNumbers(content.q, content.margins, content.links);
     }
+    dispatchEvent(new CustomEvent("told", { detail: content }));
   }
 
   function draw(bytes) { viewer.handle_command_bytearray(bytes); }
@@ -293,6 +294,7 @@ function show(recording) {
   function connect() {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
     socket.binaryType = "arraybuffer";
+    window.backhoe.send = (content) => { if (socket.readyState === 1) socket.send(JSON.stringify(content)); };
     let reported = false;
     socket.onmessage = (message) => {
       if (typeof message.data !== "string") { draw(new Uint8Array(message.data)); return; }
@@ -307,7 +309,8 @@ function show(recording) {
     };
   }
 
-  window.backhoe = { viewer, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; } };
+  window.backhoe = { viewer, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },
+    get problem() { return problem; } };
   if (recording === null) {
     get("notice").hidden = false;
     get("notice").textContent = "Waiting for the planner…";
