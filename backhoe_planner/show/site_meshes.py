@@ -150,7 +150,7 @@ def _plane(obstacle: Obstacle, spec: schema.HalfSpace, centre: Vector, reach: fl
         rgba: Rgba = (*SOIL, 0.95 if obstacle.links is None else 0.6)
         fade = 0.6
     elif obstacle.zone is not None:
-        rgba, fade = (*_ZONE, 0.2), 0.5
+        rgba, fade = (*_ZONE, 0.14), 0.5
     else:
         overhead = normal[2] < -0.5
         rgba, fade = ((*_DANGER, 0.3), 0.35) if overhead else ((*_SLATE, 0.35), 0.8)

@@ -272,9 +272,9 @@
 
   function showRecorded(content) {
     get("recorded").textContent = content.writing ? "Writing the recording…" : content.error ? content.error
-      : `${content.file}: ${content.seconds.toFixed(1)} s, ${content.verdict}`
+      : `${content.file.split("/").pop()}: ${content.seconds.toFixed(1)} s, ${content.verdict}`
         + (content.zones ? `, ${content.zones} zone visits` : "");
-    get("recorded").title = get("recorded").textContent;
+    get("recorded").title = content.file || "";
   }
 
   addEventListener("told", ({ detail: content }) => {
@@ -283,7 +283,7 @@
     else if (content.type === "recorded") showRecorded(content);
     else if (content.type === "answer") {
       backhoe.teleop.answers = (backhoe.teleop.answers + 1) % 1e9;
-      if (!content.ok) toast(content.error[0].toUpperCase() + content.error.slice(1));
+      if (!content.ok) toast(content.error);
     }
   });
 
