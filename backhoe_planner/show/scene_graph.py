@@ -258,6 +258,10 @@ class SceneGraph:
         swept = self._machine_corners(self._meshes, list(timeline.q[rows]))
         return self.look(np.vstack((swept, timeline.tip)))
 
+    def look_at_postures(self, postures: Sequence[Vector]) -> View:
+        """Point the camera so that the machine is in view in all `postures` (n,)."""
+        return self.look(self._machine_corners(self._meshes, list(postures)))
+
     def _machine_corners(self, meshes: tuple[LinkMesh, ...], postures: list[Vector]) -> Matrix:
         """Corners of the boxes around every drawn part, in all `postures`, world."""
         model = self._problem.robot.model

@@ -7,7 +7,7 @@ function show(recording) {
   const viewer = new MeshCat.Viewer(pane);
   const THREE = MeshCat.THREE;
   let problem = null, plan = null, view = null;
-  let time = 0, playing = false, holding = 0, last = null, movedByHand = false;
+  let time = 0, playing = false, holding = 0, last = null, movedByHand = false, live = false;
   const shown = { clearance: false, "critical points": true, "task/trace": true, ground: true, names: true, shadows: true };
 
   // meshcat fills the window; here it has a part of it
@@ -211,7 +211,7 @@ function show(recording) {
   function tick(now) {
     const step = last === null ? 0 : Math.min((now - last) / 1000, 0.5);
     last = now;
-    if (playing) spareShadows(step);
+    if (playing || live) spareShadows(step);
     if (plan !== null && (viewer.animator.playing || Math.abs(viewer.animator.time - time) > 1e-6)) {
       pause();  // meshcat's own panel has moved it
       seek(viewer.animator.time);
@@ -284,6 +284,7 @@ function show(recording) {
     else if (content.type === "plan") showPlan(content);
     else if (content.type === "step" && problem !== null) {
       time = content.time;
+      live = true;
       showNumbers(content.q, content.margins, content.links);
     }
     dispatchEvent(new CustomEvent("told", { detail: content }));

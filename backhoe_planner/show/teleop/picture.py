@@ -28,6 +28,7 @@ _FORCE = (0.72, 0.11, 0.48, 1.0)
 _LONGEST_ARROW = 1.2  # m, for the largest force
 _LEAST_SHOWN = 0.3  # N
 _HIDDEN = 1e-5
+_POSTURES = 16  # that are to be in view
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -52,6 +53,9 @@ class Picture:
         first = session.snapshot()
         self._graph = SceneGraph(self._tree, self._problem, q=first.state.q)
         self.warnings = self._graph.warnings
+        rng = np.random.default_rng(0)
+        around = [first.state.q + 0.5 * (session.robot.random_q(rng) - first.state.q) for _ in range(_POSTURES)]
+        self._view = self._graph.look_at_postures([first.state.q, *around])
         self._anchors = {drawn.name: np.array(drawn.anchor) for drawn in self._graph.site}
         self._drawn = tuple(obstacle.name for obstacle in self._problem.obstacles)
         self._draw_arrow()
@@ -89,7 +93,7 @@ class Picture:
 
     def _tell_problem(self, snapshot: Snapshot) -> None:
         problem = replace(self._problem, obstacles=snapshot.obstacles)
-        content = problem_content(problem, self._graph, self._graph.view(), tuple(snapshot.nearest))
+        content = problem_content(problem, self._graph, self._view, tuple(snapshot.nearest))
         content["subtitle"] = f"{problem.robot.name}, driven live"
         for listed in content["obstacles"]:
             anchor = self._anchors.get(listed["name"])
