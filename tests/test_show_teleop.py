@@ -139,7 +139,7 @@ def test_iso_and_sae_move_the_joints_they_name() -> None:
         message = Sticks.model_validate(
             {"type": "sticks", "pattern": pattern, "left": left, "right": right, "speed": speed}
         )
-        return joint_rates(message, rates).tolist()
+        return [float(rate) for rate in joint_rates(message, rates)]
 
     for pattern in ("iso", "sae"):
         assert asked(pattern, (1, 0), (0, 0)) == [-0.8, 0, 0, 0]  # to the right: clockwise from above
@@ -185,7 +185,13 @@ def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
     assert state.feedback_force[1] < -1.0  # back to where it came from
     spot = session.snapshot().nearest["screen"]
     assert spot is not None
-    own = float(min(d for d, pair in zip(proximity.distances(state.q), proximity.pairs, strict=True) if pair.obstacle == "screen"))
+    own = float(
+        min(
+            d
+            for d, pair in zip(proximity.distances(state.q), proximity.pairs, strict=True)
+            if pair.obstacle == "screen"
+        )
+    )
     assert spot.distance == pytest.approx(own, abs=1e-6)  # what the bar shows
     done(session, page, type="remove", name="screen")
     before = session.snapshot().state.tip_position[1]
@@ -208,7 +214,7 @@ def test_nothing_is_put_or_dragged_into_the_machine_or_where_it_brakes(backhoe: 
     assert session.snapshot().nearest["ball"] is None  # out of sight
     drive(session, page, 2.0, **LEFT)
     state = session.snapshot().state  # it cannot stop at once
-    ahead = {**BALL, "name": "ahead", "position": (state.tip_position + [0.0, 0.55, 0.0]).tolist()}
+    ahead = {**BALL, "name": "ahead", "position": (state.tip_position + np.array([0.0, 0.55, 0.0])).tolist()}
     assert "too close" in say(session, page, type="add", obstacle=ahead)["error"]
     drive(session, page, 3.0, type="stop")
     assert np.abs(session.snapshot().state.v).max() == 0.0
@@ -332,7 +338,11 @@ _NEARLY = st.fixed_dictionaries(
         "obstacle": _JSON
         | st.fixed_dictionaries(
             {"name": st.text(max_size=5), "shape": st.sampled_from(["sphere", "box", "mesh", "halfspace"])},
-            optional={"radius": st.floats(), "position": st.lists(st.floats(-9, 9), min_size=3, max_size=3), "file": st.just("/etc/passwd")},
+            optional={
+                "radius": st.floats(),
+                "position": st.lists(st.floats(-9, 9), min_size=3, max_size=3),
+                "file": st.just("/etc/passwd"),
+            },
         ),
     },
 )  # fmt: skip
@@ -341,7 +351,9 @@ _ANYTHING = st.one_of(
     st.binary(max_size=60),
     _JSON.map(json.dumps),
     _NEARLY.map(json.dumps),
-    st.sampled_from(["[" * 100_000, "{" * 5_000, "1" * 20_000, '{"type": "take"}' * 2, '"\\ud800"', "\ud800", "NaN", ""]),
+    st.sampled_from(
+        ["[" * 100_000, "{" * 5_000, "1" * 20_000, '{"type": "take"}' * 2, '"\\ud800"', "\ud800", "NaN", ""]
+    ),
 )
 
 
@@ -395,7 +407,7 @@ def server(backhoe: Robot) -> Iterator[TeleopServer]:
 
 
 def talk(server: LiveServer, conversation: Callable[[str], Awaitable[None]]) -> None:
-    asyncio.run(asyncio.wait_for(conversation(server.url.replace("http", "ws") + "socket"), 20.0))  # type: ignore[arg-type]
+    asyncio.run(asyncio.wait_for(conversation(server.url.replace("http", "ws") + "socket"), 20.0))
 
 
 def request(url: str, **headers: str) -> tornado.httpclient.HTTPRequest:
@@ -426,7 +438,10 @@ def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
         for headers in refused:
             with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
                 await tornado.websocket.websocket_connect(request(url, **headers))
-        for headers in ({"Origin": f"http://127.0.0.1:{port}"}, {"Origin": f"http://localhost:{port}", "Host": f"localhost:{port}"}):
+        for headers in (
+            {"Origin": f"http://127.0.0.1:{port}"},
+            {"Origin": f"http://localhost:{port}", "Host": f"localhost:{port}"},
+        ):
             connection = await tornado.websocket.websocket_connect(request(url, **headers))
             assert (await hear(connection, "you"))["page"] > 0
             connection.close()
@@ -456,7 +471,14 @@ def test_two_pages_and_one_of_them_drives(server: TeleopServer) -> None:
             await one.write_message(text, binary=isinstance(text, bytes))
             assert not (await hear(one, "answer"))["ok"]
         await one.write_message(json.dumps({**LEFT, "id": 3}))
-        assert (await hear(one, "answer")) == {"type": "answer", "id": 3, "to": "tip", "ok": True, "said": "", "error": None}
+        assert (await hear(one, "answer")) == {
+            "type": "answer",
+            "id": 3,
+            "to": "tip",
+            "ok": True,
+            "said": "",
+            "error": None,
+        }
         assert server.session.snapshot().driver == number[0]
         one.close()
         deadline = clock.monotonic() + 5.0
@@ -502,8 +524,8 @@ def wait(condition: Callable[[], bool]) -> None:
 def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(SITE), encoding="utf-8")
     process = subprocess.Popen(
-        [sys.executable, "-c", "from backhoe_planner.cli import main; main()", "teleop", "example:backhoe", "scene.yaml",
-         "--port", "0", "--no-browser"],
+        [sys.executable, "-c", "from backhoe_planner.cli import main; main()", "teleop", "example:backhoe",
+         "scene.yaml", "--port", "0", "--no-browser"],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None

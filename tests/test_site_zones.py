@@ -61,7 +61,7 @@ def test_every_kind_becomes_the_solid_it_forbids(backhoe: Robot) -> None:
     for name, (point, normal) in expected.items():
         spec = specs[name]
         assert isinstance(spec, HalfSpace)
-        assert (spec.point, spec.normal) == (pytest.approx(point), pytest.approx(normal))
+        assert [*spec.point, *spec.normal] == pytest.approx([*point, *normal])
     cab = specs["cab"]
     assert isinstance(cab, Box)
     assert (cab.size, cab.position) == ((1, 2, 3), (-1.5, 0, 2))
@@ -71,7 +71,9 @@ def test_every_kind_becomes_the_solid_it_forbids(backhoe: Robot) -> None:
     assert built["house"].slow == 0.0
 
 
-@pytest.mark.parametrize(("start", "end"), [((-3, 3), (8, 3)), ((8, 3), (-3, 3)), ((2, -5), (6, 1)), ((-4, 0), (0, -4))])
+@pytest.mark.parametrize(
+    ("start", "end"), [((-3, 3), (8, 3)), ((8, 3), (-3, 3)), ((2, -5), (6, 1)), ((-4, 0), (0, -4))]
+)
 def test_a_wall_of_two_points_faces_the_origin(start: tuple[float, float], end: tuple[float, float]) -> None:
     wall = Wall.model_validate({"kind": "wall", "name": "w", "from": start, "to": end})
     point, normal = (np.array(part) for part in wall.plane)
@@ -90,11 +92,17 @@ WRONG: dict[str, tuple[list[Data], list[str]]] = {
     "negative": ([{**LINE, "stop": -0.1}], ["zones[0].stop", "greater than or equal to 0", "-0.1"]),
     "degrees": ([{**SECTOR, "from": -60, "to": 60}], ["zones[0]", "look like degrees"]),
     "no room": ([{**SECTOR, "to": -0.45}], ["zones[0]", "no room left"]),
-    "half a wall": ([{"kind": "wall", "name": "x", "point": [1, 1, 1]}], ["zones[0]", "point and normal, or from and to"]),
+    "half a wall": (
+        [{"kind": "wall", "name": "x", "point": [1, 1, 1]}],
+        ["zones[0]", "point and normal, or from and to"],
+    ),
     "wall through the machine": ([{"kind": "wall", "name": "x", "from": [-1, -1], "to": [2, 2]}], ["origin"]),
     "two of one name": ([LINE, {**SECTOR, "name": "power line"}], ["'power line'"]),
-    "flat cab": ([{"kind": "cab", "name": "x", "size": [1, 0, 1], "position": [0, 0, 0]}], ["zones[0].size[1]", "found 0"]),
-}  # fmt: skip
+    "flat cab": (
+        [{"kind": "cab", "name": "x", "size": [1, 0, 1], "position": [0, 0, 0]}],
+        ["zones[0].size[1]", "found 0"],
+    ),
+}
 
 
 @pytest.mark.parametrize(("zones", "said"), WRONG.values(), ids=WRONG.keys())
@@ -121,7 +129,9 @@ def test_a_sector_is_a_limit_of_the_first_joint(backhoe: Robot) -> None:
         assert (limits.lower[0], limits.upper[0]) == pytest.approx((-0.5, 0.9))
         assert limits.upper[1] == backhoe.limits.upper[1]
     away = Trajectory.from_steps(np.linspace(0.0, 8.0, 100), np.linspace(STANDING, [-0.55, 0.3, -0.9, -0.5], 100))
-    assert any("swing exceeds its position limit" in problem for problem in bp.certify(backhoe, site(SECTOR), away).problems)
+    assert any(
+        "swing exceeds its position limit" in problem for problem in bp.certify(backhoe, site(SECTOR), away).problems
+    )
 
 
 def test_a_plan_keeps_the_stop_distance_and_the_line_says_what_was_passed(backhoe: Robot) -> None:
@@ -191,12 +201,20 @@ def test_the_log_of_a_swing_by_hand(backhoe: Robot) -> None:
     swing = 0.1 * np.minimum(time, 19.0 - time)
     log = ZoneLog(backhoe, site(SECTOR))
     levels = [log.note(float(t), [s, 0.3, -0.9, -0.5]).get("road") for t, s in zip(time, swing, strict=True)]
-    assert [levels[k] for k in (0, 590, 610, 690, 710, 890, 910)] == [None, None, "warn", "warn", "slow", "slow", "stop"]
+    assert [levels[k] for k in (0, 590, 610, 690, 710, 890, 910)] == [
+        None,
+        None,
+        "warn",
+        "warn",
+        "slow",
+        "slow",
+        "stop",
+    ]
     found = {visit.level: visit for visit in log.transgressions}
     assert len(log.transgressions) == 3
     for level, entered in (("warn", 6.0), ("slow", 7.0), ("stop", 9.0)):
         visit = found[level]  # type: ignore[index]
-        assert (visit.begin, visit.end) == (pytest.approx(entered, abs=0.02), pytest.approx(19.0 - entered, abs=0.02))
+        assert [visit.begin, visit.end] == pytest.approx([entered, 19.0 - entered], abs=0.02)
         assert visit.depth == pytest.approx(0.1 * (9.5 - entered), abs=0.002)
         assert (visit.link, visit.kind, visit.zone) == ("swing", "swing_sector", "road")
         assert visit.time == pytest.approx(9.5, abs=0.02)

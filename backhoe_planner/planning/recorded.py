@@ -11,7 +11,7 @@ from typing import Any
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.certificate import certify_problem
-from backhoe_planner.planning.plan import Plan
+from backhoe_planner.planning.plan import Plan, Reason
 from backhoe_planner.planning.planner import judged, motion_metrics
 from backhoe_planner.planning.problem import build_problem
 from backhoe_planner.planning.trajectory import Trajectory
@@ -49,7 +49,10 @@ def recorded_plan(
     done = scene_from_dict(content, folder=scene.folder, file=scene.file)
     problem = build_problem(robot, done)
     certificate = certify_problem(problem, trajectory)
-    reason, message = ("", "") if certificate.verified else judged(problem, certificate)
+    reason: Reason = ""
+    message = ""
+    if not certificate.verified:
+        reason, message = judged(problem, certificate)
     return Plan(
         verdict="verified" if certificate.verified else "failed",
         reason=reason,

@@ -34,6 +34,7 @@ class LivePage(tornado.web.RequestHandler):
     """The page itself."""
 
     def initialize(self, page: str, server: LiveServer) -> None:
+        """Take what the route gives."""
         self.page = page
         self.server = server
 
@@ -43,6 +44,7 @@ class LivePage(tornado.web.RequestHandler):
             raise tornado.web.HTTPError(403)
 
     def get(self) -> None:
+        """Answer with the page."""
         self.set_header("Cache-Control", "no-store")
         self.finish(self.page)
 
@@ -64,18 +66,22 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
         return found.scheme in ("http", "https") and found.netloc.lower() == self.request.host.lower()
 
     def initialize(self, server: LiveServer) -> None:
+        """Take what the route gives."""
         self.server = server
         self.waiting: dict[Key, Message] = {}
 
     def open(self, *_args: str, **_kwargs: str) -> None:
+        """A page has connected."""
         self.set_nodelay(True)
         self.server.add(self)
 
     def on_message(self, message: str | bytes) -> None:
+        """A page says that it has drawn the picture; there is nothing else that it may say."""
         if message == "drawn":
             self.server.somebody_watches.set()
 
     def on_close(self) -> None:
+        """A page has gone."""
         self.server.remove(self)
 
     def data_received(self, chunk: bytes) -> None:

@@ -151,13 +151,14 @@ class SceneGraph:
 
     def _draw_site(self, centre: Vector) -> None:
         for order, (obstacle, drawn) in enumerate(zip(self._problem.obstacles, self.site, strict=True)):
+            node = self._obstacles[drawn.name]
             if drawn.bounds is None and is_ground(obstacle) and drawn.facets.normals[0, 2] > 0.999:
                 draw_ground(
-                    self._tree["site"][self._obstacles[drawn.name]], centre=centre[:2], radius=1.9 * self._radius, height=float(drawn.facets.vertices[0, 2]),
-                    opacity=drawn.rgba[3], colour=drawn.rgba[:3],
+                    self._tree["site"][node], centre=centre[:2], radius=1.9 * self._radius,
+                    height=float(drawn.facets.vertices[0, 2]), opacity=drawn.rgba[3], colour=drawn.rgba[:3],
                 )  # fmt: skip
                 continue
-            self._draw_solid(self._obstacles[drawn.name], drawn, order=order)
+            self._draw_solid(node, drawn, order=order)
         self._tree["clearance"].set_property("visible", False)
 
     def _draw_solid(self, name: str, drawn: SiteMesh, *, order: int) -> None:

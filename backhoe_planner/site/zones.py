@@ -71,7 +71,9 @@ class Transgression:
 
     def __str__(self) -> str:
         unit = "rad" if self.kind == "swing_sector" else "m"
-        return f"{self.link} {self.depth:.3f} {unit} beyond the {self.level} distance of {self.zone} at {self.time:.2f} s"
+        return (
+            f"{self.link} {self.depth:.3f} {unit} beyond the {self.level} distance of {self.zone} at {self.time:.2f} s"
+        )
 
 
 class Motion(Protocol):
@@ -200,11 +202,15 @@ def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgress
     log = ZoneLog(robot, scene)
     time, q = np.asarray(trajectory.time), np.asarray(trajectory.q)
     if q.ndim != 2 or q.shape[1] != robot.n:
-        raise InputError("has another number of joints", key="trajectory", found=str(q.shape), allowed=f"(T, {robot.n})")
+        raise InputError(
+            "has another number of joints", key="trajectory", found=str(q.shape), allowed=f"(T, {robot.n})"
+        )
     count = max(int(np.ceil((time[-1] - time[0]) / _SAMPLED_EVERY)), 0) + 1
     even = np.linspace(time[0], time[-1], count)
     moments = np.unique(np.concatenate((even, time))) if len(time) < 2 * count else even
-    for moment, posture in zip(moments, np.column_stack([np.interp(moments, time, column) for column in q.T]), strict=True):
+    for moment, posture in zip(
+        moments, np.column_stack([np.interp(moments, time, column) for column in q.T]), strict=True
+    ):
         log.note(float(moment), posture)
     return log.transgressions
 

@@ -47,7 +47,7 @@ class Recording:
 
     def plan(self, robot: Robot, scene: Scene) -> Plan:
         """The motion as a plan, with its certificate, and its visits to zones in the details."""
-        trajectory = Trajectory.from_steps(np.arange(len(self.q)) * self.dt, self.q)
+        trajectory = Trajectory.from_steps(np.asarray(np.arange(len(self.q)) * self.dt, dtype=np.float64), self.q)
         visits = [asdict(visit) for visit in zone_log(robot, scene, trajectory)]
         details = {"recorded": {"dt": self.dt, "notes": list(self.notes)}, "zones": visits}
         return recorded_plan(robot, scene, trajectory, obstacles=self.obstacles, details=details)

@@ -1,10 +1,10 @@
 """A machine that is driven live by one of several pages: the state machine, without any network.
 
-    pages     join, leave; one of them drives: the first that takes, until it releases,
-              hands over or leaves. A machine without a driver is stopped by the watchdog.
-    wishes    go to the servo, which does the nearest safe thing
-    site      obstacles come, move and go, as far as the machine keeps its clearance
-    recording idle -> arming (to rest) -> on -> ending (to rest) -> idle
+pages     join, leave; one of them drives: the first that takes, until it releases,
+          hands over or leaves. A machine without a driver is stopped by the watchdog.
+wishes    go to the servo, which does the nearest safe thing
+site      obstacles come, move and go, as far as the machine keeps its clearance
+recording idle -> arming (to rest) -> on -> ending (to rest) -> idle
 """
 
 from __future__ import annotations
