@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time as clock
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
@@ -27,7 +28,7 @@ import backhoe_planner as bp
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.redundancy.servo_state import Status
-from backhoe_planner.show.live_server import LiveServer
+from backhoe_planner.show.live_server import LiveServer, LiveSocket
 from backhoe_planner.show.teleop.joysticks import joint_rates
 from backhoe_planner.show.teleop.messages import LARGEST, Sticks, parse
 from backhoe_planner.show.teleop.server import TeleopServer
@@ -490,6 +491,32 @@ def test_two_pages_and_one_of_them_drives(server: TeleopServer) -> None:
         two.close()
 
     talk(server, conversation)
+
+
+def test_a_page_that_goes_while_it_is_written_to_does_no_harm(
+    server: TeleopServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = threading.Event()
+
+    def gone(*_: object, **__: object) -> None:
+        tried.set()
+        raise tornado.websocket.WebSocketClosedError
+
+    async def conversation(url: str) -> None:
+        first = await tornado.websocket.websocket_connect(url)
+        await hear(first, "you")
+        with monkeypatch.context() as patch:
+            patch.setattr(LiveSocket, "write_message", gone)
+            server.recording.tell({"type": "news"})
+            while not tried.is_set():
+                await asyncio.sleep(0.01)
+        second = await tornado.websocket.websocket_connect(url)
+        assert (await hear(second, "you"))["page"] == 2
+        for page in (first, second):
+            page.close()
+
+    talk(server, conversation)
+    assert server.running
 
 
 def test_a_station_runs_in_real_time_and_ends(backhoe: Robot, tmp_path: Path) -> None:
