@@ -37,6 +37,7 @@ from backhoe_planner.redundancy.servo_state import ServoState
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene import Scene, load_scene, scene_from_dict, scene_schema
+from backhoe_planner.site.zones import Transgression, ZoneLog, zone_log
 
 __all__ = [
     "BothWays",
@@ -63,6 +64,8 @@ __all__ = [
     "Step",
     "TipTarget",
     "Trajectory",
+    "Transgression",
+    "ZoneLog",
     "build_obstacles",
     "certify",
     "digging_forces",
@@ -73,4 +76,5 @@ __all__ = [
     "scene_from_dict",
     "scene_schema",
     "solve_inverse_kinematics",
+    "zone_log",
 ]

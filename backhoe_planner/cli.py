@@ -12,6 +12,7 @@ import json
 import math
 import sys
 import time as clock
+import webbrowser
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -27,6 +28,7 @@ from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.plan_file import check_writable, plan_to_dict
 from backhoe_planner.planning.planner import DEFAULT_BUDGET
 from backhoe_planner.planning.tracking import Detour
+from backhoe_planner.site.zones import worst_first
 
 __all__ = ["app", "main"]
 
@@ -170,6 +172,7 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
             _out.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
     _out.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
+    _tell_zones(loaded)
     _out.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if certificate.verified else FAILED
 
@@ -226,6 +229,37 @@ def export(
     export_plan(bp.load_plan(plan_file, urdf=urdf), file)
     _out.print(f"wrote {file}")
     return VERIFIED
+
+
+@app.command()
+def teleop(
+    urdf: Urdf,
+    scene: SceneFile,
+    host: Annotated[
+        str, typer.Option(metavar="H", help="Address to listen on; by default only this computer can connect.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(metavar="N", min=0, max=65535, help="By default the first free one from 7000 on.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to which a recording is written.")
+    ] = Path("teleop.json"),
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+) -> int:
+    """Drive the machine live from a page in the browser; the scene's task is not used."""
+    check_writable(output)
+    loaded = bp.load_scene(scene)
+    robot = bp.load_robot(urdf, tip=loaded.tip)
+    from backhoe_planner.show.teleop.station import TeleopStation
+
+    with TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
+        _warn(station.warnings)
+        _err.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
+        if not no_browser:
+            webbrowser.open(station.url)
+        while station.running:
+            clock.sleep(0.1)
+    return FAILED
 
 
 @app.command()
@@ -339,6 +373,7 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
             f"reaction      {reaction['obstacle']} appears at {reaction['appears_at']:.2f} s: "
             f"{reaction.get('way', 'no way to stop in time')}{stopped}"
         )
+    _tell_zones(found)
     metrics = found.metrics
     _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
     _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ ({_loads(found)})")
@@ -379,6 +414,14 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     elif compared["law_breaks"] is not None:
         told += f"; the local law does not get along it ({compared['law_breaks']})"
     _out.print(f"objective     {told}")
+
+
+def _tell_zones(found: Plan) -> None:
+    """One line about the zones that were come too near to, if any."""
+    visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
+    if visits:
+        more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
+        _out.print(f"{'zones':<13} {visits[0]}{more}")
 
 
 def _asks_angle(found: Plan) -> bool:

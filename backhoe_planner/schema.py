@@ -66,12 +66,13 @@ def say(detail: Any, variants: Mapping[str, type[BaseModel]] = _NO_VARIANTS) -> 
     if kind == "missing":
         return "is missing"
     if kind == "union_tag_not_found":
-        return f"{_tag(detail)} is missing; allowed: {', '.join(variants)}"
+        return f"{_tag(detail)} is missing; allowed: {', '.join(_choices(detail, variants))}"
     if kind == "union_tag_invalid":
         tag = str(found.get(_tag(detail)) if isinstance(found, Mapping) else found)
-        near = nearest_name(tag, variants)
+        choices = _choices(detail, variants)
+        near = nearest_name(tag, choices)
         hint = f"; did you mean {near!r}?" if near else "."
-        return f"there is no {_tag(detail)} {tag!r}{hint} Allowed: {', '.join(variants)}"
+        return f"there is no {_tag(detail)} {tag!r}{hint} Allowed: {', '.join(choices)}"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
     shown = f"; found {found!r}" if not isinstance(found, (Mapping, list)) or len(str(found)) < 80 else ""
@@ -80,6 +81,11 @@ def say(detail: Any, variants: Mapping[str, type[BaseModel]] = _NO_VARIANTS) -> 
 
 def _tag(detail: Any) -> str:
     return str(detail["ctx"]["discriminator"]).strip("'")
+
+
+def _choices(detail: Any, variants: Mapping[str, type[BaseModel]]) -> list[str]:
+    """The tags among which the one that is complained about chooses."""
+    return [name for name, record in variants.items() if _tag(detail) in record.model_fields]
 
 
 def _unknown_key(key: str, allowed: list[str]) -> str:

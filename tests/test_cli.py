@@ -55,6 +55,20 @@ def scene_file(folder: Path, content: Data | str = REACH) -> Path:
 # --- what works -------------------------------------------------------------------
 
 
+def test_what_zones_were_passed_is_one_line_of_plan_and_of_check(run: Run, tmp_path: Path) -> None:
+    sector = {"kind": "swing_sector", "name": "road", "from": -0.2, "to": 1.5, "stop": 0.1, "warn": 0.3}
+    scene = scene_file(tmp_path, {**REACH, "zones": [sector]})
+    status, planned, _ = run("plan", PLANAR4, scene, "-o", "out.json")
+    assert status == 0
+    _, checked, _ = run("check", "out.json")
+    for said in (planned, checked):
+        (line,) = [line for line in said.splitlines() if line.startswith("zones")]
+        assert "beyond the warn distance of road" in line
+        assert line.split()[1] == "joint1"
+    run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json")
+    assert "zones" not in run("check", "out.json")[1]
+
+
 def test_plan_check_export(run: Run, tmp_path: Path) -> None:
     status, said, _ = run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json")
     assert status == 0

@@ -17,7 +17,8 @@ from backhoe_planner.site.scene import Scene
 
 __all__ = ["METHODS", "Method", "Plan", "Reason"]
 
-Method = Literal["auto", "reactive", "optimal", "paper"]
+Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
+# those that plan; "teleop" was driven by hand
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")
 
 Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]

@@ -190,8 +190,9 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     scene = _scene(content, file)
     trajectory = _trajectory(content, file, robot.n)
     method = _field(content, "method", str, file)
-    if method not in METHODS:
-        raise PlanFileError("unknown method", file=file, key="method", found=method, allowed=", ".join(METHODS))
+    known = (*METHODS, "teleop")
+    if method not in known:
+        raise PlanFileError("unknown method", file=file, key="method", found=method, allowed=", ".join(known))
     verdict = _field(content, "verdict", str, file)
     if verdict not in ("verified", "failed"):
         raise PlanFileError("unknown verdict", file=file, key="verdict", found=verdict, allowed="verified, failed")

@@ -40,7 +40,7 @@ from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.planning.yardstick import compare_with_law
 from backhoe_planner.site.scene import Scene
 
-__all__ = ["DEFAULT_BUDGET", "plan"]
+__all__ = ["DEFAULT_BUDGET", "judged", "motion_metrics", "plan"]
 
 Vector = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def plan(
     reason, message = outcome.reason, outcome.message
     details = dict(outcome.details)
     if not reason and not certificate.verified:
-        reason, message = _judged(problem, certificate)
+        reason, message = judged(problem, certificate)
         details |= {
             kind: asdict(use)
             for kind, use in (("effort", certificate.effort), ("hydraulics", certificate.hydraulics))
@@ -120,7 +120,7 @@ def plan(
         seed=seed,
         trajectory=outcome.trajectory,
         certificate=certificate,
-        metrics=_metrics(problem, checked, outcome.trajectory, certificate, planning_time),
+        metrics=motion_metrics(problem, outcome.trajectory, certificate, planning_time, method=checked),
         details=details,
     )
 
@@ -139,7 +139,7 @@ def _checked_method(method: str) -> Method:
     )
 
 
-def _judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
+def judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
     """Why a finished motion is not verified, from the certificate alone."""
     reason: Reason = "blocked" if certificate.limits_kept else "outside_limits"
     return reason, "; ".join(certificate.problems)
@@ -260,9 +260,10 @@ class _Planning:
         return follow_with_law(self._context, stepper, path)
 
 
-def _metrics(
-    problem: Problem, method: Method, trajectory: Trajectory, certificate: Certificate, planning_time: float
+def motion_metrics(
+    problem: Problem, trajectory: Trajectory, certificate: Certificate, planning_time: float, *, method: Method
 ) -> dict[str, Any]:
+    """Duration, lengths, energies and detours of a motion, as the plan file has them."""
     kinematics = Kinematics(problem.robot)
     tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
     detours = certificate.detours

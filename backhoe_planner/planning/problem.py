@@ -11,7 +11,7 @@ from backhoe_planner.errors import SceneError, nearest_name
 from backhoe_planner.machine.robot import JointLimits, Robot
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.site.limits import scaled_limits
+from backhoe_planner.site.limits import scaled_limits, within_sectors
 from backhoe_planner.site.obstacles import Obstacle, build_obstacles
 from backhoe_planner.site.scene import Gains, Goal, Pose, Scene
 
@@ -57,7 +57,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         a file of the scene that cannot be used.
     RobotError: the scene's tip is not a link of the machine.
     """
-    robot = robot.with_tip(scene.tip)
+    robot = within_sectors(robot.with_tip(scene.tip), scene)
     _check_joint_names(robot, scene, "limits.acceleration", scene.limits.acceleration)
     if scene.gains != "auto":
         _check_joint_names(robot, scene, "gains.s_k", scene.gains.s_k)

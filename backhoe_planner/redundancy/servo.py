@@ -20,6 +20,8 @@ What is closer than allowed already (it began so, or an obstacle was put there) 
 get better: of every obstacle the deepest violation over the links falls at every step, and
 what was proven of it is what the next step must keep (`recovery`). Only where no motion of
 the joints makes it smaller, the machine is pinched and stays as deep as it is.
+
+Within the slow distance of one of the scene's zones the wish is scaled down, direction kept.
 """
 
 from __future__ import annotations
@@ -46,9 +48,10 @@ from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
 from backhoe_planner.redundancy.surroundings import Surroundings
 from backhoe_planner.site import scene as schema
-from backhoe_planner.site.limits import scaled_limits
+from backhoe_planner.site.limits import scaled_limits, within_sectors
 from backhoe_planner.site.obstacles import Obstacle, build_obstacles
 from backhoe_planner.site.proximity import Nearby
+from backhoe_planner.site.zones import pace
 
 __all__ = ["Servo"]
 
@@ -130,7 +133,7 @@ class Servo:
     ) -> None:
         if not (dt > 0.0 and math.isfinite(dt)):
             raise InputError("is the length of a step", key="dt", found=dt, allowed="a positive number of seconds")
-        robot = robot.with_tip(scene.tip)
+        robot = within_sectors(robot.with_tip(scene.tip), scene)
         self.robot, self.scene, self.dt = robot, scene, float(dt)
         self.limits = scaled_limits(robot, scene)
         self.watchdog, self.circulate = watchdog, circulate
@@ -167,6 +170,14 @@ class Servo:
         self._required = self._separation.clearance.copy()
         self._renewed_at = np.zeros(count, dtype=np.int64)
         self._inside: Indices = np.zeros(0, dtype=np.intp)  # pairs of what stands that are not clear yet
+        # how far beyond its clearance a pair is looked at; and slows the machine down
+        self._reach, self._slow_from = np.full(count, self._law.influence), np.zeros(count)
+        self._sectors = [
+            (zone.start + zone.stop, zone.end - zone.stop, zone.slow_distance - zone.stop)
+            for zone in scene.zones
+            if isinstance(zone, schema.SwingSector) and zone.slow_distance > zone.stop
+        ]
+        self._pace = 1.0
         classes = len(self._separation.travel)
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
         # no point moves faster than this by one joint while the machine is inside something
@@ -291,6 +302,8 @@ class Servo:
         self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
         self._required = np.append(self._required, self._separation.clearance[pairs])
         self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
+        self._slow_from = np.append(self._slow_from, np.full(count, obstacle.slow))
+        self._reach = np.append(self._reach, np.full(count, max(obstacle.slow, self._law.influence)))
         self._sort()
         self._take_in(pairs)
 
@@ -381,6 +394,8 @@ class Servo:
         self._place_start()
         near, gaps = self._near()
         wish, tip_wish, singular = self._wished(near, gaps)
+        self._pace = self._slowed(near)
+        wish = self._pace * wish
         low, high, at_limit = self._velocity_bounds(wish)
         chosen = self._choose(wish, low, high, near, gaps)
         self._renew(near)
@@ -448,13 +463,26 @@ class Servo:
         """Pairs within the influence distance, and the gaps of their corners (K, V) at q."""
         separation = self._separation
         lower = self._distance + self._distance_at - self._start_odometer[separation.classes]
-        near = (lower < separation.clearance + self._law.influence).nonzero()[0]
+        near = (lower < separation.clearance + self._reach).nonzero()[0]
         if len(near) == 0:
             return near, np.zeros((0, 1))
         gaps = separation.gaps(near, self._at, 1)[0]
         self._distance[near] = np.maximum(gaps.min(axis=1), lower[near])
         self._distance_at[near] = self._start_odometer[separation.classes[near]]
         return near, gaps
+
+    def _slowed(self, near: Indices) -> float:
+        """Part of the wished speed that the zones leave."""
+        part = 1.0
+        slow = self._slow_from[near]
+        if slow.any():
+            rows = slow.nonzero()[0]
+            margin = self._distance[near[rows]] - self._separation.clearance[near[rows]]
+            part = min(pace(left, room) for left, room in zip(margin.tolist(), slow[rows].tolist(), strict=True))
+        swing = float(self._q[0])
+        for low, high, room in self._sectors:
+            part = min(part, pace(min(swing - low, high - swing), room))
+        return part
 
     def _nearby(self, near: Indices, gaps: Matrix) -> Nearby:
         """The same as the law wants it: one row each, of the nearest corner."""
@@ -959,6 +987,7 @@ class Servo:
             refused=refused,
             feedback_force=force,
             proven=chosen.proven,
+            pace=self._pace,
         )
 
 
@@ -985,7 +1014,7 @@ class _Proof:
 
 
 _PER_PAIR = (
-    "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at",
+    "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at", "_reach", "_slow_from",
 )  # fmt: skip
 _ZERO = np.zeros(3)
 _ZERO.setflags(write=False)

@@ -52,6 +52,7 @@ class ServoState:
     refused: (3,) part of the wish that the tip does not follow [m/s], world.
     feedback_force: (3,) on the hand [N], world.
     proven: whether this step's braking path was proven clear of all that stands still.
+    pace: part of the wished speed that the zones leave, 1 where none is near.
     """
 
     time: float
@@ -67,3 +68,4 @@ class ServoState:
     refused: Vector
     feedback_force: Vector
     proven: bool
+    pace: float = 1.0

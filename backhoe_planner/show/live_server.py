@@ -8,10 +8,12 @@ up: of those about the same thing only the newest waits for it.
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import socket
 import threading
 import time
 from typing import Any
+from urllib.parse import urlsplit
 
 import tornado.httpserver
 import tornado.web
@@ -21,17 +23,28 @@ from backhoe_planner.errors import OutputError
 from backhoe_planner.show.page import live_page
 from backhoe_planner.show.recording import Key, Message, Recording
 
-__all__ = ["LiveServer"]
+__all__ = ["LivePage", "LiveServer", "LiveSocket"]
 
 _FIRST_PORT, _PORTS = 7000, 100
 _FLUSH_EVERY = 0.02  # s
+_LARGEST_MESSAGE = 4 << 20  # bytes; what is sent beyond that ends the connection
 
 
-class _Page(tornado.web.RequestHandler):
-    def initialize(self, page: str) -> None:
+class LivePage(tornado.web.RequestHandler):
+    """The page itself."""
+
+    def initialize(self, page: str, server: LiveServer) -> None:
+        """Take what the route gives."""
         self.page = page
+        self.server = server
+
+    def prepare(self) -> None:
+        """Answer only to a name of this server's own: another one may have been made to point here."""
+        if not self.server.answers_to(self.request.host):
+            raise tornado.web.HTTPError(403)
 
     def get(self) -> None:
+        """Answer with the page."""
         self.set_header("Cache-Control", "no-store")
         self.finish(self.page)
 
@@ -39,20 +52,36 @@ class _Page(tornado.web.RequestHandler):
         """Nothing is ever sent here."""
 
 
-class _Socket(tornado.websocket.WebSocketHandler):
+class LiveSocket(tornado.websocket.WebSocketHandler):
+    """The connection to one page; what is drawn and told goes out through it."""
+
+    def prepare(self) -> None:
+        """Answer only to a name of this server's own."""
+        if not self.server.answers_to(self.request.host):
+            raise tornado.web.HTTPError(403)
+
+    def check_origin(self, origin: str) -> bool:
+        """Whether a page from `origin` may connect: only this server's own."""
+        found = urlsplit(origin)
+        return found.scheme in ("http", "https") and found.netloc.lower() == self.request.host.lower()
+
     def initialize(self, server: LiveServer) -> None:
+        """Take what the route gives."""
         self.server = server
         self.waiting: dict[Key, Message] = {}
 
     def open(self, *_args: str, **_kwargs: str) -> None:
+        """A page has connected."""
         self.set_nodelay(True)
         self.server.add(self)
 
     def on_message(self, message: str | bytes) -> None:
+        """A page says that it has drawn the picture; there is nothing else that it may say."""
         if message == "drawn":
             self.server.somebody_watches.set()
 
     def on_close(self) -> None:
+        """A page has gone."""
         self.server.remove(self)
 
     def data_received(self, chunk: bytes) -> None:
@@ -64,8 +93,11 @@ class _Socket(tornado.websocket.WebSocketHandler):
         if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
             return
         messages, self.waiting = self.waiting, {}
-        for message in messages.values():
-            self.write_message(message, binary=isinstance(message, bytes))
+        try:
+            for message in messages.values():
+                self.write_message(message, binary=isinstance(message, bytes))
+        except tornado.websocket.WebSocketClosedError:
+            return  # it has gone; on_close follows
 
 
 class LiveServer:
@@ -92,9 +124,10 @@ class LiveServer:
         self.recording = Recording(self._post)
         self.somebody_watches = threading.Event()
         self.left_at: float | None = None
-        self._pages: set[_Socket] = set()
+        self._pages: set[LiveSocket] = set()
         self._fresh: list[tuple[Key, Message]] = []
         self._lock = threading.Lock()
+        self._host = host
         self._listening = _listen(host, port)
         number = self._listening.getsockname()[1]
         self.url = f"http://{'127.0.0.1' if host in ('', '0.0.0.0') else host}:{number}/"
@@ -109,18 +142,37 @@ class LiveServer:
             self._loop.call_soon_threadsafe(self._stop.set)
             self._thread.join(timeout=5.0)
 
-    def add(self, page: _Socket) -> None:
+    def add(self, page: LiveSocket) -> None:
         """A page has connected; it is brought up to date."""
         page.waiting = dict(self.recording.messages())
         self._pages.add(page)
         self.left_at = None
 
-    def remove(self, page: _Socket) -> None:
+    def remove(self, page: LiveSocket) -> None:
         """A page has gone."""
         self._pages.discard(page)
         if not self._pages:
             self.left_at = time.monotonic()
             self.somebody_watches.clear()
+
+    def answers_to(self, host: str) -> bool:
+        """Whether a request's Host header names this server.
+
+        Other names may be made to point to this machine by whoever owns them, so that
+        a page from elsewhere would count as ours.
+        """
+        name = urlsplit(f"//{host}").hostname or ""
+        if name in ("localhost", self._host, socket.gethostname().lower()):
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return address.is_loopback or self._host in ("", "0.0.0.0", "::") or name == self._host
+
+    def routes(self) -> list[Any]:
+        """What is served; tornado's rules."""
+        return [("/", LivePage, {"page": live_page(), "server": self}), ("/socket", LiveSocket, {"server": self})]
 
     @property
     def running(self) -> bool:
@@ -141,8 +193,10 @@ class LiveServer:
 
     async def _serve(self) -> None:
         application = tornado.web.Application(
-            [("/", _Page, {"page": live_page()}), ("/socket", _Socket, {"server": self})],
+            self.routes(),
             log_function=lambda handler: None,
+            websocket_max_message_size=_LARGEST_MESSAGE,
+            websocket_ping_interval=5,
             compress_response=True,
         )
         server = tornado.httpserver.HTTPServer(application)

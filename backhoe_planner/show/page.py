@@ -9,6 +9,7 @@ import base64
 import html
 import json
 import os
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from typing import Any
@@ -21,7 +22,7 @@ from backhoe_planner.show.recording import Recording
 from backhoe_planner.show.scene_graph import SceneGraph
 from backhoe_planner.show.timeline import timeline
 
-__all__ = ["live_page", "plan_page", "write_page"]
+__all__ = ["Addition", "live_page", "plan_page", "write_page"]
 
 # nothing may be fetched from anywhere; meshcat reads its own commands with eval
 _POLICY = (
@@ -66,15 +67,33 @@ def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
     return _page(plan.scene.name or "plan", content, connect="'none'"), graph.warnings
 
 
-def live_page() -> str:
+@dataclass(frozen=True)
+class Addition:
+    """What a page has beyond the plain live view.
+
+    Attributes
+    ----------
+    css, body, script: appended to the page's own.
+    """
+
+    css: str
+    body: str
+    script: str
+
+
+def live_page(addition: Addition | None = None) -> str:
     """The page that a live viewer serves; it asks its server for what to show."""
-    return _page("backhoe_planner", None, connect="'self' ws: wss:")
+    return _page("backhoe_planner", None, connect="'self' ws: wss:", addition=addition)
 
 
-def _page(title: str, content: Any, *, connect: str) -> str:
+def _page(title: str, content: Any, *, connect: str, addition: Addition | None = None) -> str:
     parts = resources.files("backhoe_planner.show").joinpath("page_parts")
     names = ("page.css", "body.html", "page.js")
     css, body, script = (parts.joinpath(name).read_text(encoding="utf-8") for name in names)
+    after = ""
+    if addition is not None:
+        css, body = css + addition.css, body + addition.body
+        after = f"<script>\n{addition.script}</script>\n"
     return "".join(
         (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
@@ -83,7 +102,7 @@ def _page(title: str, content: Any, *, connect: str) -> str:
             f'<title>{html.escape(title)}</title>\n<link rel="icon" href="data:,">\n',
             f"<style>\n{css}</style>\n</head>\n<body>\n{body}",
             f"<script>\n{_meshcat()}\n</script>\n",
-            f"<script>\n{script}show({_json_in_script(content)});\n</script>\n</body>\n</html>\n",
+            f"<script>\n{script}show({_json_in_script(content)});\n</script>\n{after}</body>\n</html>\n",
         )
     )
 

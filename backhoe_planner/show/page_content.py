@@ -121,7 +121,10 @@ def _facts(plan: Plan) -> list[list[str]]:
         facts.append(["Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", ""])
     taken = metrics.get("planning_time")
     if isinstance(taken, (int, float)):
-        facts.append(["Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"])
+        if plan.method == "teleop":
+            facts.append(["Driven by hand", "", ""])
+        else:
+            facts.append(["Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"])
     return facts
 
 

@@ -28,9 +28,9 @@ from backhoe_planner.show.drawing import mesh, set_property
 from backhoe_planner.show.framing import View, frame
 from backhoe_planner.show.ground import draw_ground, opening_of
 from backhoe_planner.show.machine_meshes import LinkMesh, machine_meshes
-from backhoe_planner.show.names import node_names
+from backhoe_planner.show.names import node_name, node_names
 from backhoe_planner.show.palette import FAR, GOAL, PATH, TRACE, Rgba, margin_rgb
-from backhoe_planner.show.site_meshes import is_ground, site_mesh
+from backhoe_planner.show.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.solids import facets, tube
 from backhoe_planner.show.stage import set_camera, set_stage
 from backhoe_planner.show.timeline import ITSELF, Nearest, Timeline
@@ -85,7 +85,7 @@ class SceneGraph:
         centre = np.array([*(0.5 * (self._machine_points.min(axis=0) + self._machine_points.max(axis=0)))[:2], 0.0])
         # what is drawn of a plane or the ground
         self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
-        self.has_ground = not any(is_ground(obstacle.spec) for obstacle in problem.obstacles)
+        self.has_ground = not any(is_ground(obstacle) for obstacle in problem.obstacles)
         self.site = tuple(
             site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius) for obstacle in problem.obstacles
         )
@@ -151,24 +151,29 @@ class SceneGraph:
 
     def _draw_site(self, centre: Vector) -> None:
         for order, (obstacle, drawn) in enumerate(zip(self._problem.obstacles, self.site, strict=True)):
-            node = self._tree["site"][self._obstacles[drawn.name]]
-            if drawn.bounds is None and is_ground(obstacle.spec) and drawn.facets.normals[0, 2] > 0.999:
+            node = self._obstacles[drawn.name]
+            if drawn.bounds is None and is_ground(obstacle) and drawn.facets.normals[0, 2] > 0.999:
                 draw_ground(
-                    node, centre=centre[:2], radius=1.9 * self._radius, height=float(drawn.facets.vertices[0, 2]),
-                    opacity=drawn.rgba[3], colour=drawn.rgba[:3],
+                    self._tree["site"][node], centre=centre[:2], radius=1.9 * self._radius,
+                    height=float(drawn.facets.vertices[0, 2]), opacity=drawn.rgba[3], colour=drawn.rgba[:3],
                 )  # fmt: skip
                 continue
-            node.set_object(mesh(drawn.facets, drawn.rgba, lit=drawn.bounds is not None or drawn.rgba[3] > 0.5))
-            if drawn.rgba[3] < 1.0:
-                set_property(node, "castShadow", False)
-            if drawn.shell is None:
-                continue
-            shell = self._tree["clearance"][self._obstacles[drawn.name]]
-            shell.set_object(mesh(drawn.shell, drawn.shell_rgba, lit=False, one_sided=drawn.bounds is not None))
-            set_property(shell, "castShadow", False)
-            set_property(shell, "receiveShadow", False)
-            set_property(shell, "renderOrder", 2 + order)
+            self._draw_solid(node, drawn, order=order)
         self._tree["clearance"].set_property("visible", False)
+
+    def _draw_solid(self, name: str, drawn: SiteMesh, *, order: int) -> None:
+        """One obstacle and its clearance shell."""
+        node = self._tree["site"][name]
+        node.set_object(mesh(drawn.facets, drawn.rgba, lit=drawn.bounds is not None or drawn.rgba[3] > 0.5))
+        if drawn.rgba[3] < 1.0:
+            set_property(node, "castShadow", False)
+        if drawn.shell is None:
+            return
+        shell = self._tree["clearance"][name]
+        shell.set_object(mesh(drawn.shell, drawn.shell_rgba, lit=False, one_sided=drawn.bounds is not None))
+        set_property(shell, "castShadow", False)
+        set_property(shell, "receiveShadow", False)
+        set_property(shell, "renderOrder", 2 + order)
 
     def _draw_task(self) -> None:
         problem, task = self._problem, self._tree["task"]
@@ -199,13 +204,15 @@ class SceneGraph:
             _draw_line(node["xyz"[axis]], np.array([position, end]), 0.05 * length, rgba)
 
     def _draw_critical_points(self) -> None:
-        rod = trimesh.creation.cylinder(radius=0.022 * self._scale, height=1.0, sections=12)
-        rod.apply_translation([0.0, 0.0, 0.5])
-        drawn = facets(rod)
         for node in self._obstacles.values():
-            self._tree["critical points"][node].set_object(mesh(drawn, (*FAR, 1.0), lit=False))
+            self._tree["critical points"][node].set_object(self._rod_mesh())
             set_property(self._tree["critical points"][node], "castShadow", False)
             self._tree["critical points"][node].set_transform(np.diag([_HIDDEN, _HIDDEN, _HIDDEN, 1.0]))
+
+    def _rod_mesh(self) -> Any:
+        rod = trimesh.creation.cylinder(radius=0.022 * self._scale, height=1.0, sections=12)
+        rod.apply_translation([0.0, 0.0, 0.5])
+        return mesh(facets(rod), (*FAR, 1.0), lit=False)
 
     # --- camera -----------------------------------------------------------------------
 
@@ -224,7 +231,7 @@ class SceneGraph:
                 if abs(normal[1]) > 0.5:  # never from behind a wall
                     side -= 1e3 * float(normal[1])
                 continue
-            if is_ground(obstacle.spec):
+            if is_ground(obstacle):
                 continue
             # of something endless only what is near
             low = np.clip(drawn.bounds[0], middle - self._radius, middle + self._radius)
@@ -251,6 +258,10 @@ class SceneGraph:
         rows = np.unique(np.linspace(0, len(timeline.time) - 1, 24).astype(int))
         swept = self._machine_corners(self._meshes, list(timeline.q[rows]))
         return self.look(np.vstack((swept, timeline.tip)))
+
+    def look_at_postures(self, postures: Sequence[Vector]) -> View:
+        """Point the camera so that the machine is in view in all `postures` (n,)."""
+        return self.look(self._machine_corners(self._meshes, list(postures)))
 
     def _machine_corners(self, meshes: tuple[LinkMesh, ...], postures: list[Vector]) -> Matrix:
         """Corners of the boxes around every drawn part, in all `postures`, world."""
@@ -289,6 +300,45 @@ class SceneGraph:
                     self._place(group, self._obstacles[obstacle.name], transform)
         for name, spot in zip(self._obstacles, nearest, strict=False):
             self._set_critical_point(name, spot)
+
+    def add(self, obstacle: Obstacle) -> Vector:
+        """Draw an obstacle that was not there before; (3,) where its name is written [m]."""
+        drawn = site_mesh(obstacle, self._problem.scene, centre=np.zeros(3), reach=self._radius)
+        node = node_name(obstacle.name)
+        while node in self._obstacles.values():
+            node += "_"
+        self._obstacles[obstacle.name] = node
+        self._draw_solid(node, drawn, order=len(self._obstacles))
+        self._tree["critical points"][node].set_object(self._rod_mesh())
+        set_property(self._tree["critical points"][node], "castShadow", False)
+        self.point(obstacle.name, None)
+        return drawn.anchor
+
+    def remove(self, name: str) -> None:
+        """Take an obstacle out of the picture."""
+        node = self._obstacles.pop(name)
+        self._shown_colour.pop(name, None)
+        for group in ("site", "clearance", "critical points"):
+            self._tree[group][node].delete()
+            self._placed.pop((group, node), None)
+
+    def place(self, name: str, shift: Vector | None) -> None:
+        """Show an obstacle `shift` (3,) from where it was drawn [m]; None hides it."""
+        transform = np.eye(4)
+        if shift is None:
+            transform[:3, :3] *= _HIDDEN
+        else:
+            transform[:3, 3] = shift
+        for group in ("site", "clearance"):
+            self._place(group, self._obstacles[name], transform)
+
+    def point(self, name: str, spot: Nearest | None) -> None:
+        """Show the nearest spot to an obstacle, or to the machine itself; None hides it."""
+        self._set_critical_point(name, spot)
+
+    def node_of(self, name: str) -> str:
+        """Under which name an obstacle stands in the viewer's tree, below ``site``."""
+        return self._obstacles[name]
 
     def _place(self, group: str, node: str, transform: Matrix) -> None:
         """Set a node's transform, unless it is there already."""

@@ -26,6 +26,7 @@ _STEEL = (0.56, 0.59, 0.63)
 _TIMBER = (0.52, 0.40, 0.29)
 _UTILITY = (0.95, 0.62, 0.10)
 _DANGER = (0.90, 0.25, 0.20)
+_ZONE = (0.93, 0.46, 0.12)
 _MOVING = (0.88, 0.36, 0.22)
 _ROCK = (0.56, 0.53, 0.50)
 _SCAN = (0.36, 0.56, 0.58)
@@ -53,9 +54,11 @@ class SiteMesh:
     bounds: Vector | None
 
 
-def is_ground(spec: schema.ObstacleSpec) -> bool:
+def is_ground(obstacle: Obstacle) -> bool:
     """Whether an obstacle is the ground, so that none needs to be drawn."""
-    return isinstance(spec, schema.HeightMap) or (isinstance(spec, schema.HalfSpace) and spec.normal[2] > 0.7)
+    spec = obstacle.spec
+    level = isinstance(spec, schema.HalfSpace) and spec.normal[2] > 0.7
+    return obstacle.zone is None and (level or isinstance(spec, schema.HeightMap))
 
 
 def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float) -> SiteMesh:
@@ -120,6 +123,8 @@ def _shell(obstacle: Obstacle) -> trimesh.Trimesh | None:
 def _colour(obstacle: Obstacle, drawn: trimesh.Trimesh) -> Rgba:
     spec = obstacle.spec
     low, high = drawn.bounds
+    if obstacle.zone is not None:
+        return (*_ZONE, 0.3)
     if obstacle.moves or obstacle.appears_at > 0.0:
         return (*_MOVING, 1.0)
     if isinstance(spec, schema.Box) and high[2] <= 0.05:  # ground beside or under the work
@@ -141,9 +146,11 @@ def _colour(obstacle: Obstacle, drawn: trimesh.Trimesh) -> Rgba:
 def _plane(obstacle: Obstacle, spec: schema.HalfSpace, centre: Vector, reach: float) -> SiteMesh:
     normal, point = np.array(spec.normal), np.array(spec.point)
     middle = centre - normal * float((centre - point) @ normal)
-    if is_ground(spec):
+    if is_ground(obstacle):
         rgba: Rgba = (*SOIL, 0.95 if obstacle.links is None else 0.6)
         fade = 0.6
+    elif obstacle.zone is not None:
+        rgba, fade = (*_ZONE, 0.14), 0.5
     else:
         overhead = normal[2] < -0.5
         rgba, fade = ((*_DANGER, 0.3), 0.35) if overhead else ((*_SLATE, 0.35), 0.8)

@@ -2,24 +2,58 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from backhoe_planner.errors import SceneError
 from backhoe_planner.machine.robot import JointLimits, Robot
-from backhoe_planner.site.scene import Scene
+from backhoe_planner.site.scene import Scene, SwingSector
 
-__all__ = ["scaled_limits"]
+__all__ = ["scaled_limits", "within_sectors"]
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
-    """The machine's limits with the scene's velocity scale and accelerations."""
+    """The machine's limits with the scene's velocity scale, accelerations and swing sectors.
+
+    Raises
+    ------
+    SceneError: a swing sector leaves the first joint no room, or the first joint slides.
+    """
     own = robot.limits
     acceleration = np.array(own.acceleration)
     for index, name in enumerate(robot.joint_names):
         acceleration[index] = scene.limits.acceleration.get(name, acceleration[index])
+    lower, upper = own.lower.copy(), own.upper.copy()
+    for index, zone in enumerate(scene.zones):
+        if not isinstance(zone, SwingSector):
+            continue
+        key = f"zones[{index}] ({zone.name})"
+        if robot.prismatic[0]:
+            raise SceneError(
+                "the first joint does not swing, it slides", file=scene.file, key=key, found=robot.joint_names[0]
+            )
+        lower[0], upper[0] = max(lower[0], zone.start + zone.stop), min(upper[0], zone.end - zone.stop)
+        if not lower[0] < upper[0]:
+            raise SceneError(
+                "leaves the first joint no room",
+                file=scene.file,
+                key=key,
+                found=f"{zone.start:g} to {zone.end:g}, each kept off by {zone.stop:g}",
+                allowed=f"{robot.joint_names[0]} moves from {own.lower[0]:g} to {own.upper[0]:g}",
+            )
     return JointLimits(
-        lower=own.lower.copy(),
-        upper=own.upper.copy(),
+        lower=lower,
+        upper=upper,
         velocity=own.velocity * scene.limits.velocity_scale,
         acceleration=acceleration,
         effort=own.effort.copy(),
     )
+
+
+def within_sectors(robot: Robot, scene: Scene) -> Robot:
+    """The machine with its first joint's range cut down to the scene's swing sectors; itself where there is none."""
+    if not any(isinstance(zone, SwingSector) for zone in scene.zones):
+        return robot
+    limits = scaled_limits(robot, scene)
+    return replace(robot, limits=replace(robot.limits, lower=limits.lower, upper=limits.upper))

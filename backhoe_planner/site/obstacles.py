@@ -22,7 +22,7 @@ from backhoe_planner.machine.convex import convex_cover, load_mesh, terrain_colu
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.site import scene as schema
 
-__all__ = ["Obstacle", "build_obstacle", "build_obstacles", "swept"]
+__all__ = ["Obstacle", "build_obstacle", "build_obstacles", "swept", "zone_solid"]
 
 Vector = NDArray[np.float64]
 
@@ -44,6 +44,7 @@ class Obstacle:
     appears_at: time before which it is not there [s].
     velocity: (3,) from then on [m/s], world.
     spec: the scene's own record.
+    zone: the scene's record of the zone of which this is the solid; None for an obstacle.
     """
 
     name: str
@@ -53,6 +54,12 @@ class Obstacle:
     appears_at: float
     velocity: Vector
     spec: schema.ObstacleSpec
+    zone: schema.ZoneSpec | None = None
+
+    @property
+    def slow(self) -> float:
+        """Within this distance beyond the clearance the servo goes slower [m]."""
+        return 0.0 if self.zone is None else self.zone.slow_distance - self.zone.stop
 
     @property
     def moves(self) -> bool:
@@ -61,15 +68,19 @@ class Obstacle:
 
 
 def build_obstacles(scene: schema.Scene, robot: Robot) -> tuple[Obstacle, ...]:
-    """Every obstacle of a scene, checked against the machine's link names.
+    """Every obstacle of a scene, then every zone that is solid, checked against the machine's link names.
 
     Raises
     ------
     SceneError: a file is missing, empty or malformed, or `links` names no link.
     """
     built = []
-    for index, spec in enumerate(scene.obstacles):
-        key = f"obstacles[{index}] ({spec.name})"
+    solids: list[tuple[str, schema.ObstacleSpec, schema.ZoneSpec | None]]
+    solids = [(f"obstacles[{index}] ({spec.name})", spec, None) for index, spec in enumerate(scene.obstacles)]
+    for index, zone in enumerate(scene.zones):
+        if not isinstance(zone, schema.SwingSector):
+            solids.append((f"zones[{index}] ({zone.name})", zone_solid(zone), zone))
+    for key, spec, record in solids:
         for link in spec.links or ():
             if link not in robot.all_link_names:
                 near = nearest_name(link, robot.all_link_names)
@@ -82,7 +93,8 @@ def build_obstacles(scene: schema.Scene, robot: Robot) -> tuple[Obstacle, ...]:
                     hint=f"did you mean {near!r}?" if near else None,
                 )
         try:
-            built.append(build_obstacle(spec, folder=scene.folder, clearance=scene.clearance))
+            found = build_obstacle(spec, folder=scene.folder, clearance=scene.clearance)
+            built.append(found if record is None else replace(found, zone=record))
         except SceneError:
             raise
         except InputError as error:
@@ -117,6 +129,22 @@ def build_obstacle(spec: schema.ObstacleSpec, *, folder: Path, clearance: float)
         appears_at=spec.appears_at,
         velocity=velocity,
         spec=spec,
+    )
+
+
+def zone_solid(zone: schema.Ceiling | schema.Floor | schema.Wall | schema.Cab) -> schema.HalfSpace | schema.Box:
+    """What a zone forbids, as an obstacle whose clearance is the stop distance."""
+    if isinstance(zone, schema.Cab):
+        return schema.Box(
+            name=zone.name, shape="box", size=zone.size, position=zone.position, rpy=zone.rpy,
+            clearance=zone.stop, links=zone.links,
+        )  # fmt: skip
+    if isinstance(zone, schema.Wall):
+        point, normal = zone.plane
+    else:
+        point, normal = (0.0, 0.0, zone.height), (0.0, 0.0, 1.0 if isinstance(zone, schema.Floor) else -1.0)
+    return schema.HalfSpace(
+        name=zone.name, shape="halfspace", point=point, normal=normal, clearance=zone.stop, links=zone.links
     )
 
 

@@ -25,8 +25,11 @@ from backhoe_planner.yaml_text import KeyPath, read_yaml
 
 __all__ = [
     "Box",
+    "Cab",
     "Capsule",
+    "Ceiling",
     "Cylinder",
+    "Floor",
     "Gains",
     "Goal",
     "HalfSpace",
@@ -41,8 +44,11 @@ __all__ = [
     "Soil",
     "Sphere",
     "Start",
+    "SwingSector",
     "Task",
+    "Wall",
     "Waypoint",
+    "ZoneSpec",
     "load_scene",
     "scene_from_dict",
     "scene_schema",
@@ -327,6 +333,140 @@ ObstacleSpec = Annotated[
 ]
 
 
+class _Zone(Record):
+    name: Annotated[str, Field(min_length=1)]
+    """Unique among zones and obstacles; appears in reports and in the viewer."""
+    stop: NonNegative = 0.0
+    """Distance that is never undercut: the zone's clearance [m], for a swing sector [rad]."""
+    slow: NonNegative | None = None
+    """Distance from which on the servo goes slower; `stop` by default [m], for a swing sector [rad]."""
+    warn: NonNegative | None = None
+    """Distance from which on it is reported; `slow` by default [m], for a swing sector [rad]."""
+
+    @model_validator(mode="after")
+    def _outward(self) -> _Zone:
+        if not self.stop <= self.slow_distance <= self.warn_distance:
+            raise ValueError(
+                "stop, slow and warn must not fall from one to the next, "
+                f"here they are {self.stop:g}, {self.slow_distance:g}, {self.warn_distance:g}"
+            )
+        return self
+
+    @property
+    def slow_distance(self) -> float:
+        """`slow`, or what it is by default."""
+        return self.stop if self.slow is None else self.slow
+
+    @property
+    def warn_distance(self) -> float:
+        """`warn`, or what it is by default."""
+        return self.slow_distance if self.warn is None else self.warn
+
+
+class _SolidZone(_Zone):
+    links: tuple[str, ...] | None = None
+    """The only links for which it holds; all of them by default."""
+
+
+class Ceiling(_SolidZone):
+    """Nothing of the machine above a height."""
+
+    kind: Literal["ceiling"]
+    height: Finite
+    """z [m]."""
+
+
+class Floor(_SolidZone):
+    """Nothing of the machine below a height."""
+
+    kind: Literal["floor"]
+    height: Finite
+    """z [m]."""
+
+
+class Wall(_SolidZone):
+    """Nothing of the machine beyond a plane: `point` and `normal`, or upright through `from` and `to`."""
+
+    kind: Literal["wall"]
+    point: Vector3 | None = None
+    """On the wall [m]."""
+    normal: tuple[AnyLength, AnyLength, AnyLength] | None = None
+    """Towards the machine's side; any length but 0."""
+    start: tuple[Finite, Finite] | None = Field(default=None, alias="from")
+    """x, y of a point on an upright wall [m]; the machine's side is that of the origin."""
+    end: tuple[Finite, Finite] | None = Field(default=None, alias="to")
+    """x, y of another point on it [m]."""
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Wall:
+        by_normal = [self.point is not None, self.normal is not None]
+        by_points = [self.start is not None, self.end is not None]
+        if not ((all(by_normal) and not any(by_points)) or (all(by_points) and not any(by_normal))):
+            raise ValueError("either point and normal, or from and to must be given")
+        if self.normal is not None and math.hypot(*self.normal) < 1e-12:
+            raise ValueError("a normal of length 0 has no direction")
+        if self.start is not None and self.end is not None:
+            (ax, ay), (bx, by) = self.start, self.end
+            length = math.hypot(bx - ax, by - ay)
+            if length < 1e-6:
+                raise ValueError("from and to are one point")
+            if abs(ax * (by - ay) - ay * (bx - ax)) / length < 1e-3:
+                raise ValueError(
+                    "a wall through the origin, where the machine stands, has no side of the machine: "
+                    "give point and normal"
+                )
+        return self
+
+    @property
+    def plane(self) -> tuple[Vector3, Vector3]:
+        """A point on it [m], and its unit normal towards the machine's side."""
+        if self.point is not None and self.normal is not None:
+            x, y, z = self.normal
+            length = math.hypot(x, y, z)
+            return self.point, (x / length, y / length, z / length)
+        assert self.start is not None
+        assert self.end is not None
+        (ax, ay), (bx, by) = self.start, self.end
+        x, y = by - ay, ax - bx
+        length = math.copysign(math.hypot(x, y), -(ax * x + ay * y))
+        return (ax, ay, 0.0), (x / length, y / length, 0.0)
+
+
+class SwingSector(_Zone):
+    """The swing, which is the first joint, only within two angles."""
+
+    kind: Literal["swing_sector"]
+    start: Finite = Field(alias="from")
+    """Least allowed angle [rad]."""
+    end: Finite = Field(alias="to")
+    """Greatest allowed angle [rad]."""
+
+    @model_validator(mode="after")
+    def _some_room(self) -> SwingSector:
+        if max(abs(self.start), abs(self.end)) > 4.0 * math.pi:
+            raise ValueError(f"angles are in radians; {self.start:g} to {self.end:g} look like degrees")
+        if self.start + self.stop >= self.end - self.stop:
+            raise ValueError(
+                f"from {self.start:g} to {self.end:g}, each kept off by {self.stop:g}, there is no room left"
+            )
+        return self
+
+
+class Cab(_SolidZone):
+    """A block around the operator's cab that nothing of the machine may enter."""
+
+    kind: Literal["cab"]
+    size: tuple[Positive, Positive, Positive]
+    """Edge lengths along x, y, z [m]."""
+    position: Vector3
+    """Of the centre [m]."""
+    rpy: Vector3 | None = None
+    """Roll, pitch, yaw about the fixed axes [rad]."""
+
+
+ZoneSpec = Annotated[Ceiling | Floor | Wall | SwingSector | Cab, Field(discriminator="kind")]
+
+
 class Gains(Record):
     """Gains of equation (12), set by hand."""
 
@@ -383,6 +523,8 @@ class Scene(Record):
     influence: Positive = 0.6
     """Within this distance an obstacle acts on the motion [m]."""
     obstacles: tuple[ObstacleSpec, ...] = ()
+    zones: tuple[ZoneSpec, ...] = ()
+    """Where the machine must not be, each with the distances at which to warn, slow down and stop."""
     gains: Literal["auto"] | Gains = "auto"
     limits: Limits = Limits()
     objective: Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"] = "work"
@@ -400,6 +542,9 @@ class Scene(Record):
         for index, name in enumerate(names):
             if name in names[:index]:
                 raise ValueError(f"two obstacles are named {name!r}")
+        for index, zone in enumerate(self.zones):
+            if zone.name in names or any(zone.name == other.name for other in self.zones[:index]):
+                raise ValueError(f"a zone and another zone or an obstacle are named {zone.name!r}")
         if self.task.goal is not None and self.start is None:
             raise ValueError("start is needed with a goal: where the machine stands")
         return self
@@ -472,7 +617,7 @@ def scene_from_dict(
     try:
         scene = Scene.model_validate(content)
     except ValidationError as error:
-        raise SceneError(explain(error, content, lines or {}, root=Scene, variants=_SHAPES), file=file) from None
+        raise SceneError(explain(error, content, lines or {}, root=Scene, variants=_TAGGED), file=file) from None
     scene._folder = Path(folder)
     scene._file = file
     return scene
@@ -496,6 +641,14 @@ _SHAPES: dict[str, type[BaseModel]] = {
     "pointcloud": PointCloud,
     "sphere": Sphere,
 }
+_KINDS: dict[str, type[BaseModel]] = {
+    "cab": Cab,
+    "ceiling": Ceiling,
+    "floor": Floor,
+    "swing_sector": SwingSector,
+    "wall": Wall,
+}
+_TAGGED: dict[str, type[BaseModel]] = {**_SHAPES, **_KINDS}
 
 # --- the path file ------------------------------------------------------------
 

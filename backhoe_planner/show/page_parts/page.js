@@ -7,7 +7,7 @@ function show(recording) {
   const viewer = new MeshCat.Viewer(pane);
   const THREE = MeshCat.THREE;
   let problem = null, plan = null, view = null;
-  let time = 0, playing = false, holding = 0, last = null, movedByHand = false;
+  let time = 0, playing = false, holding = 0, last = null, movedByHand = false, live = false;
   const shown = { clearance: false, "critical points": true, "task/trace": true, ground: true, names: true, shadows: true };
 
   // meshcat fills the window; here it has a part of it
@@ -112,7 +112,7 @@ function show(recording) {
     }
     get("warnings").hidden = content.warnings.length === 0;
     get("warnings").textContent = content.warnings.join("\n");
-    fit();
+    if (!movedByHand) fit();
   }
 
   function applySwitch(node) {
@@ -211,7 +211,7 @@ function show(recording) {
   function tick(now) {
     const step = last === null ? 0 : Math.min((now - last) / 1000, 0.5);
     last = now;
-    if (playing) spareShadows(step);
+    if (playing || live) spareShadows(step);
     if (plan !== null && (viewer.animator.playing || Math.abs(viewer.animator.time - time) > 1e-6)) {
       pause();  // meshcat's own panel has moved it
       seek(viewer.animator.time);
@@ -279,13 +279,15 @@ function show(recording) {
   });
 
   function hear(content) {
-    get("notice").hidden = true;
+    if (content.type === "problem" || content.type === "step") get("notice").hidden = true;
     if (content.type === "problem") showProblem(content);
     else if (content.type === "plan") showPlan(content);
     else if (content.type === "step" && problem !== null) {
       time = content.time;
+      live = true;
       showNumbers(content.q, content.margins, content.links);
     }
+    dispatchEvent(new CustomEvent("told", { detail: content }));
   }
 
   function draw(bytes) { viewer.handle_command_bytearray(bytes); }
@@ -293,6 +295,7 @@ function show(recording) {
   function connect() {
     const socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/socket`);
     socket.binaryType = "arraybuffer";
+    window.backhoe.send = (content) => { if (socket.readyState === 1) socket.send(JSON.stringify(content)); };
     let reported = false;
     socket.onmessage = (message) => {
       if (typeof message.data !== "string") { draw(new Uint8Array(message.data)); return; }
@@ -307,7 +310,8 @@ function show(recording) {
     };
   }
 
-  window.backhoe = { viewer, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; } };
+  window.backhoe = { viewer, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },
+    get problem() { return problem; } };
   if (recording === null) {
     get("notice").hidden = false;
     get("notice").textContent = "Waiting for the planner…";

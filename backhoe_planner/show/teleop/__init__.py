@@ -1,0 +1,1 @@
+"""Driving a machine from a page in the browser."""

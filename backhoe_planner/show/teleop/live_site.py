@@ -1,0 +1,221 @@
+"""What stands around the machine while it is driven: put there, moved, and taken away.
+
+An obstacle is let in only where the machine keeps its clearance on the whole way that
+it needs to brake; so what a person drops or drags never ends up inside the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.planning.certificate import segment_is_clear
+from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.show.timeline import ITSELF, Nearest, nearest_spots
+from backhoe_planner.site import scene as schema
+from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = ["LiveSite", "Standing"]
+
+Vector = NDArray[np.float64]
+
+_MOST = 40
+_BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more
+_SPARE = 0.004  # m beyond the clearance
+
+
+@dataclass
+class Standing:
+    """One obstacle, and when it came to where it is.
+
+    Attributes
+    ----------
+    obstacle: as it was put there first.
+    since: when it came to where it is now; 0 where it was there from the beginning [s].
+    """
+
+    obstacle: Obstacle
+    since: float
+    gauge: Proximity
+    gauged_at: Vector
+
+
+class LiveSite:
+    """The obstacles of one servo, and how far the machine is from each.
+
+    It owns its working memory, as the servo does: use both from one thread at a time.
+    """
+
+    def __init__(self, servo: Servo) -> None:
+        self._servo = servo
+        self._itself = Proximity(servo.robot, ())
+        self._standing: dict[str, Standing] = {}
+        for obstacle in build_obstacles(servo.scene, servo.robot):
+            self._standing[obstacle.name] = self._stand(obstacle, 0.0)
+        self._zones = frozenset(zone.name for zone in servo.scene.zones)
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """All of them, as they were put there first; also those that have not appeared yet."""
+        return tuple(standing.obstacle for standing in self._standing.values())
+
+    def shift_of(self, name: str) -> Vector | None:
+        """(3,) how far an obstacle has moved [m]; None where it has not appeared yet."""
+        return self._servo.shift_of(name) if name in self._servo.obstacles else None
+
+    def may_be_moved(self, name: str) -> bool:
+        """Whether it is no zone, does not move by itself, and has appeared."""
+        standing = self._standing.get(name)
+        return (
+            standing is not None
+            and name not in self._zones
+            and not standing.obstacle.moves
+            and name in self._servo.obstacles
+        )
+
+    def add(self, spec: schema.ObstacleSpec) -> None:
+        """Put an obstacle there.
+
+        Raises
+        ------
+        InputError: its name is taken, a link is not the machine's, there are too many,
+            or it leaves the machine no room.
+        """
+        if len(self._standing) >= _MOST:
+            raise InputError("there are enough obstacles", key="add", allowed=f"up to {_MOST}")
+        if spec.name in self._standing or spec.name == ITSELF:
+            raise InputError("there is an obstacle of that name", key="add", found=spec.name)
+        for link in spec.links or ():
+            if link not in self._servo.robot.all_link_names:
+                raise InputError("the machine has no such link", key="add", found=link)
+        obstacle = build_obstacle(spec, folder=self._servo.scene.folder, clearance=self._servo.scene.clearance)
+        standing = self._stand(obstacle, self._servo.time)
+        self._check_room(standing)
+        self._servo.add(obstacle)
+        self._standing[obstacle.name] = standing
+
+    def move(self, name: str, to: object) -> None:
+        """Put an obstacle `to` (3,) from where it first was [m].
+
+        Raises
+        ------
+        InputError: there is none of that name, it is not to be moved, or it would leave
+            the machine no room.
+        """
+        self._check_movable(name)
+        shift = np.array(to, dtype=float)
+        standing = self._standing[name]
+        moved = self._stand(standing.obstacle, self._servo.time, shift)
+        self._check_room(moved)
+        self._servo.move(name, shift - self._servo.shift_of(name))
+        self._standing[name] = moved
+
+    def remove(self, name: str) -> None:
+        """Take an obstacle away.
+
+        Raises
+        ------
+        InputError: there is none of that name, or it is a zone.
+        """
+        if name in self._zones:
+            raise InputError("is a zone of the scene, which stays", key="remove", found=name)
+        if name not in self._servo.obstacles:
+            raise InputError("there is no obstacle of that name", key="remove", found=name)
+        self._servo.remove(name)
+        del self._standing[name]
+
+    def nearest(self, q: Vector) -> dict[str, Nearest | None]:
+        """The tightest spot to every obstacle and to the machine itself; None where nothing is within sight."""
+        within = 2.0 * self._servo.scene.influence
+        found: dict[str, Nearest | None] = {}
+        for name, standing in self._standing.items():
+            if name not in self._servo.obstacles:
+                found[name] = None
+                continue
+            moment = self._gauge_time(standing)
+            sight = within + standing.obstacle.clearance
+            found[name] = nearest_spots(standing.gauge, (name,), q, time=moment, within=sight)[0]
+        if self._itself.pairs:
+            found[ITSELF] = nearest_spots(self._itself, (ITSELF,), q, time=0.0, within=within)[0]
+        return found
+
+    def records(self, begun: float) -> tuple[list[dict[str, Any]], list[str]]:
+        """The obstacles as a scene file has them, for a recording that began at `begun` [s].
+
+        Returns
+        -------
+        The records; and in words what a scene file cannot say of them.
+        """
+        records, notes = [], []
+        for name, standing in self._standing.items():
+            if name in self._zones:
+                continue
+            obstacle = standing.obstacle
+            content = obstacle.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
+            appears = max(obstacle.appears_at, standing.since)
+            shift = self.shift_of(name)
+            if shift is not None:
+                # where it was when the recording began, or came to where it stands
+                shift = shift - obstacle.velocity * (self._servo.time - max(appears, begun))
+                _displace(content, shift)
+            content["appears_at"] = max(appears - begun, 0.0)
+            records.append(content)
+            if standing.since > begun and shift is not None and shift.any():
+                notes.append(f"{name} was moved until {standing.since - begun:.2f} s; where it was before is left out")
+        return records, notes
+
+    # --- room -----------------------------------------------------------------------
+
+    def _stand(self, obstacle: Obstacle, since: float, shift: Vector | None = None) -> Standing:
+        shift = np.zeros(3) if shift is None else shift
+        there = replace(obstacle, appears_at=0.0, pieces=tuple(_moved(obstacle, shift)))
+        return Standing(obstacle, since, Proximity(self._servo.robot, (there,), self_collision=False), shift)
+
+    def _gauge_time(self, standing: Standing) -> float:
+        """Time at which the gauge's obstacle is where the servo's is [s]."""
+        velocity = standing.obstacle.velocity
+        speed = float(velocity @ velocity)
+        if speed == 0.0:
+            return 0.0
+        return float((self._servo.shift_of(standing.obstacle.name) - standing.gauged_at) @ velocity) / speed
+
+    def _check_room(self, standing: Standing) -> None:
+        servo = self._servo
+        q, v = servo.q, servo.v
+        time = float((np.abs(v) / (_BRAKING * servo.limits.acceleration)).max())
+        end = q + (0.5 * time + servo.dt) * v
+        if not segment_is_clear(standing.gauge, q, end, depth=10, spare=_SPARE):
+            raise InputError(
+                "is too close to the machine, or to where it can stop",
+                key=standing.obstacle.name,
+                allowed=f"{standing.obstacle.clearance:.2f} m of clearance",
+            )
+
+    def _check_movable(self, name: str) -> None:
+        if name not in self._servo.obstacles:
+            raise InputError("there is no obstacle of that name", key="move", found=name)
+        if not self.may_be_moved(name):
+            raise InputError("is a zone, or moves by itself", key="move", found=name)
+
+
+def _moved(obstacle: Obstacle, shift: Vector) -> Iterable[Any]:
+    for piece in obstacle.pieces:
+        hull = piece.hull + shift if len(piece.hull) else piece.hull
+        placement = pin.SE3(piece.placement.rotation, piece.placement.translation + shift)
+        yield replace(piece, placement=placement, hull=hull)
+
+
+def _displace(record: dict[str, Any], shift: Vector) -> None:
+    """Move an obstacle's record in place."""
+    if not shift.any():
+        return
+    keys = {"capsule": ("from", "to"), "halfspace": ("point",)}.get(record["shape"], ("position",))
+    for key in keys:
+        record[key] = (np.array(record.get(key, [0.0, 0.0, 0.0])) + shift).tolist()

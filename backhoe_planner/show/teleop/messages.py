@@ -1,0 +1,177 @@
+"""What a page may say to a tele-operation session, checked at the door.
+
+A message is one JSON object with a `type`. What cannot be understood is answered with a
+sentence that says why; it changes nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.site import scene as schema
+
+__all__ = [
+    "LARGEST",
+    "Add",
+    "Circulate",
+    "Droppable",
+    "HandOver",
+    "Message",
+    "Move",
+    "Record",
+    "Release",
+    "Remove",
+    "Sticks",
+    "Stop",
+    "Take",
+    "Tip",
+    "parse",
+]
+
+LARGEST = 16_384  # characters or bytes of a message
+_LONGEST_NAME = 60
+
+_Part = Annotated[float, Field(strict=True, ge=-1.0, le=1.0, allow_inf_nan=False)]
+_Rate = Annotated[float, Field(strict=True, ge=-10.0, le=10.0, allow_inf_nan=False)]
+_Near = Annotated[float, Field(strict=True, ge=-1000.0, le=1000.0, allow_inf_nan=False)]
+_Name = Annotated[str, Field(strict=True, min_length=1, max_length=_LONGEST_NAME)]
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    id: Annotated[int, Field(strict=True, ge=0, le=2**53)] | None = None
+    """Comes back with the answer."""
+
+
+class Take(_Message):
+    """The page wants to drive."""
+
+    type: Literal["take"]
+
+
+class Release(_Message):
+    """The driver lets go."""
+
+    type: Literal["release"]
+
+
+class HandOver(_Message):
+    """The driver lets another page drive."""
+
+    type: Literal["hand_over"]
+    to: Annotated[int, Field(strict=True, ge=0, le=2**53)]
+    """The other page's number."""
+
+
+class Tip(_Message):
+    """A wish for the tip; it holds until the next one, or until the watchdog ends it."""
+
+    type: Literal["tip"]
+    velocity: tuple[_Rate, _Rate, _Rate]
+    """[m/s]; in the arm's frame: outward, to the left, up."""
+    frame: Literal["arm", "world"] = "arm"
+    pitch_rate: _Rate | None = None
+    """[rad/s]; left out, pitch is free."""
+
+
+class Sticks(_Message):
+    """Where two joysticks stand; holds like a wish for the tip."""
+
+    type: Literal["sticks"]
+    pattern: Literal["iso", "sae"]
+    left: tuple[_Part, _Part]
+    """Left stick: to the right, and forward."""
+    right: tuple[_Part, _Part]
+    """Right stick: to the right, and forward."""
+    speed: Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)] = 1.0
+    """Part of every joint's rate at full deflection."""
+
+
+class Stop(_Message):
+    """Stop now, within the acceleration limits."""
+
+    type: Literal["stop"]
+
+
+Droppable = Annotated[
+    schema.Sphere | schema.Box | schema.Cylinder | schema.Capsule, Field(discriminator="shape")
+]  # no files, and nothing without an end
+
+
+class Add(_Message):
+    """Put an obstacle there."""
+
+    type: Literal["add"]
+    obstacle: Droppable
+
+
+class Move(_Message):
+    """Put an obstacle elsewhere."""
+
+    type: Literal["move"]
+    name: _Name
+    to: tuple[_Near, _Near, _Near]
+    """How far it is to be from where it first was [m], world."""
+
+
+class Remove(_Message):
+    """Take an obstacle away."""
+
+    type: Literal["remove"]
+    name: _Name
+
+
+class Record(_Message):
+    """Begin a recording, or bring the machine to rest and write it."""
+
+    type: Literal["record"]
+    on: Annotated[bool, Field(strict=True)]
+
+
+class Circulate(_Message):
+    """Whether a tip that is pushed straight into an obstacle goes round it."""
+
+    type: Literal["circulate"]
+    on: Annotated[bool, Field(strict=True)]
+
+
+Message = Take | Release | HandOver | Tip | Sticks | Stop | Add | Move | Remove | Record | Circulate
+_MESSAGE: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
+
+
+def parse(text: str | bytes) -> Message:
+    """The message that a page sent.
+
+    Raises
+    ------
+    InputError: it is too long, not JSON, or not one of the messages; says what is wrong.
+    """
+    if len(text) > LARGEST:
+        raise InputError("is too long", key="message", found=f"{len(text)} characters", allowed=f"up to {LARGEST}")
+    try:
+        message = _MESSAGE.validate_json(text)
+    except ValidationError as error:
+        raise InputError(_first(error), key="message") from None
+    except ValueError as error:  # text that is no Unicode
+        raise InputError(f"is not JSON: {type(error).__name__}", key="message") from None
+    if isinstance(message, Add):
+        _check(message.obstacle)
+    return message
+
+
+def _check(spec: schema.ObstacleSpec) -> None:
+    if len(spec.name) > _LONGEST_NAME:
+        raise InputError("is too long", key="obstacle.name", allowed=f"up to {_LONGEST_NAME} characters")
+    if any(spec.velocity) or spec.appears_at > 0.0:
+        raise InputError("what is dropped in stands still, and is there at once", key="obstacle")
+
+
+def _first(error: ValidationError) -> str:
+    detail = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    place = ".".join(str(part) for part in detail["loc"])
+    said = detail["msg"][0].lower() + detail["msg"][1:]
+    return f"{place[:200]}: {said[:300]}" if place else said[:300]

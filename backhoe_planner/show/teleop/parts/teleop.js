@@ -1,0 +1,291 @@
+"use strict";
+// Driving: what the hands do goes to the session as wishes; what it says is shown.
+(() => {
+  const get = (id) => document.getElementById(id);
+  const { viewer } = backhoe, THREE = MeshCat.THREE, pane = get("meshcat-pane"), stage = get("stage");
+  let page = null, told = null, toastUntil = 0;
+
+  // ---- where things stand on the page --------------------------------------------
+  get("app").append(get("drive"));
+  stage.append(get("keys"), get("toast"));
+  get("panel").insertBefore(get("hand-section"), get("facts-section"));
+  get("panel").insertBefore(get("site-section"), get("switches").parentElement);
+  for (const id of ["drive", "hand-section", "site-section"]) get(id).hidden = false;
+
+  const send = (content) => backhoe.send && backhoe.send(content);
+  const driving = () => told !== null && told.driver !== null && told.driver === page;
+  const signed = (value, digits) => value.toFixed(digits).replace("-", "\u2212");
+
+  function toast(text) {
+    get("toast").textContent = text;
+    get("toast").hidden = false;
+    toastUntil = performance.now() + 4000;
+  }
+
+  // ---- hands -----------------------------------------------------------------------
+
+  const held = new Set();
+  const KEYS = {
+    tip: [["W / S", "out, in"], ["A / D", "left, right"], ["E / Q", "up, down"], ["Z / X", "curl, dump"], ["Space", "stop"]],
+    iso: [["A / D", "swing"], ["W / S", "stick out, in"], ["\u2191 / \u2193", "boom down, up"], ["\u2190 / \u2192", "curl, dump"],
+      ["Space", "stop"]],
+    sae: [["A / D", "swing"], ["W / S", "boom down, up"], ["\u2191 / \u2193", "stick out, in"], ["\u2190 / \u2192", "curl, dump"],
+      ["Space", "stop"]],
+  };
+  const USED = new Set(["KeyW", "KeyS", "KeyA", "KeyD", "KeyE", "KeyQ", "KeyZ", "KeyX",
+    "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", "Space"]);
+  const both = (plus, minus) => (held.has(plus) ? 1 : 0) - (held.has(minus) ? 1 : 0);
+  const free = (value) => Math.abs(value || 0) < 0.12 ? 0 : Math.sign(value) * (Math.abs(value) - 0.12) / 0.88;
+  const clamp = (value) => Math.min(Math.max(value, -1), 1);
+
+  function pad() {
+    const found = navigator.getGamepads ? [...navigator.getGamepads()].find((one) => one && one.connected) : null;
+    get("gamepad").hidden = !found;
+    return found ? found.axes.map(free) : [0, 0, 0, 0];
+  }
+
+  function wish() {
+    const [lx, ly, rx, ry] = pad(), mode = get("mode").value, speed = Number(get("drive-speed").value);
+    if (mode !== "tip") {
+      return { type: "sticks", pattern: mode, speed,
+        left: [clamp(both("KeyD", "KeyA") + lx), clamp(both("KeyW", "KeyS") - ly)],
+        right: [clamp(both("ArrowRight", "ArrowLeft") + rx), clamp(both("ArrowUp", "ArrowDown") - ry)] };
+    }
+    const turn = clamp(both("KeyX", "KeyZ") + rx);
+    const content = { type: "tip", frame: "arm", velocity: [
+      speed * clamp(both("KeyW", "KeyS") - ly), speed * clamp(both("KeyA", "KeyD") - lx),
+      speed * clamp(both("KeyE", "KeyQ") - ry)] };
+    if (turn !== 0 && told !== null && told.has_pitch) content.pitch_rate = speed * turn;
+    return content;
+  }
+
+  const something = (content) => content.type === "tip"
+    ? content.velocity.some((x) => x !== 0) || content.pitch_rate !== undefined
+    : [...content.left, ...content.right].some((x) => x !== 0);
+
+  let moving = false, asked = 0;
+  function drive() {
+    if (performance.now() > toastUntil) get("toast").hidden = true;
+    const content = wish();
+    if (something(content)) {
+      if (driving()) { send(content); moving = true; } else if (told !== null && performance.now() - asked > 1500) {
+        asked = performance.now();
+        send({ type: "take" });
+      }
+    } else if (moving) {
+      moving = false;
+      if (driving()) send({ type: "stop" });
+    }
+  }
+
+  function letGo() { held.clear(); drive(); }
+
+  addEventListener("keydown", (event) => {
+    if (event.code === "Escape") arm(null);
+    if (event.ctrlKey || event.metaKey || event.altKey || !USED.has(event.code) || event.target.matches("select, input[type=text]")) return;
+    event.preventDefault();
+    if (event.target.matches("button, input")) event.target.blur();
+    if (event.code === "Space") { letGo(); if (driving()) send({ type: "stop" }); return; }
+    held.add(event.code);
+    if (!event.repeat) drive();
+  });
+  addEventListener("keyup", (event) => { held.delete(event.code); });
+  addEventListener("blur", letGo);
+  document.addEventListener("visibilitychange", letGo);
+  setInterval(drive, 40);
+
+  // ---- the bar ---------------------------------------------------------------------
+
+  function showMode() {
+    const keys = get("keys");
+    keys.replaceChildren();
+    for (const [key, does] of KEYS[get("mode").value]) {
+      const name = document.createElement("b"), text = document.createElement("span");
+      name.textContent = key;
+      text.textContent = does;
+      keys.append(name, text);
+    }
+    const speed = Number(get("drive-speed").value);
+    get("drive-speed-value").textContent = get("mode").value === "tip" ? `${speed.toFixed(2)} m/s` : `${Math.round(100 * speed)} %`;
+  }
+  get("mode").addEventListener("change", () => { get("mode").blur(); letGo(); showMode(); });
+  get("drive-speed").addEventListener("input", showMode);
+  get("take").addEventListener("click", () => send({ type: driving() ? "release" : "take" }));
+  get("hand-over").addEventListener("click", () => send({ type: "hand_over", to: told.asking[0] }));
+  get("record").addEventListener("click", () => send({ type: "record", on: told.recording === "idle" }));
+  get("circulate").addEventListener("change", (event) => send({ type: "circulate", on: event.target.checked }));
+  showMode();
+
+  // ---- putting, dragging, taking away ------------------------------------------------
+
+  const FORMS = {
+    ball: ([x, y, z]) => ({ shape: "sphere", radius: 0.3, position: [x, y, z + 0.3] }),
+    post: ([x, y, z]) => ({ shape: "cylinder", radius: 0.12, length: 3.0, position: [x, y, z + 1.5] }),
+    block: ([x, y, z]) => ({ shape: "box", size: [0.8, 0.8, 0.8], position: [x, y, z + 0.4] }),
+  };
+  let armed = null, drag = null;
+
+  function drop(form, at) {
+    const taken = new Set(backhoe.problem.obstacles.map((obstacle) => obstacle.name));
+    let number = 1;
+    while (taken.has(`${form} ${number}`)) number++;
+    const name = `${form} ${number}`;
+    send({ type: "add", obstacle: { name, ...FORMS[form](at) } });
+    return name;
+  }
+
+  function arm(form) {
+    armed = armed === form ? null : form;
+    stage.classList.toggle("dropping", armed !== null);
+    for (const button of document.querySelectorAll("[data-drop]")) button.classList.toggle("armed", button.dataset.drop === armed);
+  }
+  for (const button of document.querySelectorAll("[data-drop]")) {
+    button.addEventListener("click", () => { button.blur(); arm(button.dataset.drop); });
+  }
+
+  const ray = new THREE.Raycaster(), spot = new THREE.Vector3();
+  function aim(event) {
+    const box = pane.getBoundingClientRect();
+    ray.setFromCamera(new THREE.Vector2(2 * (event.clientX - box.left) / box.width - 1,
+      1 - 2 * (event.clientY - box.top) / box.height), viewer.camera);
+  }
+  const site = (name) => viewer.scene_tree.find(["site", told.nodes[name]]).object;
+  const world = (v) => [v.x, -v.z, v.y];  // y is up for the camera
+
+  function hit() {
+    if (told === null) return null;
+    let best = null;
+    for (const name of Object.keys(told.nodes)) {
+      const [found] = ray.intersectObject(site(name), true);
+      if (found && (best === null || found.distance < best.distance)) best = { name, point: found.point.clone(), distance: found.distance };
+    }
+    return best;
+  }
+
+  function onPlane(point, upright) {
+    const normal = upright ? viewer.camera.getWorldDirection(new THREE.Vector3()).setY(0).normalize() : new THREE.Vector3(0, 1, 0);
+    return ray.ray.intersectPlane(new THREE.Plane().setFromNormalAndCoplanarPoint(normal, point), spot) ? spot.clone() : null;
+  }
+
+  pane.addEventListener("pointerdown", (event) => {
+    if (event.button !== 0 || told === null) return;
+    aim(event);
+    if (armed !== null) {
+      event.stopImmediatePropagation();
+      const at = onPlane(new THREE.Vector3(0, 0, 0), false);
+      const form = armed;
+      arm(null);
+      if (!driving()) toast("Take the controls first");
+      else if (at) drop(form, world(at));
+      return;
+    }
+    const found = driving() ? hit() : null;
+    if (found === null) return;
+    event.stopImmediatePropagation();
+    pane.setPointerCapture(event.pointerId);
+    drag = { ...found, shift: told.shifts[found.name], sent: 0 };
+  }, true);
+  pane.addEventListener("pointermove", (event) => {
+    if (drag === null) {
+      if (event.buttons === 0 && driving()) { aim(event); stage.classList.toggle("over-movable", hit() !== null); }
+      return;
+    }
+    event.stopImmediatePropagation();
+    if (performance.now() - drag.sent < 33) return;
+    aim(event);
+    const at = onPlane(drag.point, event.shiftKey);
+    if (at === null) return;
+    const delta = world(at.sub(drag.point)).map((x, k) => event.shiftKey === (k === 2) ? x : 0);
+    drag.sent = performance.now();
+    send({ type: "move", name: drag.name, to: drag.shift.map((x, k) => x + delta[k]) });
+  }, true);
+  const undrag = () => { drag = null; };
+  pane.addEventListener("pointerup", undrag, true);
+  pane.addEventListener("pointercancel", undrag, true);
+
+  function dressRows() {
+    const rows = document.querySelectorAll("#margins .margin");
+    backhoe.problem.obstacles.forEach((obstacle, k) => {
+      const may = driving() && told.nodes[obstacle.name] !== undefined, row = rows[k];
+      if (!row || row.classList.contains("removable") === may) return;
+      row.classList.toggle("removable", may);
+      if (!may) { row.querySelector(".remove").remove(); return; }
+      const button = document.createElement("button");
+      button.className = "remove";
+      button.type = "button";
+      button.textContent = "✕";
+      button.title = `Take ${obstacle.name} away`;
+      button.addEventListener("click", () => send({ type: "remove", name: obstacle.name }));
+      row.insertBefore(button, row.querySelector(".bar"));
+    });
+  }
+
+  // ---- what is told ------------------------------------------------------------------
+
+  const WORDS = { ok: ["Free", ""], near_singularity: ["Stretched out", "near"], near_limit: ["At a joint limit", "near"],
+    near_obstacle: ["Near", "near"], sliding: ["Sliding along", "held"], stopped: ["Held by", "held"], evading: ["Evading", "held"] };
+
+  function showState(content) {
+    told = content;
+    const [word, kind] = WORDS[content.status], about = ["near_obstacle", "sliding", "stopped", "evading"].includes(content.status);
+    const idle = content.command === "timed_out" && kind !== "held" ? "idle" : kind;
+    get("status").className = content.status === "stopped" && content.obstacle === null ? "idle" : idle;
+    const resting = content.status === "stopped" && content.obstacle === null || content.status === "ok" && idle === "idle";
+    get("status-word").textContent = resting ? "At rest" : about && content.obstacle ? `${word} ${content.obstacle}` : word;
+    get("status-more").textContent = content.margin === null || !content.obstacle ? "" : `${content.link}, ${signed(content.margin, 2)} m`;
+    get("force-value").textContent = `${content.force.toFixed(0)} N`;
+    get("force-fill").style.transform = `scaleX(${Math.min(content.force / content.largest_force, 1)})`;
+    get("pace-value").textContent = `${Math.round(100 * content.pace)} %`;
+    get("pace-fill").style.transform = `scaleX(${content.pace})`;
+    const [x, y, z] = content.tip;
+    get("tip-line").textContent = `Tip ${signed(x, 2)}, ${signed(y, 2)}, ${signed(z, 2)} m at ${content.speed.toFixed(2)} m/s`;
+    const zones = get("zones");
+    zones.replaceChildren();
+    for (const [name, level] of Object.entries(content.zones)) {
+      const chip = document.createElement("span");
+      chip.className = level;
+      chip.textContent = `${name}: ${level}`;
+      zones.append(chip);
+    }
+    if (backhoe.problem !== null) {
+      for (const obstacle of backhoe.problem.obstacles) {
+        const anchor = content.anchors[obstacle.name];
+        if (anchor) obstacle.anchor = anchor;
+        if (obstacle.label) obstacle.label.hidden = obstacle.name in content.anchors === false;
+      }
+      dressRows();
+    }
+    const mine = driving(), take = get("take");
+    take.textContent = mine ? "Let go" : content.driver === null ? "Take the controls" : `Ask page ${content.driver}`;
+    take.className = mine ? "driving" : "";
+    get("hand-over").hidden = !mine || content.asking.length === 0;
+    get("hand-over").textContent = `Hand over to page ${content.asking[0]}`;
+    const record = get("record"), idleRecord = content.recording === "idle";
+    record.className = idleRecord ? "" : "on";
+    record.disabled = !mine || content.recording === "ending";
+    get("record-word").textContent = { idle: "Record", arming: "Waiting for rest", on: `Stop, ${content.recorded.toFixed(1)} s`,
+      ending: "Coming to rest" }[content.recording];
+    get("circulate").checked = content.circulate;
+    get("circulate").disabled = !mine;
+    for (const button of document.querySelectorAll("#drops button")) button.disabled = !mine;
+  }
+
+  function showRecorded(content) {
+    get("recorded").textContent = content.writing ? "Writing the recording…" : content.error ? content.error
+      : `${content.file.split("/").pop()}: ${content.seconds.toFixed(1)} s, ${content.verdict}`
+        + (content.zones ? `, ${content.zones} zone visits` : "");
+    get("recorded").title = content.file || "";
+  }
+
+  addEventListener("told", ({ detail: content }) => {
+    if (content.type === "you") page = content.page;
+    else if (content.type === "teleop") showState(content);
+    else if (content.type === "recorded") showRecorded(content);
+    else if (content.type === "answer") {
+      backhoe.teleop.answers = (backhoe.teleop.answers + 1) % 1e9;
+      if (!content.ok) toast(content.error);
+    }
+  });
+
+  backhoe.teleop = { drop, get state() { return told; }, get page() { return page; }, get driving() { return driving(); }, answers: 0 };
+})();

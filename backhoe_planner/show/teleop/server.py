@@ -1,0 +1,60 @@
+"""Brings a session to pages in the browser, and what they say to the session."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from tornado.websocket import WebSocketClosedError
+
+from backhoe_planner.show.live_server import LivePage, LiveServer, LiveSocket
+from backhoe_planner.show.teleop.page import teleop_page
+from backhoe_planner.show.teleop.session import Session
+
+__all__ = ["TeleopServer"]
+
+
+class _Socket(LiveSocket):
+    server: TeleopServer
+    page = 0
+
+    def open(self, *args: str, **kwargs: str) -> None:
+        super().open(*args, **kwargs)
+        self.page = self.server.session.join()
+        self._say({"type": "you", "page": self.page})
+
+    def on_message(self, message: str | bytes) -> None:
+        if message == "drawn":
+            super().on_message(message)
+        else:
+            self._say(self.server.session.hear(self.page, message))
+
+    def on_close(self) -> None:
+        self.server.session.leave(self.page)
+        super().on_close()
+
+    def _say(self, content: dict[str, Any]) -> None:
+        try:
+            self.write_message(json.dumps(content, allow_nan=False))
+        except WebSocketClosedError:
+            return  # it left before it was answered
+
+
+class TeleopServer(LiveServer):
+    """A web server in a thread of its own; see `LiveServer`.
+
+    Parameters
+    ----------
+    session: that the pages watch and drive.
+    """
+
+    def __init__(self, session: Session, *, host: str = "127.0.0.1", port: int | None = None) -> None:
+        self.session = session
+        super().__init__(host=host, port=port)
+
+    def routes(self) -> list[Any]:
+        """What is served; tornado's rules."""
+        return [
+            ("/", LivePage, {"page": teleop_page(), "server": self}),
+            ("/socket", _Socket, {"server": self}),
+        ]

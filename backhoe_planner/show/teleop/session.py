@@ -1,0 +1,311 @@
+"""A machine that is driven live by one of several pages: the state machine, without any network.
+
+pages     join, leave; one of them drives: the first that takes, until it releases,
+          hands over or leaves. A machine without a driver is stopped by the watchdog.
+wishes    go to the servo, which does the nearest safe thing
+site      obstacles come, move and go, as far as the machine keeps its clearance
+recording idle -> arming (to rest) -> on -> ending (to rest) -> idle
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.redundancy.feedback import Feedback
+from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.redundancy.servo_state import ServoState
+from backhoe_planner.show.teleop.joysticks import joint_rates
+from backhoe_planner.show.teleop.live_site import LiveSite
+from backhoe_planner.show.teleop.messages import (
+    Add,
+    Circulate,
+    HandOver,
+    Message,
+    Move,
+    Record,
+    Release,
+    Remove,
+    Sticks,
+    Stop,
+    Take,
+    Tip,
+    parse,
+)
+from backhoe_planner.show.teleop.recorder import Recorder, Recording
+from backhoe_planner.show.timeline import Nearest
+from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.scene import Scene
+from backhoe_planner.site.zones import Level, ZoneLog
+
+__all__ = ["LARGEST_FORCE", "Phase", "Session", "Snapshot"]
+
+Vector = NDArray[np.float64]
+Phase = Literal["idle", "arming", "on", "ending"]
+
+LARGEST_FORCE = 30.0  # N
+_LONGEST_RECORDING = 600.0  # s
+_AT_REST = 1e-9  # rad/s or m/s
+_PATIENCE = 5.0  # s to come to rest in, after which a recording ends all the same
+_STILL = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All that is to be shown of one moment.
+
+    Attributes
+    ----------
+    state: of the servo.
+    obstacles: all there are, as they were put there.
+    shifts: of each, how far it has moved (3,) [m]; None where it has not appeared yet.
+    movable: names of those that a page may move.
+    nearest: tightest spot to each and to the machine itself.
+    zones: distances of zones that are passed.
+    driver, pages, asking: numbers of pages: who drives, who is there, who wants to drive.
+    recording, recorded: phase, and how long it is so far [s].
+    circulate: whether a blocked tip goes round.
+    """
+
+    state: ServoState
+    obstacles: tuple[Obstacle, ...]
+    shifts: dict[str, Vector | None]
+    movable: frozenset[str]
+    nearest: dict[str, Nearest | None]
+    zones: dict[str, Level]
+    driver: int | None
+    pages: tuple[int, ...]
+    asking: tuple[int, ...]
+    recording: Phase
+    recorded: float
+    circulate: bool
+
+
+class Session:
+    """One machine, driven live. Every method may be called from any thread.
+
+    Parameters
+    ----------
+    robot, scene: the machine, and the site. Of the scene's task only the start is used.
+    dt: length of a step [s].
+    watchdog: without a wish for this long the machine stops [s].
+
+    Raises
+    ------
+    InputError, SceneError, RobotError: the scene does not fit the machine, or has no start.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene, *, dt: float = 0.005, watchdog: float = 0.4) -> None:
+        self._lock = threading.Lock()
+        feedback = Feedback(dt, largest=LARGEST_FORCE)
+        self._servo = Servo(robot, scene, dt, watchdog=watchdog, feedback=feedback)
+        self.robot, self.scene, self.dt = self._servo.robot, scene, dt
+        self._site = LiveSite(self._servo)
+        self._zones = ZoneLog(self.robot, scene)
+        self._pages: list[int] = []
+        self._asking: list[int] = []
+        self._driver: int | None = None
+        self._next_page = 1
+        self._wish: Tip | Sticks | Stop | None = None
+        self._upright, self._axis_at = _first_axis(self.robot)
+        self._phase: Phase = "idle"
+        self._waited = 0.0
+        self._recorder: Recorder | None = None
+        self._recordings: list[Recording] = []
+        self._removed: list[tuple[float, str]] = []
+        self._state = self._servo.step()
+
+    # --- pages -----------------------------------------------------------------------
+
+    def join(self) -> int:
+        """A page has come; its number."""
+        with self._lock:
+            page = self._next_page
+            self._next_page += 1
+            self._pages.append(page)
+            return page
+
+    def leave(self, page: int) -> None:
+        """A page has gone. If it drove, nobody does; the watchdog stops the machine."""
+        with self._lock:
+            if page in self._pages:
+                self._pages.remove(page)
+            if page in self._asking:
+                self._asking.remove(page)
+            if self._driver == page:
+                self._driver = None
+
+    def hear(self, page: int, text: str | bytes) -> dict[str, Any]:
+        """Do what a page says; the answer to it, as plain data. Nothing is raised about what it says."""
+        message: Message | None = None
+        try:
+            message = parse(text)
+            with self._lock:
+                said = self._obey(page, message)
+        except InputError as error:
+            return _answer(message, error=str(error))
+        return _answer(message, said=said)
+
+    def _obey(self, page: int, message: Message) -> str:
+        if page not in self._pages:
+            raise InputError("is not here any more", key="page", found=page)
+        if isinstance(message, Take):
+            return self._take(page)
+        if self._driver is None:
+            raise InputError("nobody drives", hint="take the controls first")
+        if self._driver != page:
+            raise InputError(f"page {self._driver} drives", hint="ask it to hand over")
+        if isinstance(message, (Tip, Sticks, Stop)):
+            if isinstance(message, Tip) and message.pitch_rate is not None and not self.robot.has_pitch:
+                raise InputError("is not defined for this machine", key="pitch_rate")
+            self._wish = message
+        elif isinstance(message, Release):
+            self._driver = None
+            self._wish = Stop(type="stop")
+        elif isinstance(message, HandOver):
+            self._hand_over(message.to)
+        elif isinstance(message, Add):
+            self._site.add(message.obstacle)
+        elif isinstance(message, Move):
+            self._site.move(message.name, message.to)
+        elif isinstance(message, Remove):
+            self._site.remove(message.name)
+            self._removed.append((self._servo.time, message.name))
+        elif isinstance(message, Circulate):
+            self._servo.circulate = message.on
+        else:
+            return self._record(message)
+        return ""
+
+    def _take(self, page: int) -> str:
+        if self._driver in (None, page):
+            self._driver = page
+            if page in self._asking:
+                self._asking.remove(page)
+            return "you drive"
+        if page not in self._asking:
+            self._asking.append(page)
+        raise InputError(f"page {self._driver} drives; it was told that you ask")
+
+    def _hand_over(self, to: int) -> None:
+        if to not in self._pages:
+            raise InputError("there is no such page", key="to", found=to, allowed=", ".join(map(str, self._pages)))
+        self._driver = to
+        self._wish = Stop(type="stop")  # the other one begins anew
+        if to in self._asking:
+            self._asking.remove(to)
+
+    def _record(self, message: Record) -> str:
+        if message.on and self._phase == "idle":
+            self._phase, self._waited = "arming", 0.0
+        elif not message.on and self._phase == "on":
+            self._phase, self._waited = "ending", 0.0
+        elif not message.on and self._phase == "arming":
+            self._phase = "idle"
+        return f"recording: {self._phase}"
+
+    # --- the loop --------------------------------------------------------------------
+
+    def step(self) -> ServoState:
+        """Move on by dt."""
+        with self._lock:
+            wish, self._wish = self._wish, None
+            if self._phase in ("arming", "ending"):
+                wish = Stop(type="stop")
+            state = self._state = self._wished(wish)
+            if self._phase != "idle":
+                self._keep(state)
+            return state
+
+    def _wished(self, wish: Tip | Sticks | Stop | None) -> ServoState:
+        if wish is None:
+            return self._servo.step()
+        if isinstance(wish, Stop):
+            return self._servo.step(joint_velocity=np.zeros(self.robot.n))
+        if isinstance(wish, Sticks):
+            return self._servo.step(joint_velocity=joint_rates(wish, self._servo.limits.velocity))
+        velocity = np.array(wish.velocity)
+        if wish.frame == "arm":
+            velocity = self._arm_frame() @ velocity
+        return self._servo.step(velocity, pitch_rate=wish.pitch_rate)
+
+    def _arm_frame(self) -> NDArray[np.float64]:
+        """(3, 3) outward, left and up as columns; the world's own where the first joint is not upright."""
+        x, y = (self._state.tip_position - self._axis_at)[:2]
+        far = math.hypot(x, y)
+        if not self._upright or far < 1e-3:
+            return np.eye(3)
+        return np.array([[x / far, -y / far, 0.0], [y / far, x / far, 0.0], [0.0, 0.0, 1.0]])
+
+    def _keep(self, state: ServoState) -> None:
+        """Move the recording on."""
+        if self._recorder is not None:
+            self._recorder.note(state.q)
+            if self._recorder.full and self._phase == "on":
+                self._phase, self._waited = "ending", 0.0
+        if self._phase == "on":
+            return
+        self._waited += self.dt
+        at_rest = float(np.abs(state.v).max()) < _AT_REST
+        if self._phase == "arming" and at_rest:
+            self._recorder = Recorder(state.time, state.q, self.dt, longest=_LONGEST_RECORDING)
+            self._removed.clear()
+            self._phase = "on"
+        elif self._phase == "ending" and (at_rest or self._waited > _PATIENCE) and self._recorder is not None:
+            begun = self._recorder.begun
+            obstacles, notes = self._site.records(begun)
+            notes += [f"{name} was taken away at {at - begun:.2f} s and is left out" for at, name in self._removed]
+            self._recordings.append(self._recorder.finish(obstacles, notes))
+            self._recorder = None
+            self._phase = "idle"
+
+    def take_recording(self) -> Recording | None:
+        """A recording that has ended and was not handed out yet, or None."""
+        with self._lock:
+            return self._recordings.pop(0) if self._recordings else None
+
+    def snapshot(self) -> Snapshot:
+        """What is to be shown now."""
+        with self._lock:
+            state, site = self._state, self._site
+            obstacles = site.obstacles
+            return Snapshot(
+                state=state,
+                obstacles=obstacles,
+                shifts={obstacle.name: site.shift_of(obstacle.name) for obstacle in obstacles},
+                movable=frozenset(o.name for o in obstacles if site.may_be_moved(o.name)),
+                nearest=site.nearest(state.q),
+                zones=self._zones.note(state.time, state.q),
+                driver=self._driver,
+                pages=tuple(self._pages),
+                asking=tuple(self._asking),
+                recording=self._phase,
+                recorded=0.0 if self._recorder is None else self._recorder.duration,
+                circulate=self._servo.circulate,
+            )
+
+
+def _answer(message: Message | None, *, said: str = "", error: str | None = None) -> dict[str, Any]:
+    return {
+        "type": "answer",
+        "id": None if message is None else message.id,
+        "to": None if message is None else message.type,
+        "ok": error is None,
+        "said": said,
+        "error": error,
+    }
+
+
+def _first_axis(robot: Robot) -> tuple[bool, Vector]:
+    """Whether the first joint turns about the vertical, and a point (3,) on its axis [m]."""
+    data = robot.model.createData()
+    J = pin.computeJointJacobians(robot.model, data, robot.middle).reshape(6, robot.n)
+    return bool(abs(J[5, 0]) > 0.99), np.array(data.oMi[1].translation)

@@ -1,0 +1,148 @@
+"""A session with all that runs around it: the loop, the server, the picture, and the writer of recordings."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time as clock
+from pathlib import Path
+from types import TracebackType
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning.plan_file import check_writable
+from backhoe_planner.show.teleop.picture import Picture
+from backhoe_planner.show.teleop.recorder import Recording
+from backhoe_planner.show.teleop.server import TeleopServer
+from backhoe_planner.show.teleop.session import Session
+from backhoe_planner.site.scene import Scene
+
+__all__ = ["TeleopStation", "free_name"]
+
+_FRAME = 1.0 / 30.0  # s between pictures
+_LATEST = 0.1  # s behind the clock at which the loop stops catching up
+
+
+class TeleopStation:
+    """Runs a session in real time and serves it, until it is closed. Use it in a ``with`` block.
+
+    Parameters
+    ----------
+    robot, scene: the machine, and the site with the start.
+    host: the address on which it listens; by default this machine alone can connect.
+    port: None takes the first free one from 7000 on, 0 any.
+    output: where recordings are written; nothing is overwritten: a second one gets a number.
+    dt: length of a step [s].
+
+    Attributes
+    ----------
+    session: what is driven.
+    warnings: what could not be drawn as the URDF asks, in words.
+
+    Raises
+    ------
+    InputError, SceneError, RobotError: the scene does not fit the machine.
+    OutputError: the port is taken, or recordings cannot be written there.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene,
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        output: str | Path = "teleop.json",
+        dt: float = 0.005,
+    ) -> None:
+        self._output = Path(output)
+        check_writable(self._output)
+        self.session = Session(robot, scene, dt=dt)
+        self._server = TeleopServer(self.session, host=host, port=port)
+        try:
+            self._picture = Picture(self.session, self._server.recording)
+        except Exception:
+            self._server.close()
+            raise
+        self.warnings = self._picture.warnings
+        self._ending = threading.Event()
+        self._writing = threading.Lock()
+        self._recordings: queue.SimpleQueue[Recording | None] = queue.SimpleQueue()
+        self._loop = threading.Thread(target=self._run, name="teleop loop", daemon=True)
+        self._writer = threading.Thread(target=self._write, name="teleop recordings", daemon=True)
+        self._loop.start()
+        self._writer.start()
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return self._server.url
+
+    @property
+    def running(self) -> bool:
+        """Whether the machine is still being stepped and served."""
+        return self._loop.is_alive() and self._server.running
+
+    def close(self) -> None:
+        """End everything; what is being written is finished, nothing else is begun. May be called again."""
+        self._ending.set()
+        self._recordings.put(None)
+        self._loop.join(timeout=2.0)
+        with self._writing:  # a file is there whole or not at all
+            pass
+        self._server.close()
+
+    def __enter__(self) -> TeleopStation:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        session, dt = self.session, self.session.dt
+        due = frame_due = clock.monotonic()
+        while not self._ending.is_set():
+            session.step()
+            due += dt
+            now = clock.monotonic()
+            if now >= frame_due:
+                self._picture.show(session.snapshot())
+                recording = session.take_recording()
+                if recording is not None:
+                    self._recordings.put(recording)
+                frame_due = now + _FRAME
+                now = clock.monotonic()
+            if now < due:
+                self._ending.wait(due - now)
+            elif now - due > _LATEST:  # the computer is too slow or was asleep: time is lost, not made up
+                due = now
+
+    def _write(self) -> None:
+        while (recording := self._recordings.get()) is not None:
+            self._tell(writing=True)
+            try:
+                plan = recording.plan(self.session.robot, self.session.scene)
+                with self._writing:
+                    if self._ending.is_set():
+                        return
+                    file = free_name(self._output)
+                    plan.save(file)
+            except InputError as error:
+                self._tell(error=str(error))
+                continue
+            visits = len(plan.details.get("zones", ()))
+            self._tell(file=str(file), verdict=plan.verdict, seconds=round(recording.duration, 2), zones=visits)
+
+    def _tell(self, **content: object) -> None:
+        self._server.recording.tell({"type": "recorded", **content})
+
+
+def free_name(path: Path) -> Path:
+    """`path`, or where that is taken, the first of ``name-2``, ``name-3``, ... that is not."""
+    found, number = path, 2
+    while found.exists():
+        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
+        number += 1
+    return found

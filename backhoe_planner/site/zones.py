@@ -1,0 +1,221 @@
+"""Zones: how near to them the machine came, and how much slower it must go there.
+
+A zone has three distances, stop <= slow <= warn. At `stop` it is an obstacle (its
+clearance) or a joint limit (a swing sector); between `slow` and `stop` the servo scales
+the speed down; within `warn` it is only told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.obstacles import build_obstacles
+from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.scene import Scene, SwingSector, ZoneSpec
+
+__all__ = ["Level", "Motion", "Transgression", "ZoneLog", "pace", "worst_first", "zone_log"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Level = Literal["warn", "slow", "stop"]
+
+_Key = tuple[str, Level]
+
+_SLOWEST = 0.15  # part of the speed that is left at the stop distance, so that one can leave
+_KEPT_WITHIN = 1.2e-4  # m or rad: who stands at the stop distance is not beyond it
+_LEFT_AT = 0.01  # m or rad beyond a distance at which the visit is over
+_SAMPLED_EVERY = 0.02  # s
+
+
+def pace(margin: float, room: float) -> float:
+    """Part of the wished speed at `margin` beyond the stop distance, slowing down within `room` [m or rad].
+
+    1 from `room` on, falling as a cosine to 0.15 at 0.
+    """
+    if margin >= room:
+        return 1.0
+    part = max(margin, 0.0) / room
+    return _SLOWEST + (1.0 - _SLOWEST) * 0.5 * (1.0 - math.cos(math.pi * part))
+
+
+@dataclass(frozen=True)
+class Transgression:
+    """One visit beyond one distance of one zone.
+
+    Attributes
+    ----------
+    zone, kind: its name, and what it is.
+    level: which of its distances was passed.
+    link: that was deepest; of a swing sector the joint.
+    begin, end: of the visit [s].
+    time: when it was deepest [s].
+    depth: how far beyond that distance [m], of a swing sector [rad].
+    """
+
+    zone: str
+    kind: str
+    level: Level
+    link: str
+    begin: float
+    end: float
+    time: float
+    depth: float
+
+    def __str__(self) -> str:
+        unit = "rad" if self.kind == "swing_sector" else "m"
+        return (
+            f"{self.link} {self.depth:.3f} {unit} beyond the {self.level} distance of {self.zone} at {self.time:.2f} s"
+        )
+
+
+class Motion(Protocol):
+    """Joint positions over time."""
+
+    @property
+    def time(self) -> Vector:
+        """(T,) [s]."""
+
+    @property
+    def q(self) -> Matrix:
+        """(T, n) [rad or m]."""
+
+
+class ZoneLog:
+    """Writes down every visit to a scene's zones, sample by sample.
+
+    It owns its working memory: do not share one between threads.
+
+    Parameters
+    ----------
+    robot, scene: the machine, and the site with its zones.
+
+    Raises
+    ------
+    SceneError: a zone does not fit the machine.
+
+    Examples
+    --------
+    From a servo: ``state = servo.step(wish); log.note(state.time, state.q)``.
+    """
+
+    def __init__(self, robot: Robot, scene: Scene) -> None:
+        self._robot = robot.with_tip(scene.tip)
+        self._solids = tuple(obstacle for obstacle in build_obstacles(scene, robot) if obstacle.zone is not None)
+        self._proximity = Proximity(self._robot, self._solids, self_collision=False)
+        self._sectors = tuple(zone for zone in scene.zones if isinstance(zone, SwingSector))
+        self._zones: dict[str, ZoneSpec] = {zone.name: zone for zone in scene.zones}
+        room = [0.0 if o.zone is None else o.zone.warn_distance - o.zone.stop for o in self._solids]
+        self._warn = np.array(room)[self._proximity.owner] if len(self._proximity.pairs) else np.zeros(0)
+        self._visits: dict[_Key, Transgression] = {}
+        self._over: list[Transgression] = []
+
+    @property
+    def transgressions(self) -> tuple[Transgression, ...]:
+        """Every visit so far, those that go on too, by when they began."""
+        return tuple(sorted([*self._over, *self._visits.values()], key=lambda visit: visit.begin))
+
+    def note(self, time: float, q: object) -> dict[str, Level]:
+        """Take a sample.
+
+        Parameters
+        ----------
+        time: not before that of the last sample [s].
+        q: (n,) joint positions [rad or m].
+
+        Returns
+        -------
+        Of every zone that is not kept away from, the innermost distance that is passed.
+
+        Raises
+        ------
+        InputError: `q` does not fit the machine.
+        """
+        posture = self._robot.check_q(q)
+        within: dict[str, Level] = {}
+        kept: dict[_Key, Transgression] = {}
+        for zone, link, distance in self._distances(posture):
+            for level, limit in _limits(zone):
+                visit = self._visits.pop((zone.name, level), None)
+                depth = limit - distance
+                beyond = depth > (_KEPT_WITHIN if level == "stop" else 0.0)
+                if beyond:
+                    within[zone.name] = level
+                if visit is None and beyond:
+                    visit = Transgression(zone.name, zone.kind, level, link, time, time, time, depth)
+                elif visit is not None and depth > visit.depth:
+                    visit = replace(visit, link=link, end=time, time=time, depth=depth)
+                elif visit is not None and depth <= -_LEFT_AT:  # nearer than that it is no new visit for every tremble
+                    self._over.append(visit)
+                    visit = None
+                if visit is not None:
+                    kept[(zone.name, level)] = replace(visit, end=time) if beyond else visit
+        self._over.extend(self._visits.values())
+        self._visits = kept
+        return within
+
+    def _distances(self, q: Vector) -> Iterable[tuple[ZoneSpec, str, float]]:
+        """The zones that are near, with the nearest link and its distance."""
+        if len(self._proximity.pairs):
+            near = self._proximity.at(q, margin=self._warn + 2.0 * _LEFT_AT)
+            seen: set[int] = set()
+            for row in np.argsort(near.distance, kind="stable").tolist():
+                pair = int(near.pair[row])
+                owner = int(self._proximity.owner[pair])
+                if owner in seen:
+                    continue
+                seen.add(owner)
+                zone = self._zones[self._solids[owner].name]
+                yield zone, self._proximity.pairs[pair].link, float(near.distance[row])
+        for sector in self._sectors:
+            swing = float(q[0])
+            yield sector, self._robot.joint_names[0], min(swing - sector.start, sector.end - swing)
+
+
+def _limits(zone: ZoneSpec) -> list[tuple[Level, float]]:
+    """The zone's distances from the outermost; of equal ones only the innermost."""
+    found: list[tuple[Level, float]] = []
+    if zone.warn_distance > zone.slow_distance:
+        found.append(("warn", zone.warn_distance))
+    if zone.slow_distance > zone.stop:
+        found.append(("slow", zone.slow_distance))
+    return [*found, ("stop", zone.stop)]
+
+
+def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgression, ...]:
+    """Every visit of a whole motion to the scene's zones, looked at every 0.02 s or more often.
+
+    Raises
+    ------
+    SceneError: a zone does not fit the machine.
+    InputError: the motion has another number of joints.
+    """
+    if not scene.zones:
+        return ()
+    log = ZoneLog(robot, scene)
+    time, q = np.asarray(trajectory.time), np.asarray(trajectory.q)
+    if q.ndim != 2 or q.shape[1] != robot.n:
+        raise InputError(
+            "has another number of joints", key="trajectory", found=str(q.shape), allowed=f"(T, {robot.n})"
+        )
+    count = max(int(np.ceil((time[-1] - time[0]) / _SAMPLED_EVERY)), 0) + 1
+    even = np.linspace(time[0], time[-1], count)
+    moments = np.unique(np.concatenate((even, time))) if len(time) < 2 * count else even
+    for moment, posture in zip(
+        moments, np.column_stack([np.interp(moments, time, column) for column in q.T]), strict=True
+    ):
+        log.note(float(moment), posture)
+    return log.transgressions
+
+
+def worst_first(visits: Iterable[Transgression]) -> list[Transgression]:
+    """The innermost distances first, and of those the deepest."""
+    order = {"stop": 0, "slow": 1, "warn": 2}
+    return sorted(visits, key=lambda visit: (order[visit.level], -visit.depth))

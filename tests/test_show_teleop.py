@@ -1,0 +1,589 @@
+"""Tele-operation without a browser: the session, the messages, and what the server lets in."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time as clock
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tornado.httpclient
+import tornado.httputil
+import tornado.websocket
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import backhoe_planner as bp
+from backhoe_planner.errors import InputError, OutputError
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.redundancy.servo_state import Status
+from backhoe_planner.show.live_server import LiveServer, LiveSocket
+from backhoe_planner.show.teleop.joysticks import joint_rates
+from backhoe_planner.show.teleop.messages import LARGEST, Sticks, parse
+from backhoe_planner.show.teleop.server import TeleopServer
+from backhoe_planner.show.teleop.session import Session
+from backhoe_planner.show.teleop.station import TeleopStation, free_name
+from backhoe_planner.site.obstacles import build_obstacles
+from backhoe_planner.site.proximity import Proximity
+
+Data = dict[str, Any]
+
+ROOT = Path(__file__).resolve().parents[1]
+SITE: Data = {
+    "version": 1,
+    "name": "a yard",
+    "start": {"joints": {"swing": 0.0, "boom": 0.3, "stick": -0.9, "bucket": -0.5}},  # the tip at (4.74, 0, -0.66)
+    "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+    "clearance": 0.1,
+    "obstacles": [{"name": "pole", "shape": "cylinder", "radius": 0.15, "length": 6, "position": [3, -3, 0]}],
+    "zones": [{"kind": "ceiling", "name": "power line", "height": 5.0, "stop": 0.5, "slow": 1.0, "warn": 3.5}],
+}
+BALL: Data = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.7, 1.6, -0.6]}
+SCREEN: Data = {"name": "screen", "shape": "box", "size": [8, 0.4, 8], "position": [4, 1.8, 0]}
+LEFT: Data = {"type": "tip", "velocity": [0.0, 0.6, 0.0]}
+
+
+def make(backhoe: Robot, **more: Any) -> Session:
+    return Session(backhoe, bp.scene_from_dict({**SITE, **more}))
+
+
+def say(session: Session, page: int, **content: Any) -> Data:
+    return session.hear(page, json.dumps(content))
+
+
+def done(session: Session, page: int, **content: Any) -> None:
+    answer = say(session, page, **content)
+    assert answer["ok"], answer["error"]
+
+
+def drive(session: Session, page: int, seconds: float, **wish: Any) -> None:
+    for k in range(round(seconds / session.dt)):
+        if k % 20 == 0:
+            done(session, page, **wish)
+        session.step()
+
+
+# --- who drives ----------------------------------------------------------------------------
+
+
+def test_the_first_that_asks_drives_and_the_others_watch(backhoe: Robot) -> None:
+    session = make(backhoe)
+    one, two = session.join(), session.join()
+    assert "take the controls first" in say(session, one, **LEFT)["error"]
+    done(session, one, type="take")
+    for content in (LEFT, {"type": "record", "on": True}, {"type": "add", "obstacle": BALL}, {"type": "stop"}):
+        assert "page 1 drives" in say(session, two, **content)["error"]
+    assert "it was told" in say(session, two, type="take")["error"]
+    before = session.snapshot()
+    assert (before.driver, before.pages, before.asking) == (one, (one, two), (two,))
+    done(session, one, type="hand_over", to=two)
+    assert session.snapshot().driver == two
+    assert session.snapshot().asking == ()
+    done(session, two, **LEFT)
+    assert not say(session, one, **LEFT)["ok"]
+    assert "no such page" in say(session, two, type="hand_over", to=9)["error"]
+    done(session, two, type="release")
+    done(session, one, type="take")
+
+
+def test_the_machine_stops_when_its_driver_disappears(backhoe: Robot) -> None:
+    session = make(backhoe)
+    page = session.join()
+    done(session, page, type="take")
+    drive(session, page, 1.0, **LEFT)
+    assert np.abs(session.snapshot().state.v).max() > 0.05
+    session.leave(page)
+    assert session.snapshot().driver is None
+    acceleration = session.robot.limits.acceleration
+    previous = session.snapshot().state.v
+    for _ in range(round(2.5 / session.dt)):
+        v = session.step().v
+        assert np.all(np.abs(v - previous) <= acceleration * session.dt * (1.0 + 1e-9))
+        previous = v
+    assert np.all(previous == 0.0)
+    assert "not here" in say(session, page, **LEFT)["error"]
+
+
+# --- wishes --------------------------------------------------------------------------------
+
+
+def test_the_tip_goes_where_the_arm_points(backhoe: Robot) -> None:
+    session = make(backhoe, start={"joints": {"swing": 0.8, "boom": 0.3, "stick": -0.9, "bucket": -0.5}}, obstacles=[])
+    page = session.join()
+    done(session, page, type="take")
+    axis = np.array(session.robot.model.jointPlacements[1].translation)
+    outward = (session.snapshot().state.tip_position - axis)[:2]
+    outward = outward / np.linalg.norm(outward)
+    for velocity, along in (([-0.3, 0, 0], -outward), ([0, 0.3, 0], np.array([-outward[1], outward[0]]))):
+        before = session.snapshot().state.tip_position
+        drive(session, page, 0.8, type="tip", velocity=velocity)
+        moved = (session.snapshot().state.tip_position - before)[:2]
+        assert moved @ along / np.linalg.norm(moved) > 0.99
+        drive(session, page, 1.5, type="stop")
+
+
+def test_iso_and_sae_move_the_joints_they_name() -> None:
+    rates = np.array([0.8, 0.5, 0.8, 1.1])
+
+    def asked(pattern: str, left: tuple[float, float], right: tuple[float, float], speed: float = 1.0) -> list[float]:
+        message = Sticks.model_validate(
+            {"type": "sticks", "pattern": pattern, "left": left, "right": right, "speed": speed}
+        )
+        return [float(rate) for rate in joint_rates(message, rates)]
+
+    for pattern in ("iso", "sae"):
+        assert asked(pattern, (1, 0), (0, 0)) == [-0.8, 0, 0, 0]  # to the right: clockwise from above
+        assert asked(pattern, (0, 0), (-1, 0)) == [0, 0, 0, -1.1]  # curled in
+    assert asked("iso", (0, 1), (0, 0)) == [0, 0, 0.8, 0]  # stick out
+    assert asked("iso", (0, 0), (0, -1), 0.5) == [0, 0.25, 0, 0]  # boom up
+    assert asked("sae", (0, -1), (0, 0)) == [0, 0.5, 0, 0]  # boom up
+    assert asked("sae", (0, 0), (0, -1)) == [0, 0, -0.8, 0]  # stick in
+
+
+def test_sticks_drive_the_machine(backhoe: Robot) -> None:
+    session = make(backhoe)
+    page = session.join()
+    done(session, page, type="take")
+    before = session.snapshot().state.q
+    drive(session, page, 0.5, type="sticks", pattern="sae", left=[0, -0.5], right=[0, 0])
+    moved = session.snapshot().state.q - before
+    assert moved[1] > 0.02
+    assert np.abs(moved[[0, 2, 3]]).max() < 1e-6
+
+
+# --- the site ------------------------------------------------------------------------------
+
+
+def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
+    session = make(backhoe)
+    page = session.join()
+    done(session, page, type="take")
+    done(session, page, type="add", obstacle=SCREEN)
+    scene = bp.scene_from_dict({**SITE, "obstacles": [*SITE["obstacles"], SCREEN]})
+    proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
+    near = False
+    for k in range(1200):
+        if k % 20 == 0:
+            done(session, page, **LEFT)
+        state = session.step()
+        margin = float(np.min(proximity.distances(state.q) - proximity.clearance))
+        assert margin >= 0.0
+        near |= margin < 0.02
+    assert near
+    assert state.status in (Status.SLIDING, Status.STOPPED)
+    assert state.obstacle == "screen"
+    assert state.feedback_force[1] < -1.0  # back to where it came from
+    spot = session.snapshot().nearest["screen"]
+    assert spot is not None
+    own = float(
+        min(
+            d
+            for d, pair in zip(proximity.distances(state.q), proximity.pairs, strict=True)
+            if pair.obstacle == "screen"
+        )
+    )
+    assert spot.distance == pytest.approx(own, abs=1e-6)  # what the bar shows
+    done(session, page, type="remove", name="screen")
+    before = session.snapshot().state.tip_position[1]
+    drive(session, page, 2.0, **LEFT)
+    assert session.snapshot().state.tip_position[1] > before + 0.2
+
+
+def test_nothing_is_put_or_dragged_into_the_machine_or_where_it_brakes(backhoe: Robot) -> None:
+    session = make(backhoe)
+    page = session.join()
+    done(session, page, type="take")
+    at = session.snapshot().state.tip_position
+    inside = {**BALL, "position": at.tolist()}
+    assert "too close" in say(session, page, type="add", obstacle=inside)["error"]
+    done(session, page, type="add", obstacle=BALL)
+    assert "too close" in say(session, page, type="move", name="ball", to=(at - BALL["position"]).tolist())["error"]
+    assert session.snapshot().shifts["ball"] == pytest.approx([0, 0, 0])
+    done(session, page, type="move", name="ball", to=[0.0, 2.0, 0.0])
+    assert session.snapshot().shifts["ball"] == pytest.approx([0, 2, 0])
+    assert session.snapshot().nearest["ball"] is None  # out of sight
+    drive(session, page, 2.0, **LEFT)
+    state = session.snapshot().state  # it cannot stop at once
+    ahead = {**BALL, "name": "ahead", "position": (state.tip_position + np.array([0.0, 0.55, 0.0])).tolist()}
+    assert "too close" in say(session, page, type="add", obstacle=ahead)["error"]
+    drive(session, page, 3.0, type="stop")
+    assert np.abs(session.snapshot().state.v).max() == 0.0
+
+
+def test_zones_stay_and_names_are_unique(backhoe: Robot) -> None:
+    session = make(backhoe)
+    page = session.join()
+    done(session, page, type="take")
+    assert "zone" in say(session, page, type="remove", name="power line")["error"]
+    assert "zone" in say(session, page, type="move", name="power line", to=[0, 0, 1])["error"]
+    assert "no obstacle of that name" in say(session, page, type="remove", name="nobody")["error"]
+    assert "of that name" in say(session, page, type="add", obstacle={**BALL, "name": "pole"})["error"]
+    assert "no such link" in say(session, page, type="add", obstacle={**BALL, "links": ["tail"]})["error"]
+    assert "stands still" in say(session, page, type="add", obstacle={**BALL, "velocity": [1, 0, 0]})["error"]
+    done(session, page, type="move", name="pole", to=[0.0, -0.5, 0.0])
+    assert session.snapshot().movable == {"pole"}
+    for k in range(50):
+        last = say(session, page, type="add", obstacle={**BALL, "name": f"b{k}", "position": [8 + k, 8, 0]})
+    assert "enough" in last["error"]
+    assert session.snapshot().zones == {"power line": "warn"}
+
+
+# --- recording -----------------------------------------------------------------------------
+
+
+def test_a_recording_is_a_plan_that_is_verified(backhoe: Robot, tmp_path: Path) -> None:
+    scene = bp.scene_from_dict(SITE)
+    session = Session(backhoe, scene)
+    page = session.join()
+    done(session, page, type="take")
+    drive(session, page, 0.7, **LEFT)  # it moves when the button is pressed
+    done(session, page, type="record", on=True)
+    assert session.snapshot().recording == "arming"
+    for _ in range(400):
+        session.step()
+    assert session.snapshot().recording == "on"
+    begun = session.snapshot().state.time - session.snapshot().recorded
+    drive(session, page, 0.5, **LEFT)
+    added = session.snapshot().state.time
+    done(session, page, type="add", obstacle={**BALL, "position": [4.5, 2.6, -0.6]})
+    done(session, page, type="move", name="pole", to=[0.5, 0.0, 0.0])
+    drive(session, page, 3.0, **LEFT)
+    done(session, page, type="record", on=False)
+    assert session.take_recording() is None
+    for _ in range(500):
+        session.step()
+    recording = session.take_recording()
+    assert recording is not None
+    assert session.snapshot().recording == "idle"
+    plan = recording.plan(backhoe, scene)
+    assert plan.verified, plan.message
+    assert plan.certificate.safe
+    assert plan.method == "teleop"
+    listed = {obstacle.name: obstacle for obstacle in plan.scene.obstacles}
+    assert list(listed) == ["pole", "ball"]
+    assert listed["ball"].appears_at == pytest.approx(added - begun)
+    assert listed["pole"].position == pytest.approx((3.5, -3, 0))  # type: ignore[union-attr]
+    assert any("pole was moved" in note for note in plan.details["recorded"]["notes"])
+    assert [visit["zone"] for visit in plan.details["zones"]] == ["power line"]
+    assert begun > 0.7
+
+    plan.save(tmp_path / "driven.json")
+    again = bp.load_plan(tmp_path / "driven.json")
+    assert again.verified
+    assert again.certificate.min_clearance == plan.certificate.min_clearance
+    np.testing.assert_array_equal(again.trajectory.q, recording.q)
+
+
+def test_obstacles_of_their_own_motion_are_recorded_where_they_were(backhoe: Robot) -> None:
+    cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -7, 0.5], "velocity": [0.5, 0, 0]}
+    session = make(backhoe, obstacles=[cart, {**cart, "name": "late", "appears_at": 3.0}])
+    page = session.join()
+    done(session, page, type="take")
+    for _ in range(399):
+        session.step()
+    done(session, page, type="record", on=True)
+    session.step()
+    begun = session.snapshot().state.time
+    assert session.snapshot().shifts["late"] is None
+    for _ in range(400):
+        session.step()
+    done(session, page, type="record", on=False)
+    session.step()
+    recording = session.take_recording()
+    assert recording is not None
+    first, late = recording.obstacles
+    assert (first["position"], first["appears_at"]) == (pytest.approx([2 + 0.5 * begun, -7, 0.5], abs=0.01), 0.0)
+    assert (late["position"], late["appears_at"]) == (pytest.approx([2, -7, 0.5], abs=0.01), pytest.approx(3.0 - begun))
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    file = tmp_path / "driven.json"
+    assert free_name(file) == file
+    file.touch()
+    (tmp_path / "driven-2.json").touch()
+    assert free_name(file) == tmp_path / "driven-3.json"
+
+
+# --- messages ------------------------------------------------------------------------------
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=8,
+)
+_TYPES = ["take", "release", "hand_over", "tip", "sticks", "stop", "add", "move", "remove", "record", "circulate"]
+_NEARLY = st.fixed_dictionaries(
+    {"type": st.sampled_from(_TYPES)},
+    optional={
+        "id": _JSON,
+        "to": _JSON | st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+        "velocity": _JSON | st.lists(st.floats(), min_size=3, max_size=3),
+        "frame": st.sampled_from(["arm", "world", 3]),
+        "pitch_rate": _JSON,
+        "pattern": st.sampled_from(["iso", "sae", ""]),
+        "left": st.lists(st.floats(-2, 2), max_size=3),
+        "right": st.lists(st.floats(-1, 1), min_size=2, max_size=2),
+        "name": st.sampled_from(["pole", "power line", "ball", "", "x" * 100]) | st.text(max_size=5),
+        "on": _JSON,
+        "obstacle": _JSON
+        | st.fixed_dictionaries(
+            {"name": st.text(max_size=5), "shape": st.sampled_from(["sphere", "box", "mesh", "halfspace"])},
+            optional={
+                "radius": st.floats(),
+                "position": st.lists(st.floats(-9, 9), min_size=3, max_size=3),
+                "file": st.just("/etc/passwd"),
+            },
+        ),
+    },
+)  # fmt: skip
+_ANYTHING = st.one_of(
+    st.text(max_size=60),
+    st.binary(max_size=60),
+    _JSON.map(json.dumps),
+    _NEARLY.map(json.dumps),
+    st.sampled_from(
+        ["[" * 100_000, "{" * 5_000, "1" * 20_000, '{"type": "take"}' * 2, '"\\ud800"', "\ud800", "NaN", ""]
+    ),
+)
+
+
+@pytest.fixture(scope="module")
+def driven(backhoe: Robot) -> tuple[Session, int]:
+    session = make(backhoe)
+    return session, session.join()
+
+
+@settings(max_examples=400)
+@given(text=_ANYTHING)
+def test_whatever_a_page_says_is_answered(driven: tuple[Session, int], text: str | bytes) -> None:
+    session, page = driven
+    session.hear(page, '{"type": "take"}')
+    answer = session.hear(page, text)
+    assert set(answer) == {"type", "id", "to", "ok", "said", "error"}
+    assert answer["ok"] is (answer["error"] is None)
+    json.dumps(answer, allow_nan=False).encode("utf-8")
+    assert len(answer["error"] or "") < 1000
+    assert np.all(np.isfinite(session.step().q))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("nonsense", "JSON"),
+        ("{}", "type"),
+        ('{"type": "fly"}', "'take'"),
+        ('{"type": "take", "speed": 1}', "speed"),
+        ('{"type": "tip", "velocity": [0, 0]}', "velocity"),
+        ('{"type": "tip", "velocity": [0, 0, 1e400]}', "velocity.2"),
+        ('{"type": "record", "on": "yes"}', "on"),
+        ('{"type": "add", "obstacle": {"name": "m", "shape": "mesh", "file": "/etc/passwd"}}', "'sphere'"),
+        ('{"type": "take", "id": 1}' + " " * LARGEST, "too long"),
+    ],
+)
+def test_what_is_wrong_with_a_message_is_said(text: str, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse(text)
+    assert said in str(caught.value)
+
+
+# --- the server ----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def server(backhoe: Robot) -> Iterator[TeleopServer]:
+    opened = TeleopServer(make(backhoe), port=0)
+    yield opened
+    opened.close()
+
+
+def talk(server: LiveServer, conversation: Callable[[str], Awaitable[None]]) -> None:
+    asyncio.run(asyncio.wait_for(conversation(server.url.replace("http", "ws") + "socket"), 20.0))
+
+
+def request(url: str, **headers: str) -> tornado.httpclient.HTTPRequest:
+    return tornado.httpclient.HTTPRequest(url, headers=tornado.httputil.HTTPHeaders(headers))
+
+
+async def hear(connection: tornado.websocket.WebSocketClientConnection, kind: str) -> Data:
+    while True:
+        message = await connection.read_message()
+        assert message is not None, "the connection was closed"
+        if isinstance(message, str) and (content := json.loads(message))["type"] == kind:
+            assert isinstance(content, dict)
+            return content
+
+
+def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
+    port = server.url.rsplit(":", 1)[1].strip("/")
+
+    async def conversation(url: str) -> None:
+        refused: list[dict[str, str]] = [
+            {"Origin": "http://evil.example"},
+            {"Origin": f"http://localhost:{port}"},  # the page was loaded from 127.0.0.1
+            {"Origin": f"http://127.0.0.1:{int(port) + 1}"},
+            {"Origin": "null"},
+            {"Origin": f"http://evil.example:{port}", "Host": f"evil.example:{port}"},  # a name made to point here
+            {"Host": f"evil.example:{port}"},
+        ]
+        for headers in refused:
+            with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
+                await tornado.websocket.websocket_connect(request(url, **headers))
+        for headers in (
+            {"Origin": f"http://127.0.0.1:{port}"},
+            {"Origin": f"http://localhost:{port}", "Host": f"localhost:{port}"},
+        ):
+            connection = await tornado.websocket.websocket_connect(request(url, **headers))
+            assert (await hear(connection, "you"))["page"] > 0
+            connection.close()
+        client = tornado.httpclient.AsyncHTTPClient()
+        with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
+            await client.fetch(request(server.url, Host="evil.example"))
+        assert b"teleop" in (await client.fetch(server.url)).body
+
+    talk(server, conversation)
+    with socket.socket() as probe:  # on this machine alone
+        outside = [info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
+        for address in outside:
+            if not str(address).startswith("127."):
+                assert probe.connect_ex((str(address), int(port))) != 0
+
+
+def test_two_pages_and_one_of_them_drives(server: TeleopServer) -> None:
+    async def conversation(url: str) -> None:
+        one, two = [await tornado.websocket.websocket_connect(url) for _ in range(2)]
+        number = [(await hear(page, "you"))["page"] for page in (one, two)]
+        await one.write_message('{"type": "take", "id": 1}')
+        assert (await hear(one, "answer"))["ok"]
+        await two.write_message('{"type": "take", "id": 2}')
+        answer = await hear(two, "answer")
+        assert (answer["ok"], answer["id"]) == (False, 2)
+        for text in ("nonsense", b"\xff\xfe", "x" * 1_000_000):  # malformed, binary, huge: answered, and nothing lost
+            await one.write_message(text, binary=isinstance(text, bytes))
+            assert not (await hear(one, "answer"))["ok"]
+        await one.write_message(json.dumps({**LEFT, "id": 3}))
+        assert (await hear(one, "answer")) == {
+            "type": "answer",
+            "id": 3,
+            "to": "tip",
+            "ok": True,
+            "said": "",
+            "error": None,
+        }
+        assert server.session.snapshot().driver == number[0]
+        one.close()
+        deadline = clock.monotonic() + 5.0
+        while server.session.snapshot().driver is not None and clock.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+        await two.write_message('{"type": "take", "id": 4}')
+        assert (await hear(two, "answer"))["ok"]
+        assert server.session.snapshot().pages == (number[1],)
+        two.close()
+
+    talk(server, conversation)
+
+
+def test_a_page_that_goes_while_it_is_written_to_does_no_harm(
+    server: TeleopServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = threading.Event()
+
+    def gone(*_: object, **__: object) -> None:
+        tried.set()
+        raise tornado.websocket.WebSocketClosedError
+
+    async def conversation(url: str) -> None:
+        first = await tornado.websocket.websocket_connect(url)
+        await hear(first, "you")
+        with monkeypatch.context() as patch:
+            patch.setattr(LiveSocket, "write_message", gone)
+            server.recording.tell({"type": "news"})
+            while not tried.is_set():
+                await asyncio.sleep(0.01)
+        second = await tornado.websocket.websocket_connect(url)
+        assert (await hear(second, "you"))["page"] == 2
+        for page in (first, second):
+            page.close()
+
+    talk(server, conversation)
+    assert server.running
+
+
+def test_a_station_runs_in_real_time_and_ends(backhoe: Robot, tmp_path: Path) -> None:
+    with TeleopStation(backhoe, bp.scene_from_dict(SITE), port=0, output=tmp_path / "driven.json") as station:
+        begun, first = clock.monotonic(), station.session.snapshot().state.time
+        clock.sleep(0.5)
+        passed = station.session.snapshot().state.time - first
+        assert 0.0 < passed < clock.monotonic() - begun + 0.2  # never ahead of the clock
+        page = station.session.join()
+        done(station.session, page, type="take")
+        done(station.session, page, type="record", on=True)
+        wait(lambda: station.session.snapshot().recorded > 0.1)
+        done(station.session, page, type="record", on=False)
+        wait(lambda: (tmp_path / "driven.json").exists())
+    assert not station.running
+    assert [file.name for file in tmp_path.iterdir()] == ["driven.json"]
+    assert bp.load_plan(tmp_path / "driven.json").verified
+    with pytest.raises(OutputError, match="does not exist"):
+        TeleopStation(backhoe, bp.scene_from_dict(SITE), port=0, output=tmp_path / "nowhere" / "driven.json")
+
+
+def wait(condition: Callable[[], bool]) -> None:
+    deadline = clock.monotonic() + 20.0
+    while not condition():
+        assert clock.monotonic() < deadline
+        clock.sleep(0.02)
+
+
+# --- the command line ----------------------------------------------------------------------
+
+
+def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(SITE), encoding="utf-8")
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from backhoe_planner.cli import main; main()", "teleop", "example:backhoe",
+         "scene.yaml", "--port", "0", "--no-browser"],
+        cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    with process.stderr:
+        url = next(word for word in process.stderr.readline().split() if word.startswith("http"))
+
+        async def conversation(_: str) -> None:
+            page = await tornado.websocket.websocket_connect(url.replace("http", "ws") + "socket")
+            for content in ({"type": "take"}, {"type": "record", "on": True}, LEFT):
+                await page.write_message(json.dumps(content))
+                assert (await hear(page, "answer"))["ok"]
+            process.send_signal(signal.SIGINT)
+            page.close()
+
+        asyncio.run(conversation(""))
+        assert process.wait(timeout=20.0) == 130
+        assert "Traceback" not in process.stderr.read()
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.yaml"]
+
+
+def test_a_scene_without_a_start_is_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from backhoe_planner.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    path = {"path": {"waypoints": [{"position": [4, 0, 0]}, {"position": [3, 0, 0]}]}}
+    content = {key: value for key, value in SITE.items() if key != "start"} | {"task": path}
+    Path("scene.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
+    monkeypatch.setattr(sys, "argv", ["backhoe-planner", "teleop", "example:backhoe", "scene.yaml", "--no-browser"])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 2
+    assert "start" in capsys.readouterr().err
