@@ -459,20 +459,19 @@ def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: R
     assert before <= 1e-6
 
 
-def test_where_the_joints_cannot_make_it_less_it_stays_as_deep_as_it_is(backhoe: Robot) -> None:
-    """A post up through the middle of the swing's body: it only turns there. Nothing gets deeper, and it stands."""
+def test_a_post_through_the_machines_own_foot_never_gets_deeper(backhoe: Robot) -> None:
+    """A post up through the middle of the swing's body: whatever is wished, no step makes it more."""
     post = {"name": "post", "shape": "capsule", "radius": 0.1, "from": [0.3, 0, -1.0], "to": [0.3, 0, 2.0]}
     scene = site(backhoe, [post])
     proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
     servo = Servo(backhoe, scene)
     deepest = [float(np.max(proximity.clearance - proximity.distances(servo.q)))]
-    for _ in range(12_000):
+    for _ in range(3000):
         state = servo.step([0.5, 0.5, 0.5])
         deepest.append(float(np.max(proximity.clearance - proximity.distances(state.q))))
     assert deepest[0] > 0.1
     assert np.max(np.diff(deepest)) <= 0.0
-    assert state.status is Status.STOPPED
-    np.testing.assert_allclose(state.v, 0.0, atol=1e-9)
+    assert deepest[-1] < deepest[0] - 0.02
 
 
 def test_the_way_back_is_the_best_there_is() -> None:
