@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning.drive import Drive
 from backhoe_planner.redundancy.feedback import Feedback
 from backhoe_planner.redundancy.servo import Servo
 from backhoe_planner.redundancy.servo_state import ServoState
@@ -53,6 +54,7 @@ Phase = Literal["idle", "arming", "on", "ending"]
 
 LARGEST_FORCE = 30.0  # N
 _LONGEST_RECORDING = 600.0  # s
+_FULL = 0.75  # of the oil and the power, above which the wish is cut back: a step may ask for more than the last
 _AT_REST = 1e-9  # rad/s or m/s
 _PATIENCE = 5.0  # s to come to rest in, after which a recording ends all the same
 _STILL = np.zeros(3)
@@ -115,6 +117,10 @@ class Session:
         self._driver: int | None = None
         self._next_page = 1
         self._wish: Tip | Sticks | Stop | None = None
+        self._held: Tip | Sticks | Stop | None = None
+        self._held_for, self._watchdog = 0.0, watchdog
+        self._drive = Drive(self.robot, payload=scene.payload)
+        self._share = 1.0  # of the wish, so that all cylinders together get their oil
         self._upright, self._axis_at = _first_axis(self.robot)
         self._phase: Phase = "idle"
         self._waited = 0.0
@@ -220,10 +226,30 @@ class Session:
             wish, self._wish = self._wish, None
             if self._phase in ("arming", "ending"):
                 wish = Stop(type="stop")
-            state = self._state = self._wished(wish)
+            state = self._state = self._wished(self._still_wished(wish))
+            self._share = self._share_after(state)
             if self._phase != "idle":
                 self._keep(state)
             return state
+
+    def _still_wished(self, wish: Tip | Sticks | Stop | None) -> Tip | Sticks | Stop | None:
+        """The wish, or the last one as long as the watchdog lets it count."""
+        self._held_for = 0.0 if wish is not None else self._held_for + self.dt
+        self._held = wish or self._held
+        if self._held_for >= self._watchdog:
+            self._held = None
+        return self._held
+
+    def _share_after(self, state: ServoState) -> float:
+        """The part of the next wish that is asked for, from the flow, the rod speeds and the power of this step."""
+        if self._drive.hydraulics is None or not state.v.any():
+            return 1.0
+        q, v = state.q[None], state.v[None]
+        used = self._drive.use(q, v, np.zeros_like(v))
+        most = max(float(used.flow[0]), float(used.power[0]), float(used.rod_speed[0].max()))
+        if most > _FULL:
+            return self._share * max(_FULL / most, 0.8)
+        return min(1.02 * self._share, 1.0)
 
     def _wished(self, wish: Tip | Sticks | Stop | None) -> ServoState:
         if wish is None:
@@ -231,11 +257,12 @@ class Session:
         if isinstance(wish, Stop):
             return self._servo.step(joint_velocity=np.zeros(self.robot.n))
         if isinstance(wish, Sticks):
-            return self._servo.step(joint_velocity=joint_rates(wish, self._servo.limits.velocity))
+            return self._servo.step(joint_velocity=self._share * joint_rates(wish, self._servo.limits.velocity))
         velocity = np.array(wish.velocity)
         if wish.frame == "arm":
             velocity = self._arm_frame() @ velocity
-        return self._servo.step(velocity, pitch_rate=wish.pitch_rate)
+        pitch_rate = None if wish.pitch_rate is None else self._share * wish.pitch_rate
+        return self._servo.step(self._share * velocity, pitch_rate=pitch_rate)
 
     def _arm_frame(self) -> NDArray[np.float64]:
         """(3, 3) outward, left and up as columns; the world's own where the first joint is not upright."""
