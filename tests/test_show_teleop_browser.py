@@ -125,7 +125,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
         assert page.locator("#record").is_disabled()
         assert session.hear(other, '{"type": "record", "on": false}')["ok"]
         page.wait_for_function("document.getElementById('recorded').textContent.includes('driven.json')")
-        assert "verified" in page.locator("#recorded").inner_text()
+        assert "verified" in page.locator("#recorded").inner_text(), bp.load_plan(file).message
         session.leave(other)
         page.wait_for_function("backhoe.teleop.state.driver === null")
         assert page.evaluate("window.pwned") is None

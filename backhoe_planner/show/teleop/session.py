@@ -54,7 +54,7 @@ Phase = Literal["idle", "arming", "on", "ending"]
 
 LARGEST_FORCE = 30.0  # N
 _LONGEST_RECORDING = 600.0  # s
-_FULL = 0.75  # of the oil and the power, above which the wish is cut back: a step may ask for more than the last
+_FULL = 0.65  # of the oil and the power, above which the wish is cut back: a step may ask for more than the last
 _AT_REST = 1e-9  # rad/s or m/s
 _PATIENCE = 5.0  # s to come to rest in, after which a recording ends all the same
 _STILL = np.zeros(3)
