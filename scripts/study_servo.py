@@ -45,30 +45,27 @@ class SecondOpinion:
     def __init__(self, robot: bp.Robot) -> None:
         self._robot = robot
         self._data = robot.model.createData()
-        self._bodies = [body for body in _bodies(robot) if body.joint > 0]
-        self._centres = [body.points.mean(axis=0) for body in self._bodies]
-        self._radii = [
-            float(np.linalg.norm(body.points - centre, axis=1).max()) + body.fat
-            for body, centre in zip(self._bodies, self._centres, strict=True)
-        ]
+        covers, _ = _bodies(robot)
+        self._covers = [cover for cover in covers if cover.joint > 0]
 
     def least(self, q: np.ndarray, obstacles: dict[str, tuple[Any, np.ndarray]]) -> tuple[float, str, str]:
         """(distance, link, obstacle) of the least signed distance; only exact below 0.3 m."""
         pin.forwardKinematics(self._robot.model, self._data, q)
         found = (np.inf, "", "")
-        for body, centre, radius in zip(self._bodies, self._centres, self._radii, strict=True):
-            placement = self._data.oMi[body.joint]
-            middle = placement.rotation @ centre + placement.translation
+        for cover in self._covers:
+            placement = self._data.oMi[cover.joint]
+            middle = placement.rotation @ cover.centre[0] + placement.translation
+            leaves = cover.first < 0
             points = None
             for name, (distance, shift) in obstacles.items():
-                rough = float(distance((middle - shift)[None])[0]) - radius
+                rough = float(distance((middle - shift)[None])[0]) - float(cover.radius[0])
                 if rough > min(0.3, found[0]):
                     continue
                 if points is None:
-                    points = body.points @ placement.rotation.T + placement.translation
-                exact = float(distance(points - shift).min()) - body.fat
+                    points = cover.centre[leaves] @ placement.rotation.T + placement.translation
+                exact = float((distance(points - shift) - cover.radius[leaves]).min())
                 if exact < found[0]:
-                    found = (exact, body.link, name)
+                    found = (exact, cover.link, name)
         return found
 
 

@@ -75,6 +75,7 @@ _VIOLATED = 1e-7  # m
 _INFLUENCE = 0.3  # m: further away the null space need not care
 _REMEMBERED = 0.02  # s for which being held back counts
 _FAR_RENEWED_EVERY = 4  # steps, where nothing is within
+_NEAR_RENEWED_EVERY = 2  # and where something is near
 _WARN = 0.10  # m of margin within which it says so
 _AT_REST = 1e-9
 _FAR = 1e3  # m
@@ -906,12 +907,13 @@ class Servo:
         separation = self._separation
         margin = self._distance[near] - separation.clearance[near]
         nearest = int(margin.argmin())
-        if self._steps % _FAR_RENEWED_EVERY and margin[nearest] > _WARN:
+        if self._steps % (_FAR_RENEWED_EVERY if margin[nearest] > _WARN else _NEAR_RENEWED_EVERY):
             return
         # the nearer, the sooner; the placements of row 0 are those of the beginning of the step
         value = (self._steps - self._renewed_at[near]) / (0.02 + np.maximum(margin, 0.0))
         # and every other step the nearest of all
-        pair = int(near[nearest if margin[nearest] < _WARN and self._steps % 2 else value.argmax()])
+        turn = self._steps // _NEAR_RENEWED_EVERY % 2
+        pair = int(near[nearest if margin[nearest] < _WARN and turn else value.argmax()])
         self._distance[pair] = separation.renew(pair, self._at, 0)
         self._distance_at[pair] = self._start_odometer[separation.classes[pair]]
         self._renewed_at[pair] = self._steps
