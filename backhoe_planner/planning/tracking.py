@@ -195,7 +195,8 @@ def _beginning(path: BucketPath, tolerance: float) -> float:
     """
     usual = _BEGINNING * path.length
     raster = np.arange(0.0, 2.0 * usual, max(tolerance, 1e-3, usual / 5000.0))
-    away = np.array([np.linalg.norm(path(float(s)) - path.points[0]) for s in raster]) > 2.0 * tolerance
+    places = np.column_stack([np.interp(raster, path.stations, column) for column in path.points.T])
+    away = np.linalg.norm(places - path.points[0], axis=1) > 2.0 * tolerance
     back = np.flatnonzero(~away & (np.cumsum(away) > 0))
     return min(usual, 0.5 * float(raster[back[0]])) if len(back) else usual
 
