@@ -424,6 +424,14 @@ async def hear(connection: tornado.websocket.WebSocketClientConnection, kind: st
             return content
 
 
+async def leave(*connections: tornado.websocket.WebSocketClientConnection) -> None:
+    """Close connections, and wait until their sockets are closed too."""
+    for connection in connections:
+        connection.close()
+        while await connection.read_message() is not None:
+            pass
+
+
 def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
     port = server.url.rsplit(":", 1)[1].strip("/")
 
@@ -445,7 +453,7 @@ def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
         ):
             connection = await tornado.websocket.websocket_connect(request(url, **headers))
             assert (await hear(connection, "you"))["page"] > 0
-            connection.close()
+            await leave(connection)
         client = tornado.httpclient.AsyncHTTPClient()
         with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
             await client.fetch(request(server.url, Host="evil.example"))
@@ -481,14 +489,14 @@ def test_two_pages_and_one_of_them_drives(server: TeleopServer) -> None:
             "error": None,
         }
         assert server.session.snapshot().driver == number[0]
-        one.close()
+        await leave(one)
         deadline = clock.monotonic() + 5.0
         while server.session.snapshot().driver is not None and clock.monotonic() < deadline:
             await asyncio.sleep(0.01)
         await two.write_message('{"type": "take", "id": 4}')
         assert (await hear(two, "answer"))["ok"]
         assert server.session.snapshot().pages == (number[1],)
-        two.close()
+        await leave(two)
 
     talk(server, conversation)
 
@@ -512,8 +520,7 @@ def test_a_page_that_goes_while_it_is_written_to_does_no_harm(
                 await asyncio.sleep(0.01)
         second = await tornado.websocket.websocket_connect(url)
         assert (await hear(second, "you"))["page"] == 2
-        for page in (first, second):
-            page.close()
+        await leave(first, second)
 
     talk(server, conversation)
     assert server.running
@@ -565,7 +572,7 @@ def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
                 await page.write_message(json.dumps(content))
                 assert (await hear(page, "answer"))["ok"]
             process.send_signal(signal.SIGINT)
-            page.close()
+            await leave(page)
 
         asyncio.run(conversation(""))
         assert process.wait(timeout=20.0) == 130
