@@ -1,11 +1,20 @@
-"""The machines that most tests use, loaded once."""
+"""The machines that most tests use, loaded once, and a browser."""
 
 from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from backhoe_planner.machine.robot import Robot, load_robot
+
+CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
+GRAPHICS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+            "--disable-background-networking"]  # fmt: skip
 
 settings.register_profile("seeded", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("seeded")
@@ -36,3 +45,14 @@ def any_robot(request: pytest.FixtureRequest) -> Robot:
     """Each of the four in turn."""
     robot: Robot = request.getfixturevalue(request.param)
     return robot
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if not Path(CHROMIUM).exists():
+        pytest.skip("chromium is not installed")
+    with api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=GRAPHICS)
+        yield opened
+        opened.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import socket
 import threading
 import time
@@ -26,24 +25,10 @@ from backhoe_planner.show.page import plan_page, write_page
 from backhoe_planner.show.viewer import Viewer
 from backhoe_planner.site.scene import Scene, scene_from_dict
 
-CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
-GRAPHICS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-            "--disable-background-networking"]  # fmt: skip
 HOSTILE = "</script><script>window.pwned=1</script><img src=x onerror='window.pwned=1'> \"q\" \u2028 \u4e2d a/b &amp;"
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 END = [0.9, 0.6, -1.3, -0.5]
 SWING = "backhoe.viewer.scene_tree.find(['machine', 'swing_post']).object.quaternion.toArray()"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if not Path(CHROMIUM).exists():
-        pytest.skip("chromium is not installed")
-    with api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=GRAPHICS)
-        yield opened
-        opened.close()
 
 
 class Tab:

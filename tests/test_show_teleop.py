@@ -561,6 +561,8 @@ def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
         [sys.executable, "-c", "from backhoe_planner.cli import main; main()", "teleop", "example:backhoe",
          "scene.yaml", "--port", "0", "--no-browser"],
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, text=True,
+        # ignored where the tests run in the background
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     assert process.stderr is not None
     with process.stderr:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +13,7 @@ from backhoe_planner.machine.robot import Robot
 from backhoe_planner.show.page import write_page
 from backhoe_planner.show.teleop.station import TeleopStation
 
-CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
-GRAPHICS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-            "--disable-background-networking"]  # fmt: skip
 HOSTILE = "<img src=x onerror='window.pwned=1'> \"q\" a/b &amp;"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if not Path(CHROMIUM).exists():
-        pytest.skip("chromium is not installed")
-    with api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=GRAPHICS)
-        yield opened
-        opened.close()
 
 
 def open_page(browser: Any, url: str) -> tuple[Any, list[str]]:

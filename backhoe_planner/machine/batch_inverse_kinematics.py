@@ -77,11 +77,6 @@ class TargetBatch:
             np.array(pitch), np.zeros(len(self)), np.ones(len(self), dtype=bool),
         )  # fmt: skip
 
-    def allows_pitch(self, pitch: Array, *, tolerance: float = 1e-9) -> Mask:
-        """(B,) whether a `pitch` (B,) is within the asked range."""
-        off = np.abs(_wrap(np.asarray(pitch) - self.pitch_middle))
-        return ~self.pitched | (off <= self.pitch_half + tolerance)
-
     def errors(self, at: ConfigurationBatch) -> Array:
         """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not asked."""
         found = np.zeros((len(self), 7))

@@ -29,7 +29,17 @@ from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene import Scene
 
-__all__ = ["Certificate", "Clearance", "LimitUse", "LoadUse", "certify", "certify_problem", "segment_is_clear"]
+__all__ = [
+    "TOUCH",
+    "Certificate",
+    "Clearance",
+    "LimitUse",
+    "LoadUse",
+    "certify",
+    "certify_problem",
+    "path_segment_is_clear",
+    "segment_is_clear",
+]
 
 Vector = NDArray[np.float64]
 
@@ -38,6 +48,8 @@ _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
 _EFFORT = 200_000  # measurements per obstacle at most
 _EFFORT_REFUTED = 2_000  # where the motion is already known not to keep its clearance
 KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts as keeping it
+TOUCH = 5e-5  # m: a path at exactly its clearance is clear to within this
+_TOUCHING_DEPTH = 9
 _LIMIT_TOLERANCE = 1e-6  # relative, for rounding
 _NEVER = 10.0  # m: clearances above this are not told apart
 
@@ -381,6 +393,11 @@ def segment_is_clear(
     ) and segment_is_clear(
         proximity, middle, q_b, time=time + 0.5 * dt, dt=0.5 * dt, depth=depth - 1, spare=spare
     )  # fmt: skip
+
+
+def path_segment_is_clear(proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0) -> bool:
+    """The same for a segment along a bucket path, which may run at exactly its clearance: to within `TOUCH`."""
+    return segment_is_clear(proximity, q_a, q_b, time=time, depth=_TOUCHING_DEPTH, spare=-TOUCH)
 
 
 # --- joint limits -----------------------------------------------------------------

@@ -15,7 +15,7 @@ from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.certificate import segment_is_clear
+from backhoe_planner.planning.certificate import path_segment_is_clear
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.proximity import Proximity
 
@@ -30,8 +30,6 @@ _PART = 0.4  # of the tolerance that a rounded corner may be off the path
 _LEG = 0.45  # of a leg that may be cut off
 _SPACING = 0.01  # m between the samples of a rounded corner at most
 _FEWEST = 9  # samples
-_TOUCH = 5e-5  # m
-_DEPTH = 9
 
 
 def round_corners(
@@ -61,9 +59,7 @@ def round_corners(
         if cut is not None:
             at = np.linspace(corner - cut, corner + cut, max(_FEWEST, 2 * int(np.ceil(cut / _SPACING)) + 1))
             rounded = _rounded(kinematics, path, corner, cut, at, stations, q)
-        if rounded is None or not all(
-            segment_is_clear(proximity, a, b, time=time, depth=_DEPTH, spare=-_TOUCH) for a, b in pairwise(rounded)
-        ):
+        if rounded is None or not all(path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(rounded)):
             left.append(corner)
             continue
         before, after = stations < at[0] - 1e-9, stations > at[-1] + 1e-9

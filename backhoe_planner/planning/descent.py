@@ -24,10 +24,11 @@ from scipy.interpolate import PchipInterpolator
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.certificate import segment_is_clear
+from backhoe_planner.planning.certificate import TOUCH, path_segment_is_clear
+from backhoe_planner.planning.corners import SHARP
 from backhoe_planner.planning.objectives import Nodes, Objective
 from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.refinement import TOUCH, null_bases, strict_targets
+from backhoe_planner.planning.refinement import null_bases, strict_targets
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["cheapen_stretch", "monotone_curve"]
@@ -48,11 +49,9 @@ _ENOUGH = 1e-3  # relative fall of the cost below which neighbours are taken clo
 _ROUNDS = 15  # at one distance of the neighbours
 _TRIES = 3  # to go on where something is in the way
 _STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for
-_CORNER = np.radians(5.0)  # a sharper corner of the path is a knot, and the joints may turn sharply there
 _LENGTH_OF_TURN = 0.1  # m that a radian counts as where the tip stands
 _ROOM = 0.005  # m of margin that is not used up
 _AHEAD = 0.2  # m beyond what is asked up to which distances are measured
-_DEPTH = 9
 
 
 def cheapen_stretch(
@@ -122,7 +121,7 @@ class _Descent:
         self._kinematics = BatchKinematics(problem.robot)
         self._stations = stations
         self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
-        self._corners = np.isin(np.round(stations, 9), np.round(path.corners(_CORNER), 9))
+        self._corners = np.isin(np.round(stations, 9), np.round(path.corners(SHARP), 9))
         turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
         self._measure = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-9))))
         self._in_soil = problem.scene.soil is not None
@@ -251,9 +250,7 @@ class _Descent:
         swept = np.abs(np.diff(moved, axis=0)) @ travel.T
         unsure = (0.5 * (lower[1:] + lower[:-1] - swept) < clearance - TOUCH).any(axis=1)
         for k in np.flatnonzero(unsure).tolist():
-            if not segment_is_clear(
-                self._proximity, moved[k], moved[k + 1], time=self._time, depth=_DEPTH, spare=-TOUCH
-            ):
+            if not path_segment_is_clear(self._proximity, moved[k], moved[k + 1], time=self._time):
                 tight[k] = True
         after = np.searchsorted(self._knots, np.flatnonzero(tight))
         for shift in (-2, -1, 0, 1):  # the curve between two knots hangs on four

@@ -15,7 +15,6 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
@@ -287,6 +286,8 @@ def redundancy_of(robot: Robot, target: TipTarget) -> int:
 
 def _sobol(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
     """(count, n) quasi-random configurations, always the same; `count` is a power of 2."""
+    from scipy.stats import qmc  # slow to load, and needed for paths alone
+
     points = qmc.Sobol(len(box[0]), scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(count))))
     return np.asarray(box[0] + points * (box[1] - box[0]))
 

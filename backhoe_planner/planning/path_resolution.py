@@ -18,7 +18,7 @@ from scipy.spatial.distance import cdist
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.certificate import segment_is_clear
+from backhoe_planner.planning.certificate import TOUCH, path_segment_is_clear
 from backhoe_planner.planning.deadline import OutOfTime, check_deadline
 from backhoe_planner.planning.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.path_layers import PathLayers
@@ -42,8 +42,6 @@ _FINE = 0.01  # m of path between the samples of a stretch
 _FINE_TURN = 0.03  # rad between them
 _WIDEST_STEP = 0.7  # rad or m that one joint may move from layer to layer
 _BENT = 3.0  # times as far as the straight way between two nodes a sample of it may lie from the next
-_TOUCH = 5e-5  # m: a path at exactly the clearance is clear to within this
-_DEPTH = 9
 _EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
 _MOST_DETOURS = 24  # that are tried in vain
 _TRIES = 2  # between two layers
@@ -234,7 +232,7 @@ class PathResolver:
 
     def _free(self, screen: ClearanceScreen, nodes: Matrix) -> Matrix:
         check_deadline(self._deadline)
-        return np.asarray(nodes[screen.keeps(nodes, time=self._time, spare=-_TOUCH)])
+        return np.asarray(nodes[screen.keeps(nodes, time=self._time, spare=-TOUCH)])
 
     # --- edges ---------------------------------------------------------------------
 
@@ -288,10 +286,7 @@ class PathResolver:
         return np.concatenate(found)
 
     def _is_clear(self, q: Matrix) -> bool:
-        return all(
-            segment_is_clear(self._proximity, a, b, time=self._time, depth=_DEPTH, spare=-_TOUCH)
-            for a, b in pairwise(q)
-        )
+        return all(path_segment_is_clear(self._proximity, a, b, time=self._time) for a, b in pairwise(q))
 
     # --- detours -------------------------------------------------------------------
 

@@ -22,11 +22,11 @@ from scipy.linalg import solveh_banded
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.certificate import segment_is_clear
+from backhoe_planner.planning.certificate import TOUCH, path_segment_is_clear
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["TOUCH", "null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
+__all__ = ["null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -36,8 +36,6 @@ _ROUNDS = 20
 _ENOUGH = 1e-3  # relative fall of the cost below which it is left
 _LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round
 _ROOM = 0.005  # m of margin that smoothing does not use up
-TOUCH = 5e-5  # m
-_DEPTH = 9
 _LENGTH_OF_TURN = 0.1  # m that a radian counts as where the tip stands
 
 
@@ -95,9 +93,7 @@ def smooth_stretch(
         bad = ~(reached | held)
         bad |= _margins(proximity, moved, time, floor=floor) < floor
         if not bad.any() and _cost(weights, moved) < cost:
-            clear = [
-                segment_is_clear(proximity, a, b, time=time, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(moved)
-            ]
+            clear = [path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(moved)]
             bad[:-1] |= ~np.array(clear)
             bad[1:] |= ~np.array(clear)
             if not bad.any():

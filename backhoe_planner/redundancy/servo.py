@@ -159,7 +159,7 @@ class Servo:
         self._at = Placements(robot, MOST_PARTS + 2)
         frame = robot.model.frames[robot.tip_frame]
         self._tip_joint = int(frame.parentJoint)
-        self._tip_R, self._tip_t = np.array(frame.placement.rotation), np.array(frame.placement.translation)
+        self._tip_t = np.array(frame.placement.translation)
         self._jacobian = np.zeros((6, n))
         self._turn = np.zeros((3, 3))
         self._separation = Separation(robot, self_collision=self_collision)
