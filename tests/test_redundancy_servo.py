@@ -58,7 +58,7 @@ def test_braking_path_by_hand() -> None:
     proportion."""
     path = BrakingPath(
         np.zeros(2), np.array([0.4, -0.2]), 0.1,
-        acceleration=np.array([0.5, 1.0]), furthest=[1.0, 1.0], turning=np.ones(2),
+        acceleration=[0.5, 1.0], furthest=[1.0, 1.0], turning=np.ones(2),
     )  # fmt: skip
     np.testing.assert_allclose(path.end, [0.2, -0.1], atol=1e-15)
     assert path.time == pytest.approx(0.9)
@@ -69,12 +69,12 @@ def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
     def end(rates: Vector) -> Vector:
         return BrakingPath(
             np.zeros(3), rates, 0.01,
-            acceleration=np.array([0.5, 1.0, 1.5]), furthest=[1.0] * 3, turning=np.ones(3),
+            acceleration=[0.5, 1.0, 1.5], furthest=[1.0] * 3, turning=np.ones(3),
         ).end  # fmt: skip
 
     D = BrakingPath(
         np.zeros(3), np.array(v), 0.01,
-        acceleration=np.array([0.5, 1.0, 1.5]), furthest=[1.0] * 3, turning=np.ones(3),
+        acceleration=[0.5, 1.0, 1.5], furthest=[1.0] * 3, turning=np.ones(3),
     ).D  # fmt: skip
     numeric = np.array([(end(np.array(v) + step) - end(np.array(v) - step)) / 2e-6 for step in 1e-6 * np.eye(3)]).T
     np.testing.assert_allclose(D, numeric, atol=1e-8)
@@ -85,7 +85,9 @@ def test_braking_stays_on_the_path_that_was_proven() -> None:
     rng = np.random.default_rng(3)
     for _ in range(50):
         v, acceleration, dt = rng.normal(size=4), rng.uniform(0.3, 3.0, 4), 0.001
-        path = BrakingPath(np.zeros(4), v, 0.0, acceleration=acceleration, furthest=[1.0] * 4, turning=np.ones(4))
+        path = BrakingPath(
+            np.zeros(4), v, 0.0, acceleration=acceleration.tolist(), furthest=[1.0] * 4, turning=np.ones(4)
+        )
         q, rates = np.zeros(4), v.copy()
         while np.any(rates):
             time = float(np.max(np.abs(rates) / acceleration))
@@ -196,7 +198,7 @@ def test_a_path_is_never_said_to_be_clearer_than_it_is(backhoe: Robot) -> None:
         v = rng.uniform(-1.0, 1.0, 4) * backhoe.limits.velocity
         path = BrakingPath(
             backhoe.random_q(rng), v, 0.001,
-            acceleration=backhoe.limits.acceleration, furthest=separation.furthest, turning=separation.turning,
+            acceleration=backhoe.limits.acceleration.tolist(), furthest=separation.furthest, turning=separation.turning,
         )  # fmt: skip
         at.place(0, path.q)
         path.place(at)

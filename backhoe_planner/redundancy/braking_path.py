@@ -94,7 +94,7 @@ class BrakingPath:
     ----------
     q, v: (n,) where the joints are, and the velocity of the step that is about to be taken.
     dt: its length [s]; 0 for braking from now on.
-    acceleration: (n,) that braking is planned with.
+    acceleration: n numbers that braking is planned with [rad/s^2 or m/s^2].
     furthest: (n,) the largest travel radius of any pair, see `travel_bounds`.
     turning: (n,) 1 for hinges, 0 for slides.
 
@@ -107,11 +107,11 @@ class BrakingPath:
     """
 
     def __init__(
-        self, q: Vector, v: Vector, dt: float, *, acceleration: Vector, furthest: list[float], turning: Vector
+        self, q: Vector, v: Vector, dt: float, *, acceleration: list[float], furthest: list[float], turning: Vector
     ) -> None:
         braking, slowest, sign = 0.0, 0, 1.0
         rates = v.tolist()
-        for joint, (rate, a) in enumerate(zip(rates, acceleration.tolist(), strict=True)):
+        for joint, (rate, a) in enumerate(zip(rates, acceleration, strict=True)):
             time = abs(rate) / a
             if time > braking:
                 braking, slowest, sign = time, joint, math.copysign(1.0 / a, rate)

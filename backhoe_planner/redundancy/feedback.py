@@ -50,8 +50,8 @@ class Feedback:
         self._largest = largest
         self._change = sharpest * dt
         self._stored = 0.0
-        self._force = np.zeros(3)
-        self._smooth = np.zeros(3)
+        self._force: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self._smooth: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._scale = 1.0
         self._part = 1.0 - math.exp(-dt / _SMOOTHED_OVER)
 
@@ -70,22 +70,30 @@ class Feedback:
         normal: (3,) unit vector into the nearest obstacle; zeros where none is near.
         nearness: 0 where obstacles are far, 1 where no more approach is possible.
         """
-        given = -self._dt * float(self._force @ hand)
-        self._stored = min(self._stored + given, _MOST_STORED)
-        wished = -self._damping * (refused + nearness * max(float(hand @ normal), 0.0) * normal)
-        self._smooth = self._smooth + self._part * (wished - self._smooth)
-        force = self._smooth
-        size = math.sqrt(float(force @ force))
+        # of three numbers each: in plain numbers this costs a fraction of what arrays would
+        hx, hy, hz = hand.tolist()
+        nx, ny, nz = normal.tolist()
+        fx, fy, fz = self._force
+        self._stored = min(self._stored - self._dt * (fx * hx + fy * hy + fz * hz), _MOST_STORED)
+        approach = nearness * max(hx * nx + hy * ny + hz * nz, 0.0)
+        part, damping = self._part, self._damping
+        smooth = self._smooth = tuple(
+            before - part * (damping * (missed + approach * into) + before)
+            for before, missed, into in zip(self._smooth, refused.tolist(), (nx, ny, nz), strict=True)
+        )
+        fx, fy, fz = smooth
+        size = math.sqrt(fx * fx + fy * fy + fz * fz)
         if size > 0.0:
-            force = force * (self._largest * math.tanh(size / self._largest) / size)
-            along = float(force @ hand)
-            most = self._dt * (along + math.sqrt(float(force @ force)) * self._change)
+            bounded = self._largest * math.tanh(size / self._largest)
+            along = (fx * hx + fy * hy + fz * hz) * bounded / size
+            most = self._dt * (along + bounded * self._change)
             held = max(self._stored + (_SEED if along <= 0.0 else 0.0), _LEAK)
             # neither spent at once nor let go at once, so that the scale is smooth too
-            scale = min(self._scale + self._part, 1.0)
+            scale = min(self._scale + part, 1.0)
             if most > 0.0:
-                scale = min(scale, max(self._part * held, _LEAK) / most)
+                scale = min(scale, max(part * held, _LEAK) / most)
             self._scale = scale
-            force = force * scale
-        self._force = force
-        return force
+            by = bounded / size * scale
+            fx, fy, fz = fx * by, fy * by, fz * by
+        self._force = (fx, fy, fz)
+        return np.array(self._force)

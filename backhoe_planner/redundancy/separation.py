@@ -65,12 +65,13 @@ class _Stand:
         self.shift = np.zeros(3)
         self.corners = piece.hull if 0 < len(piece.hull) <= _MOST_CORNERS else None
         self._R, self._t = np.array(piece.placement.rotation), np.array(piece.placement.translation)
-        self._placed: tuple[Vector, object] = (self.shift, shapes.transform(self._R, self._t))
+        self._placed: tuple[list[float], object] = ([0.0, 0.0, 0.0], shapes.transform(self._R, self._t))
 
     def place(self) -> object:
         """Coal's transform, made anew only after a shift."""
-        if self._placed[0] is not self.shift:
-            self._placed = (self.shift, shapes.transform(self._R, self._t + self.shift))
+        shift = self.shift.tolist()
+        if self._placed[0] != shift:
+            self._placed = (shift, shapes.transform(self._R, self._t + self.shift))
         return self._placed[1]
 
 
@@ -92,10 +93,12 @@ class Separation:
         self.robot = robot
         self._gauge = shapes.Gauge()
         self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
-        hulls = [robot.pieces[row].piece.hull for row in range(len(robot.pieces))]
-        most = max((len(hull) for hull in hulls), default=1)
-        self._corners = np.array([_padded(hull, most) for hull in hulls]).reshape(len(hulls), most, 3)
-        self._corners4 = np.concatenate((self._corners, np.ones((len(hulls), most, 1))), axis=2)
+        # of the pieces that move, with a 1 behind each; the others' are never asked for
+        most = max((len(robot.pieces[row].piece.hull) for row in self._moving), default=1)
+        self._corners4 = np.full((len(robot.pieces), most, 4), np.nan)
+        for row in self._moving:
+            self._corners4[row, :, :3] = _padded(robot.pieces[row].piece.hull, most)
+            self._corners4[row, :, 3] = 1.0
         self._fat = np.array([piece.piece.radius for piece in robot.pieces])
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
         self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
@@ -162,7 +165,10 @@ class Separation:
         self._refresh()
 
     def place_at(self, number: int, shift: Vector) -> None:
-        """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are."""
+        """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are.
+
+        The array is kept: what it holds when a distance is measured counts.
+        """
         for stand in self._stands_of[number]:
             stand.shift = shift
 
@@ -239,7 +245,7 @@ class Separation:
         """The same for planes n (K, 3), offset (K,) in the other bodies' frames, at poses T (S, joints, 3, 4)."""
         pieces = self.piece[pairs]
         n = n[:, None, :]
-        if self.some_relative and self.other[pairs].any():
+        if self.some_relative and np.count_nonzero(self.other[pairs]):
             moved = np.matmul(n, T[:, self.other[pairs]].transpose(0, 1, 3, 2)[:, :, :3])
             offset = offset + np.matmul(moved, T[:, self.other[pairs]][..., 3:])[:, :, 0, 0]
             n = moved
@@ -315,7 +321,7 @@ class Separation:
     def rows(self, pairs: Indices, samples: Indices | int, corners: Indices, at: Placements) -> Matrix:
         """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
         n = self.normal[pairs]
-        if self.some_relative and self.other[pairs].any():
+        if self.some_relative and np.count_nonzero(self.other[pairs]):
             n = np.matmul(at.R[samples, self.other[pairs]], n[:, :, None])[..., 0]
         corner = self._corners4[self.piece[pairs], corners]
         x = np.matmul(at.T[samples, self.joint[pairs]], corner[:, :, None])[..., 0]

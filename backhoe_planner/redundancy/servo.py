@@ -28,8 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import daqp
 import numpy as np
@@ -85,8 +84,7 @@ _FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
 _FASTEST_WISH = 100.0  # m/s or rad/s
 
 
-@dataclass(frozen=True)
-class _Chosen:
+class _Chosen(NamedTuple):
     """The velocity of a step, and why."""
 
     v: Vector
@@ -141,7 +139,7 @@ class Servo:
         self._q = _start(robot, scene) if q is None else robot.check_q(q)
         n = robot.n
         self._v = np.zeros(n)
-        self._free_v = np.zeros(n)
+        self._free_v = [0.0] * n
         self._end = self._q.copy()
         self._steps = 0
         self._acceleration = _BRAKING * self.limits.acceleration
@@ -151,6 +149,7 @@ class Servo:
         self._look = self.dt  # s: of the longest braking path that this step could begin
         self._forgets = 1.0 - math.exp(-self.dt / _REMEMBERED)
         self._changes: list[float] = self._change.tolist()
+        self._braking: list[float] = self._acceleration.tolist()
         self._per_acceleration: list[float] = (1.0 / self._acceleration).tolist()
         limits = self.limits
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
@@ -161,7 +160,7 @@ class Servo:
         self._tip_joint = int(frame.parentJoint)
         self._tip_t = np.array(frame.placement.translation)
         self._jacobian = np.zeros((6, n))
-        self._turn = np.zeros((3, 3))
+        self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
         self._separation = Separation(robot, self_collision=self_collision)
         count = len(self._separation)
         # of every pair: the distance proven over the braking path, and at its start, each
@@ -193,6 +192,7 @@ class Servo:
         self._sense = np.zeros(3)
         self._place_start()
         self._task_rows = self._movable_tip_rows()
+        self._all_rows = bool(self._task_rows.all())
         self._take_in(np.arange(count, dtype=np.intp))
         for obstacle in build_obstacles(scene, robot):
             self._add(obstacle)
@@ -311,6 +311,8 @@ class Servo:
     def _sort(self) -> None:
         site = self._site
         self._moving_pairs, self._stands = site.moving_pairs, site.stands
+        self._within = self._separation.clearance + self._reach
+        self._some_slow = bool(self._slow_from.any())
         self._per_step = self.dt * site.speed
         # the braking path of one step later may end up to 2 / _BRAKING steps later
         self._per_step_on_path = (1.0 + 2.0 / _BRAKING) * self._per_step
@@ -396,7 +398,8 @@ class Servo:
         near, gaps = self._near()
         wish, tip_wish, singular = self._wished(near, gaps)
         self._pace = self._slowed(near)
-        wish = self._pace * wish
+        if self._pace < 1.0:
+            wish = self._pace * wish
         low, high, at_limit = self._velocity_bounds(wish)
         chosen = self._choose(wish, low, high, near, gaps)
         self._renew(near)
@@ -445,12 +448,9 @@ class Servo:
         tip = R @ self._tip_t + t
         self._tip = tip
         x, y, z = tip.tolist()
-        turn = self._turn  # omega -> omega x tip
-        turn[0, 1], turn[0, 2], turn[1, 0], turn[1, 2], turn[2, 0], turn[2, 1] = z, -y, -z, x, y, -x
-        jacobian = self._jacobian
-        jacobian[3:] = J[3:]
-        np.matmul(turn, J[3:], out=jacobian[:3])
-        jacobian[:3] += J[:3]
+        to = self._to_tip  # its upper right part is omega -> omega x tip
+        to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
+        np.matmul(to, J, out=self._jacobian)
 
     def _movable_tip_rows(self) -> NDArray[np.bool_]:
         """(3,) which directions any joint can move the tip in at all."""
@@ -463,21 +463,22 @@ class Servo:
     def _near(self) -> tuple[Indices, Matrix]:
         """Pairs within the influence distance, and the gaps of their corners (K, V) at q."""
         separation = self._separation
-        lower = self._distance + self._distance_at - self._start_odometer[separation.classes]
-        near = (lower < separation.clearance + self._reach).nonzero()[0]
+        odometer = self._start_odometer.take(separation.classes)
+        lower = self._distance + self._distance_at - odometer
+        near = (lower < self._within).nonzero()[0]
         if len(near) == 0:
             return near, np.zeros((0, 1))
         gaps = separation.gaps(near, self._at, 1)[0]
-        self._distance[near] = np.maximum(gaps.min(axis=1), lower[near])
-        self._distance_at[near] = self._start_odometer[separation.classes[near]]
+        self._distance[near] = np.maximum(gaps.min(axis=1), lower.take(near))
+        self._distance_at[near] = odometer.take(near)
         return near, gaps
 
     def _slowed(self, near: Indices) -> float:
         """Part of the wished speed that the zones leave."""
         part = 1.0
-        slow = self._slow_from[near]
-        if slow.any():
-            rows = slow.nonzero()[0]
+        rows = self._slow_from[near].nonzero()[0] if self._some_slow else _NOBODY.pair
+        if len(rows):
+            slow = self._slow_from[near]
             margin = self._distance[near[rows]] - self._separation.clearance[near[rows]]
             part = min(pace(left, room) for left, room in zip(margin.tolist(), slow[rows].tolist(), strict=True))
         swing = float(self._q[0])
@@ -510,15 +511,13 @@ class Servo:
     def _wished(self, near: Indices, gaps: Matrix) -> tuple[Vector, Vector, bool]:
         """(n,) joint velocity that is wished, within the joints' rates; the tip's; whether near a singularity."""
         tip, joints, pitch = self._wish
-        velocity = self.limits.velocity
         if joints is not None:
-            ratio = float((np.abs(joints) / velocity).max())
-            v = joints / ratio if ratio > 1.0 else joints
-            return v, self._jacobian[:3] @ joints, False
+            return self._within_rates(joints), self._jacobian[:3] @ joints, False
         if tip is None:
             return np.zeros(self.robot.n), np.zeros(3), False
-        rows = self._task_rows
-        J, xdot = self._jacobian[:3][rows], self._around(tip)[rows]
+        J, xdot = self._jacobian[:3], self._around(tip)
+        if not self._all_rows:
+            J, xdot = J[self._task_rows], xdot[self._task_rows]
         if pitch is not None:
             turn = self._jacobian[3:]
             J = np.vstack((J, self.robot.pitch_sense * turn[:, -1] @ turn))
@@ -531,8 +530,12 @@ class Servo:
             v, damped = wish.v, wish.resolved.damping > 0.0
         else:
             v = quick
-        ratio = float((np.abs(v) / velocity).max())
-        return v / ratio if ratio > 1.0 else v, tip, damped
+        return self._within_rates(v), tip, damped
+
+    def _within_rates(self, v: Vector) -> Vector:
+        """(n,) the same direction, within the joints' rates."""
+        ratio = max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), self._ranges, strict=True))
+        return v / ratio if ratio > 1.0 else v
 
     def _around(self, tip: Vector) -> Vector:
         """The tip's wish, turned along the surface that blocks it where that is asked for."""
@@ -573,8 +576,9 @@ class Servo:
         look = self._look = dt + 0.5 * (time + dt / _BRAKING)
         lows, highs = [], []
         tight = cut = False
+        rates = self._v.tolist()
         for position, rate, wished, change, (lower, upper, fastest) in zip(
-            self._q.tolist(), self._v.tolist(), wish.tolist(), self._changes, self._ranges, strict=True
+            self._q.tolist(), rates, wish.tolist(), self._changes, self._ranges, strict=True
         ):
             above, below = upper - position, position - lower
             high, low = min(above / look, fastest), max(-below / look, -fastest)
@@ -589,13 +593,15 @@ class Servo:
             cut |= wished > high + 1e-9 or wished < low - 1e-9
             highs.append(high)
             lows.append(low)
-        low_bounds, high_bounds = np.array(lows), np.array(highs)
         if tight:
             # a joint needs the whole of its way to brake: the others must not make that longer
-            cap = self._acceleration * max(time - dt, 0.0)
-            high_bounds, low_bounds = np.minimum(high_bounds, cap), np.maximum(low_bounds, -cap)
-        up, down = self._v + self._change, self._v - self._change
-        return np.minimum(np.maximum(low_bounds, down), up), np.minimum(np.maximum(high_bounds, down), up), cut
+            caps = (self._acceleration * max(time - dt, 0.0)).tolist()
+            highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
+            lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
+        reach = [(rate - change, rate + change) for rate, change in zip(rates, self._changes, strict=True)]
+        low_bounds = [min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]
+        high_bounds = [min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]
+        return np.array(low_bounds), np.array(high_bounds), cut
 
     def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity nearest to the wish whose braking path is proven clear."""
@@ -640,19 +646,21 @@ class Servo:
 
     def _towards(self, wish: Vector, low: Vector, high: Vector) -> Vector:
         """(n,) on the straight way from the present velocity to the wish, as far as acceleration allows."""
-        change = wish - self._v
+        rates = self._v.tolist()
+        change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
         part = 1.0
-        for amount, largest in zip(change.tolist(), self._changes, strict=True):
+        for amount, largest in zip(change, self._changes, strict=True):
             if abs(amount) * part > largest:
                 part = largest / abs(amount)
-        return np.minimum(np.maximum(self._v + part * change, low), high)
+        found = zip(rates, change, low.tolist(), high.tolist(), strict=True)
+        return np.array([min(max(rate + part * amount, least), most) for rate, amount, least, most in found])
 
     def _path(self, v: Vector, *, step: bool = True) -> BrakingPath:
         return BrakingPath(
             self._q,
             v,
             self.dt if step else 0.0,
-            acceleration=self._acceleration,
+            acceleration=self._braking,
             furthest=self._separation.furthest,
             turning=self._separation.turning,
         )
@@ -662,11 +670,16 @@ class Servo:
         separation = self._separation
         look = self._look
         # the end moves with the step taken, and with the change of velocity
-        change = np.abs(self._q + self._v * look - self._end) + look * self._change
-        change += np.abs(self._v) * (self.dt / _BRAKING)
-        budget = separation.travel @ change
+        later = self.dt / _BRAKING
+        now = zip(self._q.tolist(), self._v.tolist(), self._end.tolist(), self._changes, strict=True)
+        budget = separation.travel @ np.array(
+            [
+                abs(position + rate * look - end) + look * change + abs(rate) * later
+                for position, rate, end, change in now
+            ]
+        )
         left = self._proven + self._proven_at - self._required
-        awake = left < (self._path_odometer + budget)[separation.classes]
+        awake = left < (self._path_odometer + budget).take(separation.classes)
         if len(self._inside):  # these are looked at by themselves
             awake[self._inside] = False
         return awake.nonzero()[0], budget
@@ -825,14 +838,8 @@ class Servo:
         clearance = separation.clearance[near]
         too_close = np.maximum(self._distance[near], self._required[near]) < clearance - _VIOLATED
         too_close &= ~self._stands[near]
-        if len(self._moving_pairs):
-            drift = separation.drift[near]
-            chosen = ((drift < 0.0) | too_close).nonzero()[0]
-        elif too_close.any():
-            drift = np.zeros(len(near))
-            chosen = too_close.nonzero()[0]
-        else:
-            return np.zeros((0, n)), np.zeros(0)
+        drift = separation.drift[near]
+        chosen = ((drift < 0.0) | too_close).nonzero()[0]
         if len(chosen) == 0:
             return np.zeros((0, n)), np.zeros(0)
         own = gaps[chosen]
@@ -932,7 +939,7 @@ class Servo:
     ) -> ServoState:
         J = self._jacobian[:3]
         v = self._v
-        tip_velocity = J @ v
+        rates, wished = v.tolist(), wish.tolist()
         margin, link, obstacle, normal = math.inf, None, None, _ZERO
         separation = self._separation
         if len(near):
@@ -949,18 +956,21 @@ class Servo:
                     normal = separation.world_normals(near[row : row + 1], self._at)[0]
         self._held_back_for = self._holds if chosen.held_back else self._held_back_for - 1
         if chosen.held_back or at_limit:
-            change = wish - self._free_v
-            self._free_v = self._free_v + np.minimum(np.maximum(change, -self._change), self._change)
-            refused = J @ (self._free_v - v - wish) + tip_wish
+            towards = zip(self._free_v, wished, self._changes, strict=True)
+            self._free_v = [free + min(max(aim - free, -most), most) for free, aim, most in towards]
         else:
-            self._free_v = self._free_v + self._forgets * (v - self._free_v)
-            refused = J @ (self._free_v - v - wish) + tip_wish
+            self._free_v = [
+                free + self._forgets * (rate - free) for free, rate in zip(self._free_v, rates, strict=True)
+            ]
+        held = [free - rate - aim for free, rate, aim in zip(self._free_v, rates, wished, strict=True)]
+        tip_velocity, refused = np.array((rates, held)) @ J.T
+        refused += tip_wish
         self._blocking = normal if chosen.held_back else _ZERO
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / _WARN, 0.0), 1.0)))
         hand = self._wish[0] if self._wish[0] is not None else tip_wish
         force = self._feedback.next(hand, refused, normal, nearness)
-        moving = any(abs(rate) > _AT_REST for rate in v.tolist())
-        wishes = any(abs(rate) > 1e-6 for rate in wish.tolist())
+        moving = max(map(abs, rates)) > _AT_REST
+        wishes = max(map(abs, wished)) > 1e-6
         if chosen.evading:
             status = Status.EVADING
         elif not moving and (wishes or command in (Command.TIMED_OUT, Command.INVALID)):
@@ -993,8 +1003,7 @@ class Servo:
         )
 
 
-@dataclass(frozen=True)
-class _Proof:
+class _Proof(NamedTuple):
     """What is known of a braking path.
 
     Attributes
@@ -1053,7 +1062,7 @@ def _numbers(values: object, count: int) -> Vector | None:
         return None
     if count == 1 and found.ndim == 0:
         found = found.reshape(1)
-    if found.shape != (count,) or not np.isfinite(found).all():
+    if found.shape != (count,) or not all(map(math.isfinite, found.tolist())):
         return None
     return found
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,7 @@ class Command(str, Enum):
     INVALID = "invalid"
 
 
-@dataclass(frozen=True)
-class ServoState:
+class ServoState(NamedTuple):
     """Where the machine is to be at the end of a step.
 
     Attributes

@@ -136,6 +136,7 @@ class Surroundings:
         self._placed[obstacle.name] = _Placed(number, obstacle, np.array(obstacle.velocity), np.zeros(3))
         self._name_of[number] = obstacle.name
         pairs = self._separation.add(number, obstacle)
+        self._separation.place_at(number, self._placed[obstacle.name].shift)
         self._sort()
         return pairs
 
@@ -159,8 +160,7 @@ class Surroundings:
     def move(self, name: str, by: object) -> Indices:
         """Indices of the pairs of an obstacle that now stands elsewhere."""
         placed = self._find(name)
-        placed.shift = placed.shift + _three(by, "by")
-        self._separation.place_at(placed.number, placed.shift)
+        placed.shift += _three(by, "by")
         return self._pairs(placed)
 
     def set_velocity(self, name: str, velocity: object) -> Indices:
@@ -169,16 +169,13 @@ class Surroundings:
         placed.velocity = _three(velocity, "velocity")
         pairs = self._pairs(placed)
         self._separation.velocity[pairs] = placed.velocity
-        self._separation.place_at(placed.number, placed.shift)
         self._sort()
         return pairs
 
     def drift(self, dt: float) -> None:
         """Let what moves move on for dt [s]; the planes of its pairs with it."""
         self._separation.offset += dt * self._separation.drift
-        for placed in self._movers:
-            placed.shift = placed.shift + dt * placed.velocity
-            self._separation.place_at(placed.number, placed.shift)
+        self._shifts += dt * self._velocities
 
     def _find(self, name: str) -> _Placed:
         if name not in self._placed:
@@ -197,7 +194,18 @@ class Surroundings:
         self.stands = np.ones(len(self._separation), dtype=bool)
         self.stands[self.moving_pairs] = False
         self.speed = np.sqrt((velocity**2).sum(axis=1))
+        for placed in self._movers:
+            self._stands_at(placed, placed.shift.copy())
         self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
+        # one array for all that moves, of which each holds its row
+        self._velocities = np.array([placed.velocity for placed in self._movers]).reshape(-1, 3)
+        self._shifts = np.array([placed.shift for placed in self._movers]).reshape(-1, 3)
+        for placed, shift in zip(self._movers, self._shifts, strict=True):
+            self._stands_at(placed, shift)
+
+    def _stands_at(self, placed: _Placed, shift: Vector) -> None:
+        placed.shift = shift
+        self._separation.place_at(placed.number, shift)
 
 
 def _three(values: object, key: str) -> Vector:
