@@ -15,7 +15,7 @@ import time as clock
 import webbrowser
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
@@ -23,12 +23,12 @@ from rich.table import Table
 from rich.text import Text
 
 import backhoe_planner as bp
-from backhoe_planner.planning.objectives import UNITS
-from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.plan_file import check_writable, plan_to_dict
-from backhoe_planner.planning.planner import DEFAULT_BUDGET
-from backhoe_planner.planning.tracking import Detour
-from backhoe_planner.site.zones import worst_first
+from backhoe_planner.output_file import check_writable
+from backhoe_planner.planning.deadline import DEFAULT_BUDGET
+
+if TYPE_CHECKING:
+    from backhoe_planner.planning.plan import Plan
+    from backhoe_planner.planning.tracking import Detour
 
 __all__ = ["app", "main"]
 
@@ -338,6 +338,8 @@ def _warn(warnings: Iterable[str]) -> None:
 
 def _tell(found: Plan, output: Path, as_json: bool) -> None:
     if as_json:
+        from backhoe_planner.planning.plan_file import plan_to_dict
+
         content = plan_to_dict(found)
         del content["dynamics"]  # sample by sample, as the trajectory is
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
@@ -403,6 +405,8 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     """One line: the objective along the path, and what the local law needs."""
     if compared is None:
         return
+    from backhoe_planner.planning.objectives import UNITS
+
     unit = UNITS[compared["name"]]
     told = f"{compared['name']} {compared['value']:.4g} {unit} along the path"
     if compared["law"] is not None:
@@ -418,6 +422,8 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
 
 def _tell_zones(found: Plan) -> None:
     """One line about the zones that were come too near to, if any."""
+    from backhoe_planner.site.zones import worst_first
+
     visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""

@@ -135,13 +135,20 @@ def test_one_run_as_a_program(tmp_path: Path) -> None:
     assert done.stdout.startswith("verified\n")
 
 
-READY = "from backhoe_planner.cli import main; print('ready', flush=True); main()"
+READY = "from backhoe_planner.__main__ import main; print('ready', flush=True); main()"
+
+
+TO_AND_FRO = {
+    "version": 1,
+    "task": {
+        "path": {"waypoints": [{"position": [2.0, -1.0, 0.0]}, {"position": [2.4, 1.0, 0.0]}] * 120, "speed": 0.4}
+    },
+}
 
 
 def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
     """A path of half a kilometre, to and fro, which takes its time to resolve."""
-    path = {"waypoints": [{"position": [2.0, -1.0, 0.0]}, {"position": [2.4, 1.0, 0.0]}] * 120, "speed": 0.4}
-    scene = scene_file(tmp_path, {"version": 1, "task": {"path": path}})
+    scene = scene_file(tmp_path, TO_AND_FRO)
     plan_file = tmp_path / "plan.json"
     with subprocess.Popen(
         [sys.executable, "-c", READY, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "60"],
@@ -161,6 +168,36 @@ def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
     assert "Traceback" not in told
     assert told.strip() == "interrupted"
     assert sorted(tmp_path.iterdir()) == [scene]
+
+
+@pytest.mark.parametrize("after", [0.05, 0.15, 0.3, 0.5, 0.7])
+def test_interrupted_while_it_still_imports_there_is_no_traceback(tmp_path: Path, after: float) -> None:
+    scene, plan_file = scene_file(tmp_path, TO_AND_FRO), tmp_path / "plan.json"
+    with subprocess.Popen(
+        [sys.executable, "-c", READY, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "60"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    ) as running:  # fmt: skip
+        assert running.stdout is not None
+        assert running.stdout.readline() == "ready\n"
+        clock.sleep(after)
+        running.send_signal(signal.SIGINT)
+        _, told = running.communicate(timeout=20)
+    assert (running.returncode, told.strip()) == (130, "interrupted")
+    assert not plan_file.exists()
+
+
+def test_help_does_not_wait_for_the_robot_libraries() -> None:
+    asked = (
+        "import sys\n"
+        "from backhoe_planner.__main__ import main\n"
+        "sys.argv = ['backhoe-planner', '--help']\n"
+        "try:\n    main()\n"
+        "except SystemExit as done:\n"
+        "    print(done.code, [name for name in ('pinocchio', 'scipy') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, env=ENVIRONMENT, check=True)
+    assert done.stdout.rstrip().endswith("0 []")
 
 
 # --- no motion exists: exit 1, and the plan file says why -------------------------------

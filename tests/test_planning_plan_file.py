@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 import backhoe_planner as bp
+from backhoe_planner.output_file import whole_file
 from backhoe_planner.planning.export import export_plan
-from backhoe_planner.planning.plan_file import whole_file
 
 Data = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]

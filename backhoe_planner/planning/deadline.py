@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time as clock
 
-__all__ = ["OutOfTime", "check_deadline"]
+__all__ = ["DEFAULT_BUDGET", "OutOfTime", "check_deadline"]
+
+DEFAULT_BUDGET = 10.0  # s
 
 
 class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not an error

@@ -13,8 +13,8 @@ import yaml
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import OutputError
+from backhoe_planner.output_file import whole_file
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.plan_file import whole_file
 
 __all__ = ["FORMATS", "export_plan"]
 

@@ -23,6 +23,7 @@ from backhoe_planner.planning.as_printed import run_iteration
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import Certificate, certify_problem
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.deadline import DEFAULT_BUDGET
 from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
@@ -40,11 +41,10 @@ from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.planning.yardstick import compare_with_law
 from backhoe_planner.site.scene import Scene
 
-__all__ = ["DEFAULT_BUDGET", "judged", "motion_metrics", "plan"]
+__all__ = ["judged", "motion_metrics", "plan"]
 
 Vector = NDArray[np.float64]
 
-DEFAULT_BUDGET = 10.0  # s
 _SLOWER = 3  # times that a motion is planned with slower joints
 _TOO_MUCH = 10.0  # times a limit
 _SEARCH = 200  # starting points of the inverse kinematics for a start that is given by the tip

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from backhoe_planner.errors import OutputError
-from backhoe_planner.planning.plan_file import check_writable, whole_file
+from backhoe_planner.output_file import check_writable, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,8 +14,8 @@ from functools import lru_cache
 from importlib import resources
 from typing import Any
 
+from backhoe_planner.output_file import check_writable, whole_file
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.plan_file import check_writable, whole_file
 from backhoe_planner.planning.problem import build_problem
 from backhoe_planner.show.page_content import plan_content, problem_content
 from backhoe_planner.show.recording import Recording

@@ -10,7 +10,7 @@ from types import TracebackType
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.plan_file import check_writable
+from backhoe_planner.output_file import check_writable
 from backhoe_planner.show.teleop.picture import Picture
 from backhoe_planner.show.teleop.recorder import Recording
 from backhoe_planner.show.teleop.server import TeleopServer

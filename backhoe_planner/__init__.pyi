@@ -1,0 +1,67 @@
+from .errors import (
+    InputError,
+    OutputError,
+    PlanFileError,
+    PlannerError,
+    RobotError,
+    SceneError,
+)
+from .machine.digging import DiggingForces, digging_forces
+from .machine.hydraulics import BothWays, Hydraulics
+from .machine.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
+from .machine.kinematics import Configuration, Kinematics
+from .machine.robot import JointLimits, Robot, load_robot
+from .machine.target import TipTarget
+from .planning.certificate import Certificate, certify
+from .planning.plan import Plan
+from .planning.plan_file import load_plan
+from .planning.planner import plan
+from .planning.stepping import Step
+from .planning.streaming import PlanFollower
+from .planning.trajectory import Trajectory
+from .redundancy.servo import Servo
+from .redundancy.servo_state import ServoState
+from .site.obstacles import build_obstacles
+from .site.proximity import Proximity
+from .site.scene import Scene, load_scene, scene_from_dict, scene_schema
+from .site.zones import Transgression, ZoneLog, zone_log
+
+__all__ = [
+    "BothWays",
+    "Certificate",
+    "Configuration",
+    "DiggingForces",
+    "Hydraulics",
+    "InputError",
+    "InverseKinematics",
+    "JointLimits",
+    "Kinematics",
+    "OutputError",
+    "Plan",
+    "PlanFileError",
+    "PlanFollower",
+    "PlannerError",
+    "Proximity",
+    "Robot",
+    "RobotError",
+    "Scene",
+    "SceneError",
+    "Servo",
+    "ServoState",
+    "Step",
+    "TipTarget",
+    "Trajectory",
+    "Transgression",
+    "ZoneLog",
+    "build_obstacles",
+    "certify",
+    "digging_forces",
+    "load_plan",
+    "load_robot",
+    "load_scene",
+    "plan",
+    "scene_from_dict",
+    "scene_schema",
+    "solve_inverse_kinematics",
+    "zone_log",
+]

@@ -1,0 +1,62 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from backhoe_planner.errors import OutputError
+
+__all__ = ["check_writable", "whole_file"]
+
+
+@contextlib.contextmanager
+def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
+    """Open a file for writing that appears under its name only once it is complete.
+
+    Raises
+    ------
+    OutputError: the folder does not exist, or cannot be written.
+    """
+    target = Path(path)
+    check_writable(target)
+    try:
+        descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", file=target) from error
+    part = Path(name)
+    try:
+        with os.fdopen(
+            descriptor, mode, encoding=None if "b" in mode else "utf-8", newline=None if "b" in mode else ""
+        ) as stream:
+            yield stream
+        mask = os.umask(0)
+        os.umask(mask)
+        part.chmod(0o666 & ~mask)
+        part.replace(target)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", file=target) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Complain about a place that cannot be written before long work, not after it.
+
+    Raises
+    ------
+    OutputError: it is a folder, its folder does not exist, or may not be written.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise OutputError("is a folder; a file name is needed", file=target)
+    if target.exists() and not target.is_file():
+        raise OutputError("is not a regular file", file=target)
+    if not target.parent.is_dir():
+        raise OutputError("the folder does not exist", file=target, found=str(target.parent), hint="create it first")
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise OutputError("the folder may not be written", file=target, found=str(target.parent))
