@@ -621,7 +621,8 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
         if found is None:
             continue
         assert plain.resolved.damping == 0.0
-        np.testing.assert_allclose(found, plain.v, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(found[0], plain.v, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(found[1], plain.null, rtol=1e-8, atol=1e-8)
         faster += 1
         bent += bool(np.abs(plain.null).max() > 1e-3)
     assert faster > 300

@@ -76,7 +76,7 @@ _REMEMBERED = 0.02  # s for which being held back counts
 _FAR_RENEWED_EVERY = 4  # steps, where nothing is within
 _NEAR_RENEWED_EVERY = 2  # and where something is near
 _WARN = 0.10  # m of margin within which it says so
-_AT_REST = 1e-9
+_AT_REST = 1e-3  # rad/s or m/s: what creeps more slowly is told as standing
 _FAR = 1e3  # m
 _INSIDE_SPEED = 0.5  # m/s
 _STEP_END = MOST_PARTS + 1  # row of the placements
@@ -146,6 +146,8 @@ class Servo:
         self._change = self.limits.acceleration * self.dt * (1.0 - 1e-9)
         self._holds = max(math.ceil(_REMEMBERED / self.dt), 1)
         self._held_back_for = 0
+        # the joint rates from which braking ends within the limits, however soon they can be had
+        self._least, self._most = -self.limits.velocity, self.limits.velocity
         self._look = self.dt  # s: of the longest braking path that this step could begin
         self._forgets = 1.0 - math.exp(-self.dt / _REMEMBERED)
         self._changes: list[float] = self._change.tolist()
@@ -160,6 +162,8 @@ class Servo:
         self._tip_joint = int(frame.parentJoint)
         self._tip_t = np.array(frame.placement.translation)
         self._jacobian = np.zeros((6, n))
+        # of the last wish: the task's Jacobian, and the part of it in the null space
+        self._task, self._beside = self._jacobian[:3], np.zeros(n)
         self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
         self._separation = Separation(robot, self_collision=self_collision)
         count = len(self._separation)
@@ -512,8 +516,9 @@ class Servo:
         """(n,) joint velocity that is wished, within the joints' rates; the tip's; whether near a singularity."""
         tip, joints, pitch = self._wish
         if joints is not None:
-            return self._within_rates(joints), self._jacobian[:3] @ joints, False
+            return joints / self._over_rates(joints), self._jacobian[:3] @ joints, False
         if tip is None:
+            self._task, self._beside = self._jacobian[:3], np.zeros(self.robot.n)
             return np.zeros(self.robot.n), np.zeros(3), False
         J, xdot = self._jacobian[:3], self._around(tip)
         if not self._all_rows:
@@ -527,15 +532,17 @@ class Servo:
         if quick is None:
             at = Configuration(self.robot, self._q, None, self._jacobian, self._at.J[0], _NOTHING)
             wish = self._law.wish(at, J, xdot, nearby)
-            v, damped = wish.v, wish.resolved.damping > 0.0
+            v, beside, damped = wish.v, wish.null, wish.resolved.damping > 0.0
         else:
-            v = quick
-        return self._within_rates(v), tip, damped
+            v, beside = quick
+        over = self._over_rates(v)
+        self._task, self._beside = J, beside / over
+        return v / over, tip, damped
 
-    def _within_rates(self, v: Vector) -> Vector:
-        """(n,) the same direction, within the joints' rates."""
-        ratio = max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), self._ranges, strict=True))
-        return v / ratio if ratio > 1.0 else v
+    def _over_rates(self, v: Vector) -> float:
+        """By how much joint rates go beyond the limits, 1 where they do not."""
+        ranges = self._ranges
+        return max(1.0, max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), ranges, strict=True)))
 
     def _around(self, tip: Vector) -> Vector:
         """The tip's wish, turned along the surface that blocks it where that is asked for."""
@@ -598,6 +605,7 @@ class Servo:
             caps = (self._acceleration * max(time - dt, 0.0)).tolist()
             highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
             lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
+        self._least, self._most = np.array(lows), np.array(highs)
         reach = [(rate - change, rate + change) for rate, change in zip(rates, self._changes, strict=True)]
         low_bounds = [min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]
         high_bounds = [min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]
@@ -607,8 +615,7 @@ class Servo:
         """The velocity nearest to the wish whose braking path is proven clear."""
         if len(self._inside):
             return self._choose_back(wish, low, high, near, gaps)
-        v = self._towards(wish, low, high)
-        target = v
+        v = self._within_limits(wish, low, high)
         awake, budget = self._awake()
         urgent_rows, urgent_bounds = self._urgent(near, gaps, low, high)
         held_back = evading = False
@@ -626,7 +633,7 @@ class Servo:
                 break
             rows, bounds = self._rows(awake, budget, path, proof)
             rows, bounds = np.vstack((rows, urgent_rows)), np.concatenate((bounds, urgent_bounds))
-            solved = self._solve(target, low, high, rows, bounds)
+            solved = self._within_rows(wish, low, high, rows, bounds)
             evading |= late
             held_back = True
             if np.abs(solved - v).max() < 1e-12:
@@ -644,7 +651,32 @@ class Servo:
                 return self._accepted(path, True, evading, awake, proof)
         return _Chosen(self._brake(), True, evading, None)
 
-    def _towards(self, wish: Vector, low: Vector, high: Vector) -> Vector:
+    def _within_limits(self, wish: Vector, low: Vector, high: Vector) -> Vector:
+        """(n,) the next velocity on the way to the wish, or to what the joints' limits leave of it."""
+        target = self._towards(wish)
+        v = np.minimum(np.maximum(target, low), high)
+        if self._wish[0] is None or not np.count_nonzero(v != target):
+            return v
+        # the other joints alone would lead the tip elsewhere
+        none, nothing = np.zeros((0, len(v))), np.zeros(0)
+        self._beside = np.zeros(len(v))
+        target = self._towards(self._solve(wish, self._least, self._most, none, nothing))
+        v = np.minimum(np.maximum(target, low), high)
+        return self._solve(target, low, high, none, nothing) if np.count_nonzero(v != target) else v
+
+    def _within_rows(self, wish: Vector, low: Vector, high: Vector, rows: Matrix, bounds: Vector) -> Vector:
+        """(n,) the next velocity on the way to what rows and limits leave of the wish, row @ v <= bound.
+
+        What would be left in the end is asked for first: from step to step alone, each
+        within the joints' accelerations, the nearest need not lead there.
+        """
+        target = self._towards(self._solve(wish, self._least, self._most, rows, bounds))
+        v = np.minimum(np.maximum(target, low), high)
+        if np.count_nonzero(v != target) or np.count_nonzero(rows @ v > bounds):
+            return self._solve(target, low, high, rows, bounds)
+        return v
+
+    def _towards(self, wish: Vector) -> Vector:
         """(n,) on the straight way from the present velocity to the wish, as far as acceleration allows."""
         rates = self._v.tolist()
         change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
@@ -652,8 +684,7 @@ class Servo:
         for amount, largest in zip(change, self._changes, strict=True):
             if abs(amount) * part > largest:
                 part = largest / abs(amount)
-        found = zip(rates, change, low.tolist(), high.tolist(), strict=True)
-        return np.array([min(max(rate + part * amount, least), most) for rate, amount, least, most in found])
+        return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
 
     def _path(self, v: Vector, *, step: bool = True) -> BrakingPath:
         return BrakingPath(
@@ -678,7 +709,8 @@ class Servo:
                 for position, rate, end, change in now
             ]
         )
-        left = self._proven + self._proven_at - self._required
+        # what is within the buffer is always looked at: else a wish would be held back every other step
+        left = self._proven + self._proven_at - self._required - _BUFFER
         awake = left < (self._path_odometer + budget).take(separation.classes)
         if len(self._inside):  # these are looked at by themselves
             awake[self._inside] = False
@@ -765,7 +797,7 @@ class Servo:
         up, down = self._v + self._change, self._v - self._change
         low = np.minimum(np.maximum(np.maximum(low, -self._slow), down), up)
         high = np.minimum(np.maximum(np.minimum(high, self._slow), down), up)
-        target = self._towards(wish, low, high)
+        target = np.minimum(np.maximum(self._towards(wish), low), high)
         awake, budget = self._awake()
         soft_rows, soft_bounds = self._urgent(near, gaps, low, high)
         brake = np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change)
@@ -860,15 +892,20 @@ class Servo:
         """The velocity nearest to the target within rows and bounds, as the tip notices it."""
         n, count = len(target), len(bounds)
         if self._wish[1] is None:
-            J = self._jacobian[:3]
-            H = _FREE * np.eye(n) + J.T @ J
+            # what the target does for the tip is asked of the tip alone: that of each joint
+            # would drive the others on where one cannot follow
+            J = self._task
+            serves = J.T @ J
+            H = _FREE * np.eye(n) + serves
+            f = -(serves @ target) - _FREE * self._beside
         else:
             H = np.eye(n)
+            f = -target
         sense = np.full(n + count, _SOFT, dtype=np.int32)
         sense[:n] = _HARD
         x, _, flag, _ = daqp.solve(
             H,
-            -H @ target,
+            f,
             np.ascontiguousarray(rows),
             np.concatenate((high, bounds)),
             np.concatenate((low, np.full(count, _UNBOUNDED))),
