@@ -17,10 +17,11 @@ from .planning.plan import Plan
 from .planning.plan_file import load_plan
 from .planning.planner import plan
 from .planning.stepping import Step
-from .planning.streaming import PlanFollower
+from .planning.streaming import Followed, PlanFollower
 from .planning.trajectory import Trajectory
+from .redundancy.feedback import Feedback
 from .redundancy.servo import Servo
-from .redundancy.servo_state import ServoState
+from .redundancy.servo_state import Command, ServoState, Status
 from .site.obstacles import build_obstacles
 from .site.proximity import Proximity
 from .site.scene import Scene, load_scene, scene_from_dict, scene_schema
@@ -29,8 +30,11 @@ from .site.zones import Transgression, ZoneLog, zone_log
 __all__ = [
     "BothWays",
     "Certificate",
+    "Command",
     "Configuration",
     "DiggingForces",
+    "Feedback",
+    "Followed",
     "Hydraulics",
     "InputError",
     "InverseKinematics",
@@ -48,6 +52,7 @@ __all__ = [
     "SceneError",
     "Servo",
     "ServoState",
+    "Status",
     "Step",
     "TipTarget",
     "Trajectory",

@@ -143,7 +143,7 @@ class CompletedLaw:
                 busy = True
         if not busy:
             return Wish(v=primary, primary=primary, null=b, resolved=resolved)
-        null = N @ eigenpy.LDLT(A).solve(b)
+        null = N @ eigenpy.LDLT(A).solve(b).reshape(-1)  # of a 1 x 1 system it gives a matrix
         return Wish(v=primary + null, primary=primary, null=null, resolved=resolved)
 
     def wish_with_one_spare(

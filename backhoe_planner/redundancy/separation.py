@@ -155,14 +155,15 @@ class Separation:
         self._refresh()
         return np.arange(first, first + count, dtype=np.intp)
 
-    def keep(self, kept: NDArray[np.bool_]) -> None:
-        """Forget the pairs for which `kept` (P,) is false."""
+    def remove(self, number: int) -> NDArray[np.bool_]:
+        """Forget an obstacle; (P,) which of the pairs are left."""
+        kept = self.owner != number
         for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity", "drift"):
             setattr(self, name, getattr(self, name)[kept])
-        left = set(self.owner.tolist())
-        self._stands_of = {number: stands for number, stands in self._stands_of.items() if number in left}
+        del self._stands_of[number]
         self._body = [body for body, keep in zip(self._body, kept.tolist(), strict=True) if keep]
         self._refresh()
+        return np.asarray(kept)
 
     def place_at(self, number: int, shift: Vector) -> None:
         """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are.

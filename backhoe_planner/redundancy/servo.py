@@ -45,7 +45,7 @@ from backhoe_planner.redundancy.feedback import Feedback
 from backhoe_planner.redundancy.recovery import way_back
 from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
-from backhoe_planner.redundancy.surroundings import Surroundings
+from backhoe_planner.redundancy.surroundings import Surroundings, number_within
 from backhoe_planner.site import scene as schema
 from backhoe_planner.site.limits import scaled_limits, within_sectors
 from backhoe_planner.site.obstacles import Obstacle, build_obstacles
@@ -81,6 +81,8 @@ _FAR = 1e3  # m
 _INSIDE_SPEED = 0.5  # m/s
 _STEP_END = MOST_PARTS + 1  # row of the placements
 _FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
+_STEPS = (1e-6, 1.0)  # s
+_MOST_ROWS = 400  # of the QP: the tightest
 _FASTEST_WISH = 100.0  # m/s or rad/s
 
 
@@ -103,16 +105,21 @@ class Servo:
     Parameters
     ----------
     robot, scene: the machine, and the site in which it stands. The scene's task is not used.
-    dt: length of a step [s].
+    dt: length of a step [s], a microsecond to a second.
     q: (n,) where the joints stand; by default the scene's start.
-    watchdog: without a command for this long the machine stops [s].
+    watchdog: without a command for this long the machine stops [s]; infinite for never.
     circulate: whether a tip that is pushed straight into an obstacle goes round it.
     self_collision: whether the machine is also kept clear of itself.
+    feedback: how the force on the hand is made; `Feedback(dt)` by default.
 
     Raises
     ------
     InputError, SceneError, RobotError: the scene does not fit the machine, there is no
-        start, or dt is not positive.
+        start, or a number is out of its range.
+
+    Attributes
+    ----------
+    last_error: what last went wrong inside a step, which then braked; None if nothing ever did.
 
     `step` itself raises nothing. The servo owns its working memory: do not share one
     between threads.
@@ -130,10 +137,10 @@ class Servo:
         self_collision: bool = True,
         feedback: Feedback | None = None,
     ) -> None:
-        if not (dt > 0.0 and math.isfinite(dt)):
-            raise InputError("is the length of a step", key="dt", found=dt, allowed="a positive number of seconds")
+        dt = number_within("dt", dt, *_STEPS)
+        watchdog = number_within("watchdog", watchdog, 0.0, math.inf)
         robot = within_sectors(robot.with_tip(scene.tip), scene)
-        self.robot, self.scene, self.dt = robot, scene, float(dt)
+        self.robot, self.scene, self.dt = robot, scene, dt
         self.limits = scaled_limits(robot, scene)
         self.watchdog, self.circulate = watchdog, circulate
         self._q = _start(robot, scene) if q is None else robot.check_q(q)
@@ -142,6 +149,7 @@ class Servo:
         self._free_v = [0.0] * n
         self._end = self._q.copy()
         self._steps = 0
+        self.last_error: Exception | None = None
         self._acceleration = _BRAKING * self.limits.acceleration
         self._change = self.limits.acceleration * self.dt * (1.0 - 1e-9)
         self._holds = max(math.ceil(_REMEMBERED / self.dt), 1)
@@ -247,7 +255,9 @@ class Servo:
 
         Raises
         ------
-        InputError: the points are not (k, 3) finite numbers, or resolution is not positive.
+        InputError: the points are not (k, 3) numbers within a kilometre, a voxel's edge is not
+            between a millimetre and a hundred metres, the clearance is not a length, or the
+            name is that of another kind of obstacle.
         """
         scan = self._site.scanned(name, points, resolution=resolution, clearance=clearance)
         if name in self.obstacles:
@@ -256,7 +266,7 @@ class Servo:
             self._add(scan)
 
     def remove(self, name: str) -> None:
-        """Take an obstacle away.
+        """Take an obstacle away, also one that has not appeared yet. A zone is one too.
 
         Raises
         ------
@@ -367,7 +377,8 @@ class Servo:
         before = self._q
         try:
             return self._moved(command)
-        except Exception:  # noqa: BLE001  braking was proven before; what went wrong does not matter to it
+        except Exception as error:  # noqa: BLE001  braking was proven before; what went wrong does not matter to it
+            self.last_error = error.with_traceback(None)
             return self._braked(command, moved=self._q is not before)
 
     def _understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
@@ -414,6 +425,11 @@ class Servo:
         """The way out where something failed: brake, unless the step was taken already."""
         if not moved:
             self._advance(self._brake(), None)
+        separation = self._separation
+        left = self._distance + self._distance_at - self._start_odometer[separation.classes] - separation.clearance
+        pair = int(left.argmin()) if len(left) else -1
+        margin = float(left[pair]) if len(left) else math.inf
+        near = margin < self._law.influence
         tip = self._jacobian[:3] @ self._v
         wish = _ZERO if self._wish[0] is None else self._wish[0]
         return ServoState(
@@ -422,9 +438,9 @@ class Servo:
             v=self.v,
             status=Status.STOPPED,
             command=command,
-            margin=math.inf,
-            link=None,
-            obstacle=None,
+            margin=margin if near else math.inf,
+            link=separation.link(pair) if near else None,
+            obstacle=self._site.said(pair) if near else None,
             tip_position=self._tip.copy(),
             tip_velocity=tip,
             refused=wish - tip,
@@ -438,7 +454,7 @@ class Servo:
 
     def _drift(self) -> None:
         """Let the obstacles move on, and what is known of them with them."""
-        if len(self._moving_pairs) == 0:
+        if not self._site.anything_moves:
             return
         self._site.drift(self.dt)
         self._distance -= self._per_step
@@ -542,7 +558,8 @@ class Servo:
     def _over_rates(self, v: Vector) -> float:
         """By how much joint rates go beyond the limits, 1 where they do not."""
         ranges = self._ranges
-        return max(1.0, max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), ranges, strict=True)))
+        over: float = max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), ranges, strict=True))
+        return max(over, 1.0)
 
     def _around(self, tip: Vector) -> Vector:
         """The tip's wish, turned along the surface that blocks it where that is asked for."""
@@ -770,6 +787,9 @@ class Servo:
         samples, k, corners = np.nonzero(counts)
         if len(k) == 0:
             return np.zeros((0, n)), np.zeros(0)
+        if len(k) > _MOST_ROWS:
+            tightest = np.argpartition(room[samples, k, corners], _MOST_ROWS)[:_MOST_ROWS]
+            samples, k, corners = samples[tightest], k[tightest], corners[tightest]
         part = samples / path.parts
         rows = separation.rows(awake[k], samples, corners, self._at) @ path.D / path.look
         bounds = room[samples, k, corners] / (part * path.look) + rows @ path.v
@@ -875,6 +895,9 @@ class Servo:
         if len(chosen) == 0:
             return np.zeros((0, n)), np.zeros(0)
         own = gaps[chosen]
+        if len(chosen) > _MOST_ROWS:
+            chosen = chosen[np.argpartition(own.min(axis=1), _MOST_ROWS)[:_MOST_ROWS]]
+            own = gaps[chosen]
         k, corners = np.nonzero(own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + 0.02)
         pairs = near[chosen[k]]
         rows = separation.rows(pairs, 0, corners, self._at)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,10 +20,13 @@ from backhoe_planner.redundancy.separation import MACHINE, Separation
 from backhoe_planner.site import scene as schema
 from backhoe_planner.site.obstacles import Obstacle, build_obstacle
 
-__all__ = ["Surroundings"]
+__all__ = ["Surroundings", "number_within"]
 
 Vector = NDArray[np.float64]
 Indices = NDArray[np.intp]
+
+_FARTHEST = 1000.0  # m
+_VOXELS = (0.001, 100.0)  # m
 
 _SPEC: TypeAdapter[Any] = TypeAdapter(schema.ObstacleSpec)
 
@@ -45,6 +49,7 @@ class Surroundings:
     moving_pairs: indices of the pairs whose obstacle moves.
     stands: (P,) of every pair whether its obstacle stands still.
     speed: (P,) of every pair's obstacle [m/s].
+    anything_moves: whether any obstacle does, also one that no link minds.
     """
 
     def __init__(self, robot: Robot, scene: schema.Scene, separation: Separation) -> None:
@@ -100,16 +105,28 @@ class Surroundings:
 
         Raises
         ------
-        InputError: the points are not (k, 3) finite numbers, or resolution is not positive.
+        InputError: the points are not (k, 3) numbers within a kilometre, a voxel's edge is not
+            between a millimetre and a hundred metres, the clearance is not a length, or the
+            name is that of another kind of obstacle.
         """
+        if not isinstance(name, str) or not name:
+            raise InputError("is no name", key="name", found=name)
+        if any(name == obstacle.name for obstacle in self._waiting) or (
+            name in self._placed and not isinstance(self._placed[name].obstacle.spec, schema.PointCloud)
+        ):
+            raise InputError("there is an obstacle of that name, which is no scan", key="name", found=name)
         try:
             cloud = np.array(points, dtype=float)
         except (TypeError, ValueError) as error:
             raise InputError("are not points", key=name) from error
-        if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.isfinite(cloud).all():
-            raise InputError("are not points", key=name, found=f"shape {cloud.shape}", allowed="(k, 3) finite numbers")
-        if not resolution > 0.0:
-            raise InputError("is the edge of a voxel", key="resolution", found=resolution, allowed="positive")
+        if cloud.ndim != 2 or cloud.shape[1] != 3:
+            raise InputError("are not points", key=name, found=f"shape {cloud.shape}", allowed="(k, 3)")
+        if not (np.abs(cloud) <= _FARTHEST).all():
+            raise InputError("lie too far away", key=name, allowed=f"numbers of at most {_FARTHEST:g} m")
+        resolution = number_within("resolution", resolution, *_VOXELS)
+        clearance = (
+            self._scene.clearance if clearance is None else number_within("clearance", clearance, 0.0, _FARTHEST)
+        )
         if len(cloud) == 0:
             return None
         return Obstacle(
@@ -117,7 +134,7 @@ class Surroundings:
             pieces=tuple(
                 shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in voxel_boxes(cloud, resolution)
             ),
-            clearance=self._scene.clearance if clearance is None else float(clearance),
+            clearance=clearance,
             links=None,
             appears_at=0.0,
             velocity=np.zeros(3),
@@ -149,18 +166,22 @@ class Surroundings:
         return due
 
     def take_away(self, name: str) -> NDArray[np.bool_]:
-        """(P,) which of the pairs are left."""
+        """(P,) which of the pairs are left. What is still to appear is taken away as well."""
+        if any(name == obstacle.name for obstacle in self._waiting):
+            self._waiting = [obstacle for obstacle in self._waiting if obstacle.name != name]
+            return np.ones(len(self._separation), dtype=bool)
         placed = self._find(name)
-        kept = np.asarray(self._separation.owner != placed.number)
-        self._separation.keep(kept)
+        self._movers = [mover for mover in self._movers if mover is not placed]
         del self._placed[name], self._name_of[placed.number]
+        kept = self._separation.remove(placed.number)
         self._sort()
         return kept
 
     def move(self, name: str, by: object) -> Indices:
         """Indices of the pairs of an obstacle that now stands elsewhere."""
         placed = self._find(name)
-        placed.shift += _three(by, "by")
+        there = _three(placed.shift + _three(by, "by"), "by")
+        placed.shift[:] = there
         return self._pairs(placed)
 
     def set_velocity(self, name: str, velocity: object) -> Indices:
@@ -179,6 +200,8 @@ class Surroundings:
 
     def _find(self, name: str) -> _Placed:
         if name not in self._placed:
+            if any(name == obstacle.name for obstacle in self._waiting):
+                raise InputError("the obstacle has not appeared yet", key="name", found=name)
             raise InputError(
                 "there is no obstacle of that name", key="name", found=name, allowed=", ".join(self._placed)
             )
@@ -197,6 +220,7 @@ class Surroundings:
         for placed in self._movers:
             self._stands_at(placed, placed.shift.copy())
         self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
+        self.anything_moves = len(self._movers) > 0
         # one array for all that moves, of which each holds its row
         self._velocities = np.array([placed.velocity for placed in self._movers]).reshape(-1, 3)
         self._shifts = np.array([placed.shift for placed in self._movers]).reshape(-1, 3)
@@ -213,6 +237,22 @@ def _three(values: object, key: str) -> Vector:
         found = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
         found = np.full(1, np.nan)
-    if found.shape != (3,) or not np.isfinite(found).all():
-        raise InputError("is not a vector", key=key, found=values, allowed="three finite numbers")
+    if found.shape != (3,) or not (np.abs(found) <= _FARTHEST).all():
+        raise InputError("is not a vector", key=key, found=values, allowed=f"three numbers of at most {_FARTHEST:g}")
+    return found
+
+
+def number_within(key: str, value: object, least: float, most: float) -> float:
+    """A number between two bounds, or an error that names it.
+
+    Raises
+    ------
+    InputError: it is none.
+    """
+    try:
+        found = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        found = math.nan
+    if not least <= found <= most:
+        raise InputError("is not a number in its range", key=key, found=value, allowed=f"{least:g} to {most:g}")
     return found
