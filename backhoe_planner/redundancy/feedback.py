@@ -1,13 +1,14 @@
 """The force that goes back to the hand: what the machine refuses, and never any energy.
 
-    F_wished = -B (x_free - x)  -  B rho(margin) (x_w . n)^+ n
+    F_wished = -B (r . t)^+ t  -  B rho(margin) ((r . n)^+ + (x_w . n)^+) n,    r = x_free - x
 
-The first part is the refused part of the wish: what the tip would do with nothing in
-the way and no joint limit, minus what it does. The second rises smoothly, before
-anything is refused, as the way into an obstacle narrows. It saturates smoothly at the
-largest force.
+r is the refused part of the wish: what the tip would do with nothing in the way and no
+joint limit, minus what it does. Of that a hand feels what is refused to it, into the
+obstacle (n) and along the rest of its own motion (t), and is not pulled aside by how the
+machine makes way. rho rises smoothly from 0 to 1, before anything is refused, as the way
+into an obstacle narrows. The force saturates smoothly at its largest.
 
-Both are smoothed over a hundredth of a second, so that nothing in them jumps.
+All of it is smoothed over a hundredth of a second, so that nothing jumps.
 
 Passivity. A ledger (a passivity observer after Hannaford and Ryu, 2002) holds the
 energy that the hand has given so far. A force F holds until the next sample, over which
@@ -30,6 +31,7 @@ Vector = NDArray[np.float64]
 _SEED = 1e-7  # J: what may be lent, to a force against the hand, before anything was taken
 _LEAK = 1e-13  # J per sample, so that an empty ledger can fill again
 _SMOOTHED_OVER = 0.01  # s
+_SLOW_HAND = 0.02  # m/s: below this its direction says little
 _MOST_STORED = 0.2  # J: of what the hand has given, this much may come back
 
 
@@ -75,11 +77,17 @@ class Feedback:
         nx, ny, nz = normal.tolist()
         fx, fy, fz = self._force
         self._stored = min(self._stored - self._dt * (fx * hx + fy * hy + fz * hz), _MOST_STORED)
-        approach = nearness * max(hx * nx + hy * ny + hz * nz, 0.0)
+        rx, ry, rz = refused.tolist()
+        into = hx * nx + hy * ny + hz * nz
+        there = nearness * into
+        tx, ty, tz = hx - there * nx, hy - there * ny, hz - there * nz
+        size = math.sqrt(tx * tx + ty * ty + tz * tz) + _SLOW_HAND
+        along = max(rx * tx + ry * ty + rz * tz, 0.0) / (size * size)
+        inward = nearness * (max(rx * nx + ry * ny + rz * nz, 0.0) + max(into, 0.0))
         part, damping = self._part, self._damping
         smooth = self._smooth = tuple(
-            before - part * (damping * (missed + approach * into) + before)
-            for before, missed, into in zip(self._smooth, refused.tolist(), (nx, ny, nz), strict=True)
+            before - part * (damping * (inward * normal_part + along * tangent) + before)
+            for before, normal_part, tangent in zip(self._smooth, (nx, ny, nz), (tx, ty, tz), strict=True)
         )
         fx, fy, fz = smooth
         size = math.sqrt(fx * fx + fy * fy + fz * fz)

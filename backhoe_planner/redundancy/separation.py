@@ -36,6 +36,7 @@ MACHINE = -1  # owner of the pairs of the machine with itself
 _MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
 _FAR = 1e3  # m: where nothing is
 _PLANES = 4
+_AS_NEAR = 0.1  # m: further behind the nearest, a corner has no part in the nearest point
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
@@ -321,10 +322,25 @@ class Separation:
 
     def rows(self, pairs: Indices, samples: Indices | int, corners: Indices, at: Placements) -> Matrix:
         """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
+        return self._rows_of(pairs, samples, self._corners4[self.piece[pairs], corners], at)
+
+    def nearest_rows(self, pairs: Indices, gaps: Matrix, at: Placements) -> Matrix:
+        """(K, n) the same at the first sample for the nearest point of each pair, by its corners' gaps (K, V).
+
+        Corners that are almost as near have a part in the point, so that it does not jump
+        from edge to edge where a flat end passes a wall.
+        """
+        part = np.maximum(1.0 - (gaps - gaps.min(axis=1)[:, None]) / _AS_NEAR, 0.0)
+        part *= part
+        part /= part.sum(axis=1)[:, None]
+        points = np.matmul(part[:, None, :], self._corners4[self.piece[pairs]])[:, 0]
+        return self._rows_of(pairs, 0, points, at)
+
+    def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
+        """The same for points (R, 4) in the links' frames, with a 1 behind each."""
         n = self.normal[pairs]
         if self.some_relative and np.count_nonzero(self.other[pairs]):
             n = np.matmul(at.R[samples, self.other[pairs]], n[:, :, None])[..., 0]
-        corner = self._corners4[self.piece[pairs], corners]
         x = np.matmul(at.T[samples, self.joint[pairs]], corner[:, :, None])[..., 0]
         turn = x[:, _NEXT] * n[:, _LAST] - x[:, _LAST] * n[:, _NEXT]  # x cross n
         both = np.concatenate((n, turn), axis=1)

@@ -76,6 +76,7 @@ _REMEMBERED = 0.02  # s for which being held back counts
 _FAR_RENEWED_EVERY = 4  # steps, where nothing is within
 _NEAR_RENEWED_EVERY = 2  # and where something is near
 _WARN = 0.10  # m of margin within which it says so
+_AS_ASKED = 1e-9  # rad/s or m/s
 _AT_REST = 1e-3  # rad/s or m/s: what creeps more slowly is told as standing
 _FAR = 1e3  # m
 _INSIDE_SPEED = 0.5  # m/s
@@ -147,6 +148,7 @@ class Servo:
         n = robot.n
         self._v = np.zeros(n)
         self._free_v = [0.0] * n
+        self._asked = np.zeros(n)  # the next velocity if nothing were in the way
         self._end = self._q.copy()
         self._steps = 0
         self.last_error: Exception | None = None
@@ -416,6 +418,7 @@ class Servo:
         if self._pace < 1.0:
             wish = self._pace * wish
         low, high, at_limit = self._velocity_bounds(wish)
+        self._asked = self._towards(wish)
         chosen = self._choose(wish, low, high, near, gaps)
         self._renew(near)
         self._advance(chosen.v, chosen.end)
@@ -514,7 +517,7 @@ class Servo:
         if len(acts) == 0:
             return _NOBODY
         pairs = near[acts]
-        rows = separation.rows(pairs, 0, gaps[acts].argmin(axis=1), self._at)
+        rows = separation.nearest_rows(pairs, gaps[acts], self._at)
         drift = separation.drift[pairs]
         return Nearby(
             pair=pairs,
@@ -551,9 +554,25 @@ class Servo:
             v, beside, damped = wish.v, wish.null, wish.resolved.damping > 0.0
         else:
             v, beside = quick
+        self._task = J
         over = self._over_rates(v)
-        self._task, self._beside = J, beside / over
+        if over > 1.0 and np.count_nonzero(beside):
+            # the tip comes first here too: what is beside it has the rates that are left
+            first = v - beside
+            first /= self._over_rates(first)
+            part = self._room_for(beside, first)
+            self._beside = part * beside
+            return first + self._beside, tip, damped
+        self._beside = beside / over
         return v / over, tip, damped
+
+    def _room_for(self, more: Vector, v: Vector) -> float:
+        """The largest part, at most 1, of `more` that fits within the joints' rates beside v."""
+        part = 1.0
+        for add, rate, (_, _, fastest) in zip(more.tolist(), v.tolist(), self._ranges, strict=True):
+            if abs(add) * part > 1e-12:
+                part = min(part, max(fastest - math.copysign(1.0, add) * rate, 0.0) / abs(add))
+        return part
 
     def _over_rates(self, v: Vector) -> float:
         """By how much joint rates go beyond the limits, 1 where they do not."""
@@ -670,7 +689,7 @@ class Servo:
 
     def _within_limits(self, wish: Vector, low: Vector, high: Vector) -> Vector:
         """(n,) the next velocity on the way to the wish, or to what the joints' limits leave of it."""
-        target = self._towards(wish)
+        target = self._asked
         v = np.minimum(np.maximum(target, low), high)
         if self._wish[0] is None or not np.count_nonzero(v != target):
             return v
@@ -1008,20 +1027,20 @@ class Servo:
             found, pair = float(margins[row]), int(near[row])
             if found < self._law.influence:
                 margin = found
-                if margin < 0.0 and chosen.proven and self._stands[pair]:  # then this much was proven of it
+                if margin < 0.0 and self._stands[pair]:  # this much was proven, of this step or of braking before it
                     margin = max(margin, float(self._required[pair] - separation.clearance[pair]))
                 link = separation.link(pair)
                 obstacle = self._site.said(pair)
                 if margin < _WARN:
                     normal = separation.world_normals(near[row : row + 1], self._at)[0]
         self._held_back_for = self._holds if chosen.held_back else self._held_back_for - 1
-        if chosen.held_back or at_limit:
-            towards = zip(self._free_v, wished, self._changes, strict=True)
-            self._free_v = [free + min(max(aim - free, -most), most) for free, aim, most in towards]
-        else:
-            self._free_v = [
-                free + self._forgets * (rate - free) for free, rate in zip(self._free_v, rates, strict=True)
-            ]
+        # a joint that was let go its way has caught up with what it would have done
+        joints = zip(self._free_v, wished, rates, self._asked.tolist(), self._changes, strict=True)
+        self._free_v = [
+            free
+            + (min(max(aim - free, -most), most) if abs(rate - asked) > _AS_ASKED else self._forgets * (rate - free))
+            for free, aim, rate, asked, most in joints
+        ]
         held = [free - rate - aim for free, rate, aim in zip(self._free_v, rates, wished, strict=True)]
         tip_velocity, refused = np.array((rates, held)) @ J.T
         refused += tip_wish
