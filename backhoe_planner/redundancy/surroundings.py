@@ -45,6 +45,7 @@ class Surroundings:
     moving_pairs: indices of the pairs whose obstacle moves.
     stands: (P,) of every pair whether its obstacle stands still.
     speed: (P,) of every pair's obstacle [m/s].
+    revision: how often anything was put there, taken away, moved by hand or given another velocity.
     """
 
     def __init__(self, robot: Robot, scene: schema.Scene, separation: Separation) -> None:
@@ -57,12 +58,30 @@ class Surroundings:
         self.moving_pairs: Indices
         self.stands: NDArray[np.bool_]
         self.speed: Vector
+        self.revision = 0
         self._sort()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of what is there now."""
         return tuple(self._placed)
+
+    def snapshot(self) -> tuple[Obstacle, ...]:
+        """What is there now, each where it is now, with its present velocity."""
+        return tuple(
+            replace(
+                placed.obstacle,
+                pieces=tuple(_shifted(piece, placed.shift) for piece in placed.obstacle.pieces)
+                if placed.shift.any()
+                else placed.obstacle.pieces,
+                velocity=placed.velocity.copy(),
+            )
+            for placed in self._placed.values()
+        )
+
+    def moves(self, name: str) -> bool:
+        """Whether there is an obstacle of that name that has a velocity."""
+        return any(placed.obstacle.name == name for placed in self._movers)
 
     def said(self, pair: int) -> str:
         """Name of what the machine's link must not touch in this pair."""
@@ -136,6 +155,7 @@ class Surroundings:
         self._placed[obstacle.name] = _Placed(number, obstacle, np.array(obstacle.velocity), np.zeros(3))
         self._name_of[number] = obstacle.name
         pairs = self._separation.add(number, obstacle)
+        self.revision += 1
         self._sort()
         return pairs
 
@@ -153,6 +173,7 @@ class Surroundings:
         kept = np.asarray(self._separation.owner != placed.number)
         self._separation.keep(kept)
         del self._placed[name], self._name_of[placed.number]
+        self.revision += 1
         self._sort()
         return kept
 
@@ -160,6 +181,7 @@ class Surroundings:
         """Indices of the pairs of an obstacle that now stands elsewhere."""
         placed = self._find(name)
         placed.shift = placed.shift + _three(by, "by")
+        self.revision += 1
         self._separation.place_at(placed.number, placed.shift)
         return self._pairs(placed)
 
@@ -167,6 +189,7 @@ class Surroundings:
         """Indices of the pairs of an obstacle that now moves otherwise."""
         placed = self._find(name)
         placed.velocity = _three(velocity, "velocity")
+        self.revision += 1
         pairs = self._pairs(placed)
         self._separation.velocity[pairs] = placed.velocity
         self._separation.place_at(placed.number, placed.shift)
@@ -198,6 +221,12 @@ class Surroundings:
         self.stands[self.moving_pairs] = False
         self.speed = np.sqrt((velocity**2).sum(axis=1))
         self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
+
+
+def _shifted(piece: shapes.Piece, by: Vector) -> shapes.Piece:
+    hull = piece.hull + by if len(piece.hull) else piece.hull
+    placement = pin.SE3(piece.placement.rotation, piece.placement.translation + by)
+    return replace(piece, placement=placement, hull=hull)
 
 
 def _three(values: object, key: str) -> Vector:

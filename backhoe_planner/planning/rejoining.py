@@ -1,0 +1,257 @@
+"""From where the machine stands back onto the rest of a motion, round what stands on it now.
+
+The rest of the motion falls into stretches that are proven clear and parts that are not.
+The machine is brought to the earliest place that leads on: the first clear one behind
+what stops it, failing that one in the next stretch, and so on.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import JointLimits, Robot
+from backhoe_planner.planning.blending import blend
+from backhoe_planner.planning.certificate import TOUCH, segment_is_clear
+from backhoe_planner.planning.drive import drive_of
+from backhoe_planner.planning.motion_check import MotionCheck
+from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.sampling import Way, sample_way
+from backhoe_planner.planning.shortening import shorten
+from backhoe_planner.planning.timing import time_way
+from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.scene import Scene
+
+__all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_still_clear"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_SPARES = (0.02, 0.005)  # m beyond every clearance; less is asked where more leads nowhere
+_ROOMY = 0.01  # m beyond every clearance that a place to rejoin at is to have,
+_LOOKS = 100  # samples of a stretch in which that is looked for
+_HERE = 0.1  # rad or m within which the machine counts as being at a place
+_PLACES = 6  # of the rest of the motion that are tried
+_WAYS = 3  # of which the shortest is taken
+_LONGEST = 4.0  # s that one search may take
+_DEPTH = 9  # halvings of a segment
+
+
+@dataclass(frozen=True, eq=False)
+class RejoiningQuery:
+    """What is asked; it can be sent to another process.
+
+    Attributes
+    ----------
+    robot, scene, limits: the machine, and what it carries.
+    obstacles: what stands around, each where it is now; what moves is taken to stand there.
+    q: (n,) where the machine stands, at rest [rad or m].
+    motion: that is to be rejoined.
+    since: the moment of the motion that was reached [s].
+    effort: motions between samples that are looked at for each place before it is given up.
+    seed: of the sampling, not negative.
+    """
+
+    robot: Robot
+    scene: Scene
+    limits: JointLimits
+    obstacles: tuple[Obstacle, ...]
+    q: Vector
+    motion: Trajectory
+    since: float
+    effort: int
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Rejoining:
+    """A motion from where the machine stands, from rest to rest, to a place of the other one.
+
+    Attributes
+    ----------
+    motion: keeps every clearance and limit of the query.
+    rejoins_at: the moment of the other motion at whose place it ends [s].
+    around: name of what stands in between; None where nothing does.
+    """
+
+    motion: Trajectory
+    rejoins_at: float
+    around: str | None
+
+
+@dataclass(frozen=True)
+class NoRejoining:
+    """None was found.
+
+    Attributes
+    ----------
+    reason: why, in words, with the obstacle's name.
+    searched: whether there is a place to go to, so that more effort may find a way.
+    """
+
+    reason: str
+    searched: bool
+
+
+def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
+    """A way to the earliest place of the rest of a motion that is clear.
+
+    The same query gives the same answer, unless the search takes more than 4 s. OMPL's
+    global seed is set.
+    """
+    problem = Problem(
+        robot=query.robot,
+        scene=query.scene,
+        limits=query.limits,
+        obstacles=query.obstacles,
+        start_q=query.q,
+        start_target=None,
+        goal=None,
+        path=None,
+    )
+    search = _Search(query, problem, clock.monotonic() + _LONGEST)
+    return search.run()
+
+
+def is_still_clear(robot: Robot, obstacles: tuple[Obstacle, ...], q: Matrix) -> bool:
+    """Whether a way through `q` (K, n) provably keeps clear of `obstacles`, each where it is now."""
+    proximity = Proximity(robot, tuple(_standing(obstacle) for obstacle in obstacles))
+    return all(segment_is_clear(proximity, a, b, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(q))
+
+
+class _Search:
+    def __init__(self, query: RejoiningQuery, problem: Problem, deadline: float) -> None:
+        self._query, self._problem, self._deadline = query, problem, deadline
+        self._proximity = Proximity(query.robot, tuple(_standing(obstacle) for obstacle in query.obstacles))
+        later = query.motion.time > query.since + 1e-9
+        self._time = np.concatenate(([query.since], query.motion.time[later]))
+        self._q = np.vstack((query.motion.at(query.since)[None], query.motion.q[later]))
+        self._blocker: tuple[str, float] | None = None  # what stands on the motion first, and from when on
+
+    def run(self) -> Rejoining | NoRejoining:
+        link, obstacle, margin = self._tightest(self._query.q)
+        if margin < 0.0 and not MotionCheck(self._problem, self._proximity, [self._query.q], spare=0.0).ends_clear[0]:
+            return NoRejoining(f"{link} is {-margin:.3f} m closer to {obstacle} than allowed where it stands", searched=False)
+        searched = False
+        for number, place in enumerate(self._places()):
+            searched = True
+            motion = self._way_to(self._q[place])
+            if motion is not None:
+                return Rejoining(motion, float(self._time[place]), self._blocker and self._blocker[0])
+            if number + 1 >= _PLACES or clock.monotonic() > self._deadline:
+                break
+        return NoRejoining(self._told(link, obstacle), searched)
+
+    def _told(self, link: str, obstacle: str) -> str:
+        _, at_end, margin = self._tightest(self._q[-1])
+        if margin < -TOUCH:
+            return f"{at_end} stands on the end of the plan"
+        if self._blocker is not None:
+            name, since = self._blocker
+            return f"{name} stands on the plan from {since:.1f} s on, and no way round it was found"
+        return f"{link} is held back by {obstacle}"
+
+    # --- where to -------------------------------------------------------------------
+
+    def _places(self) -> Iterator[int]:
+        """Samples of the rest of the motion that lead on, the earliest first."""
+        here = float(np.abs(self._q[0] - self._query.q).max()) < _HERE
+        last = len(self._q) - 1
+        yielded = -1
+        for first, end in self._stretches():
+            if first == 0 and here:
+                ahead = np.abs(self._q[: end + 1] - self._query.q).max(axis=1) > _HERE
+                if not ahead.any():
+                    continue
+                first = int(ahead.argmax())
+            yielded = self._roomiest(first, end)
+            yield yielded
+            if end == last and yielded != last:
+                yield last
+
+    def _stretches(self) -> Iterator[tuple[int, int]]:
+        """First and last sample of every part of the rest that is proven clear."""
+        first = None
+        last = len(self._q) - 1
+        for row in range(last + 1):
+            alone = first is None and self._tightest(self._q[row])[2] >= 0.0
+            if alone:
+                first = row
+            elif first is None:
+                self._note(row)
+            if first is None:
+                continue
+            leads_on = row < last and segment_is_clear(
+                self._proximity, self._q[row], self._q[row + 1], depth=_DEPTH, spare=-TOUCH
+            )
+            if not leads_on:
+                yield first, row
+                first = None
+                if row < last:
+                    self._note(row + 1)
+
+    def _note(self, row: int) -> None:
+        """Something stands on the motion at a sample."""
+        if self._blocker is None:
+            self._blocker = (self._tightest(self._q[row])[1], float(self._time[row]))
+
+    def _roomiest(self, first: int, end: int) -> int:
+        """The first sample of a stretch that has room, or the one of its first that has most."""
+        best, most = first, -np.inf
+        for row in range(first, min(end, first + _LOOKS) + 1):
+            margin = self._tightest(self._q[row])[2]
+            if margin > most:
+                best, most = row, margin
+            if margin >= _ROOMY:
+                break
+        return best
+
+    def _tightest(self, q: Vector) -> tuple[str, str, float]:
+        """Link and obstacle of the least margin at q (n,), and that margin [m]."""
+        proximity = self._proximity
+        if not proximity.pairs:
+            return "", "", np.inf
+        margins = proximity.distances(q) - proximity.clearance
+        pair = int(margins.argmin())
+        return proximity.pairs[pair].link, proximity.pairs[pair].obstacle, float(margins[pair])
+
+    # --- how ------------------------------------------------------------------------
+
+    def _way_to(self, target: Vector) -> Trajectory | None:
+        query = self._query
+        for spare in _SPARES:
+            check = MotionCheck(
+                self._problem, self._proximity, [query.q, target], spare=spare, deadline=self._deadline
+            )
+            ways = self._ways(check, target)
+            if ways:
+                way = min(ways, key=lambda way: way.length(query.limits))
+                return time_way(blend(check, way), query.limits, drive=drive_of(self._problem))
+        return None
+
+    def _ways(self, check: MotionCheck, target: Vector) -> list[Way]:
+        """Several, shortened; one where it is straight."""
+        found: list[Way] = []
+        for turn in range(_WAYS):
+            seed = self._query.seed * _WAYS + turn
+            way = sample_way(
+                check, self._query.q, [target], seed=seed, deadline=self._deadline, most_motions=self._query.effort
+            )
+            if way is None:
+                break
+            found.append(shorten(check, way, seed=seed))
+            if len(found[-1].q) == 2:
+                break
+        return found
+
+
+def _standing(obstacle: Obstacle) -> Obstacle:
+    """The same, standing where it is."""
+    return replace(obstacle, appears_at=0.0, velocity=np.zeros(3))
