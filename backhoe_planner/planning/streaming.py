@@ -46,6 +46,7 @@ _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
 _ARRIVED = 1e-3  # rad or m
 _AT_REST = 1e-2  # rad/s or m/s, at the end of the plan
 _STILL = 1e-6  # rad/s or m/s, where a way is to begin
+_PUSHED = 0.2  # rad or m further off than it was, that is not sliding but giving way
 _NOTICED = 0.3  # s without getting on after which it says that it waits
 _PATIENCE = 1.0  # s without getting on after which a way round is searched,
 _PATIENCE_CROSSING = 4.0  # where what holds the machine moves
@@ -139,7 +140,9 @@ class PlanFollower:
         self._seed = seed
         self._failed = 0  # searches in a row that found nothing
         self._again_at = 0.0  # s: when to search again
-        self._answered_at = -1  # revision of the surroundings for which nothing was found
+        self._failed_at, self._failed_for = 0.0, -1  # s; revision of the surroundings
+        self._may_succeed = True  # with more effort
+        self._standing = False
         self._holding = False
         self._blocked = ""
 
@@ -167,15 +170,19 @@ class PlanFollower:
         servo = self.servo
         self._steps += 1
         self._take_answer()
-        reference = self._plan if self._round is None else self._round.reference
-        if self._holding and self._searches.under_way and servo.revision == self._searches.revision:
+        if self._stands():
+            self._standing = True
             state = servo.step(joint_velocity=np.zeros(servo.robot.n))
-        elif self._holding and not self._searches.under_way:
-            state = servo.step(joint_velocity=np.zeros(servo.robot.n))
-            if float(np.abs(state.v).max()) < _STILL:
-                self._search()
+            if not self._searches.under_way and float(np.abs(state.v).max()) < _STILL:
+                if self._holding:
+                    self._search()
+                elif self._may_succeed and servo.time >= self._again_at:
+                    self._holding = True
         else:
-            state = self._follow(reference)
+            if self._standing:
+                self._standing = False
+                self._progress = _Progress(self._slowest)
+            state = self._follow(self._plan if self._round is None else self._round.reference)
         off = self._plan.at()[0] - state.q
         deviation = float(np.abs(off).max())
         done = self._plan.ended and deviation < _ARRIVED and self.done
@@ -189,6 +196,13 @@ class PlanFollower:
             status=status,
             reason=reason,
         )
+
+    def _stands(self) -> bool:
+        """Whether it is to hold still: while a way is searched, and where there is none as long as nothing changes."""
+        servo = self.servo
+        if self._holding:
+            return not self._searches.under_way or servo.revision == self._searches.revision
+        return bool(self._blocked) and servo.revision == self._failed_for and not servo.is_moving()
 
     # --- along a reference -------------------------------------------------------------
 
@@ -224,7 +238,7 @@ class PlanFollower:
         crossing = state.obstacle is not None and servo.is_moving(state.obstacle)
         if self._holding or (crossing and self._progress.waited < _PATIENCE_CROSSING):
             return
-        changed = servo.revision != self._answered_at and self._progress.since_search > _PATIENCE
+        changed = servo.revision != self._failed_for and servo.time > self._failed_at + _PATIENCE
         if changed or servo.time >= self._again_at:
             self._searches.drop()
             self._round = None
@@ -280,8 +294,7 @@ class PlanFollower:
         elif isinstance(answer, (NoRejoining, BaseException)):
             searched = not isinstance(answer, NoRejoining) or answer.searched
             self._failed = self._failed + 1 if searched else max(self._failed + 1, len(_EFFORTS))
-            self._answered_at = self._searches.revision
-            self._progress.since_search = 0.0
+            self._failed_at, self._failed_for, self._may_succeed = servo.time, self._searches.revision, searched
             self._blocked = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer}"
             if self._failed >= len(_EFFORTS):
                 self._holding = False
@@ -343,33 +356,33 @@ class _Round:
 
 
 class _Progress:
-    """Notices when neither the clock goes on nor the machine comes nearer to its place.
+    """Notices when neither the clock goes on nor the machine comes nearer to its place than it was.
+
+    Sliding to and fro before an obstacle is not getting on.
 
     Attributes
     ----------
     waited: how long it has not got on [s], window by window.
-    since_search: since the last search that found nothing [s].
     """
 
     def __init__(self, slowest: float) -> None:
         self.waited = 0.0
-        self.since_search = np.inf
         self._approach = _APPROACH * _WINDOW * slowest
-        self._clock = self._deviation = -np.inf
+        self._clock = self._nearest = np.inf
         self._looked = 0.0
 
     def made(self, clock: float, deviation: float, dt: float) -> bool:
         """Whether this step is one in which it got on noticeably."""
-        self.since_search += dt
+        if deviation > self._nearest + _PUSHED or self._clock == np.inf:
+            self._clock, self._nearest = clock, deviation
         self._looked += dt
-        if clock > self._clock + _PACE * _WINDOW or deviation < self._deviation - self._approach:
-            self.waited = 0.0
-        elif self._looked > _WINDOW:
+        if clock > self._clock + _PACE * _WINDOW or deviation < self._nearest - self._approach:
+            self._clock, self._nearest, self._looked, self.waited = clock, deviation, 0.0, 0.0
+            return True
+        if self._looked > _WINDOW:
             self.waited += self._looked
-        else:
-            return False
-        self._clock, self._deviation, self._looked = clock, deviation, 0.0
-        return self.waited == 0.0
+            self._clock, self._looked = clock, 0.0
+        return False
 
 
 class _Searches:

@@ -228,8 +228,8 @@ class Servo:
         """What stands around now, each where it is now, with its present velocity. Takes some 10 us each."""
         return self._site.snapshot()
 
-    def is_moving(self, name: str) -> bool:
-        """Whether there is an obstacle of that name now that has a velocity."""
+    def is_moving(self, name: str | None = None) -> bool:
+        """Whether there is an obstacle of that name, or any, that has a velocity now."""
         return self._site.moves(name)
 
     def add(self, obstacle: Obstacle | Mapping[str, Any]) -> None:

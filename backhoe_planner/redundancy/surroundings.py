@@ -79,9 +79,9 @@ class Surroundings:
             for placed in self._placed.values()
         )
 
-    def moves(self, name: str) -> bool:
-        """Whether there is an obstacle of that name that has a velocity."""
-        return any(placed.obstacle.name == name for placed in self._movers)
+    def moves(self, name: str | None) -> bool:
+        """Whether there is an obstacle of that name, or any, that has a velocity."""
+        return any(name is None or placed.obstacle.name == name for placed in self._movers)
 
     def said(self, pair: int) -> str:
         """Name of what the machine's link must not touch in this pair."""
