@@ -31,7 +31,7 @@ from study_servo import SecondOpinion
 import backhoe_planner as bp
 
 SITES = [(kind, task) for kind in ("open", "cluttered", "narrow") for task in ("goal", "path")]
-PER_PLAN = 3  # placements on every plan
+PER_PLAN = 5  # placements on every plan
 LONGEST = 90.0  # s of one drive
 BLOCKED = 16.0  # s of standing blocked after which a drive is ended,
 BLOCKED_AT_END = 2.0  # where the end of the plan is taken
@@ -62,10 +62,11 @@ class Opinion:
 
     def __init__(self, robot: bp.Robot, scene: bp.Scene) -> None:
         self._parts = []
-        for spec in scene.obstacles:
+        for links in {spec.links for spec in scene.obstacles}:
             part = SecondOpinion(robot)
-            part._covers = [c for c in part._covers if spec.links is None or c.link in spec.links]
-            self._parts.append((part, {spec.name: (_obstacle(spec, scene), np.zeros(3))}))
+            part._covers = [cover for cover in part._covers if links is None or cover.link in links]
+            known = {s.name: (_obstacle(s, scene), np.zeros(3)) for s in scene.obstacles if s.links == links}
+            self._parts.append((part, known))
 
     def least(self, q: np.ndarray) -> tuple[float, str, str]:
         """(distance, link, obstacle) of the least; only exact below 0.3 m."""
@@ -87,7 +88,7 @@ def random_record(rng: np.random.Generator, place: np.ndarray) -> dict[str, Any]
             "rpy": rng.uniform(-np.pi, np.pi, 3).tolist(),
         }  # fmt: skip
     length = float(rng.uniform(1.0, 4.0))
-    middle = place + [0.0, 0.0, float(rng.uniform(-0.45, 0.45)) * length]
+    middle = place + np.array([0.0, 0.0, float(rng.uniform(-0.45, 0.45)) * length])
     return {
         "name": "post", "shape": "cylinder", "radius": float(rng.uniform(0.04, 0.15)), "length": length,
         "position": middle.tolist(),
@@ -216,9 +217,9 @@ def run(placements: int, seed: int, every: int) -> dict[str, Any]:
             result = {"site": str(site.key), "turn": turn, "obstacle": placement.name} | placement.drive(every)
             if not result["arrived"]:
                 result["end taken"] = placement.end_taken()
-                way = placement.way_from_here(budget=10.0)
-                result["planner"] = way.verdict if way.verified else way.reason
-                if way.verified:
+                way = None if result["end taken"] else placement.way_from_here(budget=10.0)
+                result["planner"] = "" if way is None else way.reason or way.verdict
+                if way is not None and way.verified:
                     result["to another posture"] = bool(
                         np.abs(way.trajectory.q[-1] - plan.trajectory.q[-1]).max() > 1e-3
                     )
@@ -234,7 +235,8 @@ def summary(found: list[dict[str, Any]]) -> dict[str, Any]:
     went_round = sum("going_round" in result["seconds"] for result in found)
     endings = Counter(
         "arrived" if result["arrived"]
-        else f"{result['status']}, {'end taken' if result['end taken'] else 'end free'}, planner: {result['planner']}"
+        else f"{result['status']}, end taken" if result["end taken"]
+        else f"{result['status']}, end free, planner: {result['planner']}"
         for result in found
     )  # fmt: skip
     return {

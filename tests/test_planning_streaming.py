@@ -196,7 +196,8 @@ def test_a_way_round_that_is_taken_up_is_given_up_for_another(backhoe: Robot) ->
     servo.add(ball)
     steps = followed(follower, 12_000, until=lambda step: step.status is Following.GOING_ROUND)
     (way,) = executor.answers
-    second = {"name": "second", "shape": "sphere", "radius": 0.15, "position": tip(backhoe, way.motion.at(0.6 * way.motion.duration))}  # fmt: skip
+    place = tip(backhoe, way.motion.at(0.6 * way.motion.duration))
+    second = {"name": "second", "shape": "sphere", "radius": 0.15, "position": place}
     assert least_margin(backhoe, steps[-1:], second) > 0.0
     servo.add(second)
     steps = followed(follower, 20_000)

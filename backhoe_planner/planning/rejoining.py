@@ -138,7 +138,9 @@ class _Search:
     def run(self) -> Rejoining | NoRejoining:
         link, obstacle, margin = self._tightest(self._query.q)
         if margin < 0.0 and not MotionCheck(self._problem, self._proximity, [self._query.q], spare=0.0).ends_clear[0]:
-            return NoRejoining(f"{link} is {-margin:.3f} m closer to {obstacle} than allowed where it stands", searched=False)
+            return NoRejoining(
+                f"{link} is {-margin:.3f} m closer to {obstacle} than allowed where it stands", searched=False
+            )
         searched = False
         for number, place in enumerate(self._places()):
             searched = True
@@ -227,9 +229,7 @@ class _Search:
     def _way_to(self, target: Vector) -> Trajectory | None:
         query = self._query
         for spare in _SPARES:
-            check = MotionCheck(
-                self._problem, self._proximity, [query.q, target], spare=spare, deadline=self._deadline
-            )
+            check = MotionCheck(self._problem, self._proximity, [query.q, target], spare=spare, deadline=self._deadline)
             ways = self._ways(check, target)
             if ways:
                 way = min(ways, key=lambda way: way.length(query.limits))

@@ -15,7 +15,8 @@ what is safe.
 from __future__ import annotations
 
 import weakref
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 from types import TracebackType
@@ -183,8 +184,7 @@ class PlanFollower:
                 self._standing = False
                 self._progress = _Progress(self._slowest)
             state = self._follow(self._plan if self._round is None else self._round.reference)
-        off = self._plan.at()[0] - state.q
-        deviation = float(np.abs(off).max())
+        deviation = float(np.abs(self._plan.at()[0] - state.q).max())
         done = self._plan.ended and deviation < _ARRIVED and self.done
         status, reason = self._told(state, done)
         return Followed(
@@ -250,6 +250,7 @@ class PlanFollower:
         assert found is not None
         if found.reference.ended and deviation < _TOLERANCE:
             self._round = None
+            self._searches.drop()
             self._plan.clock = found.rejoins_at
             self._progress = _Progress(self._slowest)
         elif servo.revision != found.checked and not self._searches.under_way and servo.time > found.check_at:
@@ -279,7 +280,7 @@ class PlanFollower:
         if answer is None:
             return
         servo = self.servo
-        if answer is False:  # the way round is no longer clear
+        if answer is False and self._round is not None:  # the way round is no longer clear
             self._round = None
             self._holding = True
         elif isinstance(answer, Rejoining):
@@ -295,8 +296,8 @@ class PlanFollower:
             searched = not isinstance(answer, NoRejoining) or answer.searched
             self._failed = self._failed + 1 if searched else max(self._failed + 1, len(_EFFORTS))
             self._failed_at, self._failed_for, self._may_succeed = servo.time, self._searches.revision, searched
-            self._blocked = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer}"
             if self._failed >= len(_EFFORTS):
+                self._blocked = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer}"
                 self._holding = False
                 self._again_at = servo.time + min(2.0 ** (self._failed - len(_EFFORTS)), _LONGEST_BREAK)
 
@@ -399,7 +400,7 @@ class _Searches:
     def under_way(self) -> bool:
         return self._future is not None
 
-    def begin(self, revision: int, function: Any, *args: Any) -> None:
+    def begin(self, revision: int, function: Callable[..., Any], *args: Any) -> None:
         self.revision = revision
         try:
             if self._closed:
@@ -417,7 +418,7 @@ class _Searches:
         self._future = None
         try:
             return future.exception() or future.result()
-        except BaseException as error:  # noqa: BLE001  cancelled by whoever owns the executor
+        except CancelledError as error:  # by whoever owns the executor
             return error
 
     def drop(self) -> None:
