@@ -13,7 +13,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning import streaming
+from backhoe_planner.planning import rejoining
 from backhoe_planner.planning.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
 from backhoe_planner.planning.streaming import Followed, Following, PlanFollower
 from backhoe_planner.redundancy.servo import Servo
@@ -258,7 +258,7 @@ def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
     """The wall reaches beyond the machine's reach and height; searched with more and more effort, in vain."""
     executor = Immediate()
     assert least_margin_of(backhoe, [START, END], WALL) > 0.05
-    monkeypatch.setattr(streaming, "_EFFORTS", (100, 200, 400))
+    monkeypatch.setattr(rejoining, "_EFFORTS", (100, 200, 400))
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
     followed(follower, 200)
@@ -336,7 +336,7 @@ def query(robot: Robot, *obstacles: dict[str, Any], since: float = 1.2) -> Rejoi
     servo = Servo(robot, site(robot, *obstacles), q=smooth_motion().at(since))
     return RejoiningQuery(
         robot=servo.robot, scene=servo.scene, limits=servo.limits, obstacles=servo.snapshot(), q=servo.q,
-        motion=smooth_motion(), since=since, effort=4000, seed=0,
+        motion=smooth_motion(), since=since, seed=0,
     )  # fmt: skip
 
 

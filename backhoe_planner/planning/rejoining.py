@@ -2,7 +2,8 @@
 
 The rest of the motion falls into stretches that are proven clear and parts that are not.
 The machine is brought to the earliest place that leads on: the first clear one behind
-what stops it, failing that one in the next stretch, and so on.
+what stops it. Where a short search finds no way there, longer ones look for a way to any
+of the stretches, and with less room to spare.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,15 @@ __all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_s
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_SPARES = (0.02, 0.005)  # m beyond every clearance; less is asked where more leads nowhere
+_EFFORTS = (2_000, 8_000, 30_000)  # motions between samples that are looked at, from attempt to attempt
+_EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
+_HARD = (0.002, 0.01)  # further ones in turn
 _ROOMY = 0.01  # m beyond every clearance that a place to rejoin at is to have,
 _LOOKS = 100  # samples of a stretch in which that is looked for
 _HERE = 0.1  # rad or m within which the machine counts as being at a place
 _PLACES = 6  # of the rest of the motion that are tried
-_WAYS = 3  # of which the shortest is taken
-_LONGEST = 4.0  # s that one search may take
+_WAYS = 3  # of which the shortest is taken, at the first attempt
+_LONGEST = 8.0  # s that one attempt may take
 _DEPTH = 9  # halvings of a segment
 
 
@@ -55,8 +58,8 @@ class RejoiningQuery:
     q: (n,) where the machine stands, at rest [rad or m].
     motion: that is to be rejoined.
     since: the moment of the motion that was reached [s].
-    effort: motions between samples that are looked at for each place before it is given up.
     seed: of the sampling, not negative.
+    attempt: from 0; each is more thorough than the one before, up to the third, or another one.
     """
 
     robot: Robot
@@ -66,8 +69,8 @@ class RejoiningQuery:
     q: Vector
     motion: Trajectory
     since: float
-    effort: int
     seed: int
+    attempt: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +106,7 @@ class NoRejoining:
 def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
     """A way to the earliest place of the rest of a motion that is clear.
 
-    The same query gives the same answer, unless the search takes more than 4 s. OMPL's
+    The same query gives the same answer, unless time cuts the search off, after 8 s. OMPL's
     global seed is set.
     """
     problem = Problem(
@@ -141,15 +144,11 @@ class _Search:
             return NoRejoining(
                 f"{link} is {-margin:.3f} m closer to {obstacle} than allowed where it stands", searched=False
             )
-        searched = False
-        for number, place in enumerate(self._places()):
-            searched = True
-            motion = self._way_to(self._q[place])
-            if motion is not None:
-                return Rejoining(motion, float(self._time[place]), self._blocker and self._blocker[0])
-            if number + 1 >= _PLACES or clock.monotonic() > self._deadline:
-                break
-        return NoRejoining(self._told(link, obstacle), searched)
+        places = list(islice(self._places(), _PLACES if self._query.attempt else 1))
+        found = self._way_to(places) if places else None
+        if found is not None:
+            return found
+        return NoRejoining(self._told(link, obstacle), searched=bool(places))
 
     def _told(self, link: str, obstacle: str) -> str:
         _, at_end, margin = self._tightest(self._q[-1])
@@ -226,28 +225,32 @@ class _Search:
 
     # --- how ------------------------------------------------------------------------
 
-    def _way_to(self, target: Vector) -> Trajectory | None:
+    def _way_to(self, places: list[int]) -> Rejoining | None:
         query = self._query
-        for spare in _SPARES:
-            check = MotionCheck(self._problem, self._proximity, [query.q, target], spare=spare, deadline=self._deadline)
-            ways = self._ways(check, target)
+        attempt = query.attempt
+        for spare in _EASY if attempt == 0 else _HARD[(attempt - 1) % len(_HARD) :][:1]:
+            ends = [query.q, *(self._q[place] for place in places)]
+            check = MotionCheck(self._problem, self._proximity, ends, spare=spare, deadline=self._deadline)
+            ways = self._ways(check, ends[1:])
             if ways:
                 way = min(ways, key=lambda way: way.length(query.limits))
-                return time_way(blend(check, way), query.limits, drive=drive_of(self._problem))
+                motion = time_way(blend(check, way), query.limits, drive=drive_of(self._problem))
+                place = min(places, key=lambda place: float(np.abs(self._q[place] - way.q[-1]).max()))
+                return Rejoining(motion, float(self._time[place]), self._blocker and self._blocker[0])
         return None
 
-    def _ways(self, check: MotionCheck, target: Vector) -> list[Way]:
-        """Several, shortened; one where it is straight."""
+    def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[Way]:
+        """Several, shortened; one where it is straight, or long to find."""
+        query = self._query
+        effort = _EFFORTS[min(query.attempt, len(_EFFORTS) - 1)]
         found: list[Way] = []
         for turn in range(_WAYS):
-            seed = self._query.seed * _WAYS + turn
-            way = sample_way(
-                check, self._query.q, [target], seed=seed, deadline=self._deadline, most_motions=self._query.effort
-            )
+            seed = (query.seed + query.attempt) * _WAYS + turn
+            way = sample_way(check, query.q, targets, seed=seed, deadline=self._deadline, most_motions=effort)
             if way is None:
                 break
             found.append(shorten(check, way, seed=seed))
-            if len(found[-1].q) == 2:
+            if len(found[-1].q) == 2 or query.attempt > 0:
                 break
         return found
 

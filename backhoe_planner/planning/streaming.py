@@ -54,7 +54,7 @@ _PATIENCE_CROSSING = 4.0  # where what holds the machine moves
 _WINDOW = 0.4  # s in which it must get on noticeably:
 _PACE = 0.05  # of the planned speed,
 _APPROACH = 0.1  # or of the slowest joint's greatest, nearer to the plan
-_EFFORTS = (2_000, 8_000, 30_000)  # motions looked at, in one search after the other
+_ATTEMPTS = 4  # in a row before it says that it is blocked
 _LONGEST_BREAK = 16.0  # s between two searches that found nothing
 _OFF = 0.1  # rad or m that the machine may be from where a way begins
 _RECHECK = 0.2  # s between two checks of a way while what stands around changes
@@ -104,7 +104,7 @@ class PlanFollower:
     servo: its machine must have the plan's joints. Where it stands off the plan's
         beginning it goes there first.
     plan: a plan, or its trajectory alone.
-    executor: in which ways round are searched (0.1 to 4 s each). By default one thread of
+    executor: in which ways round are searched (0.1 to 8 s each). By default one thread of
         its own, which shares the interpreter with the loop: a step may then come some
         milliseconds late while the machine holds still. A `ProcessPoolExecutor` avoids that.
     seed: of the searches, not negative.
@@ -270,8 +270,8 @@ class PlanFollower:
             q=servo.q,
             motion=self._trajectory,
             since=self._plan.clock,
-            effort=_EFFORTS[min(self._failed, len(_EFFORTS) - 1)],
-            seed=self._seed + self._failed,
+            seed=self._seed,
+            attempt=self._failed,
         )
         self._searches.begin(servo.revision, find_rejoining, query)
 
@@ -294,12 +294,12 @@ class PlanFollower:
             self._blocked = ""
         elif isinstance(answer, (NoRejoining, BaseException)):
             searched = not isinstance(answer, NoRejoining) or answer.searched
-            self._failed = self._failed + 1 if searched else max(self._failed + 1, len(_EFFORTS))
+            self._failed = self._failed + 1 if searched else max(self._failed + 1, _ATTEMPTS)
             self._failed_at, self._failed_for, self._may_succeed = servo.time, self._searches.revision, searched
-            if self._failed >= len(_EFFORTS):
+            if self._failed >= _ATTEMPTS:
                 self._blocked = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer}"
                 self._holding = False
-                self._again_at = servo.time + min(2.0 ** (self._failed - len(_EFFORTS)), _LONGEST_BREAK)
+                self._again_at = servo.time + min(2.0 ** (self._failed - _ATTEMPTS), _LONGEST_BREAK)
 
     # --- what is said ------------------------------------------------------------------
 
