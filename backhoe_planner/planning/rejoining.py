@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits, Robot
-from backhoe_planner.planning.blending import blend
+from backhoe_planner.planning.blending import SmoothWay, blend
 from backhoe_planner.planning.certificate import TOUCH, segment_is_clear
 from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.motion_check import MotionCheck
@@ -37,9 +37,12 @@ Matrix = NDArray[np.float64]
 
 _EFFORTS = (2_000, 8_000, 30_000)  # motions between samples that are looked at, from attempt to attempt
 _EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
-_HARD = (0.002, 0.01)  # further ones in turn
+_HARD = (0.003, 0.01)  # further ones in turn
 _ROOMY = 0.01  # m beyond every clearance that a place to rejoin at is to have,
 _LOOKS = 100  # samples of a stretch in which that is looked for
+_RETREAT = 0.02  # m beyond every clearance to which the machine draws back first,
+_RETREAT_STEP, _RETREAT_STEPS = 0.002, 30  # m by which a margin grows in a step, and how many
+_PAUSE = 0.02  # s
 _HERE = 0.1  # rad or m within which the machine counts as being at a place
 _PLACES = 6  # of the rest of the motion that are tried
 _WAYS = 3  # of which the shortest is taken, at the first attempt
@@ -136,6 +139,7 @@ class _Search:
         later = query.motion.time > query.since + 1e-9
         self._time = np.concatenate(([query.since], query.motion.time[later]))
         self._q = np.vstack((query.motion.at(query.since)[None], query.motion.q[later]))
+        self._start = query.q
         self._blocker: tuple[str, float] | None = None  # what stands on the motion first, and from when on
 
     def run(self) -> Rejoining | NoRejoining:
@@ -144,6 +148,7 @@ class _Search:
             return NoRejoining(
                 f"{link} is {-margin:.3f} m closer to {obstacle} than allowed where it stands", searched=False
             )
+        self._start = self._drawn_back(self._query.q)
         places = list(islice(self._places(), _PLACES if self._query.attempt else 1))
         found = self._way_to(places) if places else None
         if found is not None:
@@ -229,15 +234,48 @@ class _Search:
         query = self._query
         attempt = query.attempt
         for spare in _EASY if attempt == 0 else _HARD[(attempt - 1) % len(_HARD) :][:1]:
-            ends = [query.q, *(self._q[place] for place in places)]
+            ends = [self._start, *(self._q[place] for place in places)]
             check = MotionCheck(self._problem, self._proximity, ends, spare=spare, deadline=self._deadline)
             ways = self._ways(check, ends[1:])
             if ways:
                 way = min(ways, key=lambda way: way.length(query.limits))
-                motion = time_way(blend(check, way), query.limits, drive=drive_of(self._problem))
+                motion = self._timed(blend(check, way))
                 place = min(places, key=lambda place: float(np.abs(self._q[place] - way.q[-1]).max()))
                 return Rejoining(motion, float(self._time[place]), self._blocker and self._blocker[0])
         return None
+
+    def _timed(self, way: SmoothWay) -> Trajectory:
+        """Drawing back, to rest, and along the way."""
+        limits, drive = self._query.limits, drive_of(self._problem)
+        motion = time_way(way, limits, drive=drive)
+        back = np.array([self._query.q, self._start])
+        if not (back[1] != back[0]).any():
+            return motion
+        times = np.linalg.norm(np.diff(back, axis=0) / limits.velocity, axis=1)
+        first = time_way(SmoothWay(back, np.array([0.0, *times]), np.zeros(2)), limits, drive=drive)
+        pause = first.duration + _PAUSE
+        return Trajectory.from_steps(np.concatenate((first.time, pause + motion.time)), np.vstack((first.q, motion.q)))
+
+    def _drawn_back(self, q: Vector) -> Vector:
+        """(n,) near q with more room, if q has little: where the servo holds the machine, it lets it only away."""
+        proximity, limits = self._proximity, self._query.limits
+        found = q
+        for _ in range(_RETREAT_STEPS):
+            nearby = proximity.at(found, margin=2.0 * _RETREAT)
+            short = np.maximum(_RETREAT - nearby.margin, 0.0)
+            if not short.any():
+                break
+            tightest = float(nearby.margin.min())
+            away = (short @ nearby.gradient) * limits.velocity**2
+            gain = float(nearby.gradient[int(nearby.margin.argmin())] @ away)
+            if gain <= 0.0:
+                break
+            there = np.clip(found + (_RETREAT_STEP / gain) * away, limits.lower, limits.upper)
+            if self._tightest(there)[2] <= tightest:
+                break
+            found = there
+        check = MotionCheck(self._problem, proximity, [q, found], spare=0.0)
+        return found if check.segment_is_clear(q, found) else q
 
     def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[Way]:
         """Several, shortened; one where it is straight, or long to find."""
@@ -246,7 +284,7 @@ class _Search:
         found: list[Way] = []
         for turn in range(_WAYS):
             seed = (query.seed + query.attempt) * _WAYS + turn
-            way = sample_way(check, query.q, targets, seed=seed, deadline=self._deadline, most_motions=effort)
+            way = sample_way(check, self._start, targets, seed=seed, deadline=self._deadline, most_motions=effort)
             if way is None:
                 break
             found.append(shorten(check, way, seed=seed))

@@ -48,12 +48,14 @@ _ARRIVED = 1e-3  # rad or m
 _AT_REST = 1e-2  # rad/s or m/s, at the end of the plan
 _STILL = 1e-6  # rad/s or m/s, where a way is to begin
 _PUSHED = 0.2  # rad or m further off than it was, that is not sliding but giving way
+_NEAR = 0.05  # m of margin within which an obstacle is said to be what holds it back
 _NOTICED = 0.3  # s without getting on after which it says that it waits
 _PATIENCE = 1.0  # s without getting on after which a way round is searched,
 _PATIENCE_CROSSING = 4.0  # where what holds the machine moves
 _WINDOW = 0.4  # s in which it must get on noticeably:
 _PACE = 0.05  # of the planned speed,
 _APPROACH = 0.1  # or of the slowest joint's greatest, nearer to the plan
+_FURTHER = 0.1  # s of the plan beyond the place where it was stuck after which that is over
 _ATTEMPTS = 4  # in a row before it says that it is blocked
 _LONGEST_BREAK = 16.0  # s between two searches that found nothing
 _OFF = 0.1  # rad or m that the machine may be from where a way begins
@@ -139,7 +141,8 @@ class PlanFollower:
         self._progress = _Progress(self._slowest)
         self._searches = _Searches(executor)
         self._seed = seed
-        self._failed = 0  # searches in a row that found nothing
+        self._failed = 0  # searches in a row that found nothing, or a way that led nowhere
+        self._stuck_at = -np.inf  # s of the plan
         self._again_at = 0.0  # s: when to search again
         self._failed_at, self._failed_for = 0.0, -1  # s; revision of the surroundings
         self._may_succeed = True  # with more effort
@@ -229,9 +232,10 @@ class PlanFollower:
         if self._holding:  # what was in the way has gone meanwhile
             self._searches.drop()
         self._holding = False
-        self._failed = 0
-        self._again_at = 0.0
         self._blocked = ""
+        if self._round is None and self._plan.clock > self._stuck_at + _FURTHER:
+            self._failed = 0
+            self._again_at = 0.0
 
     def _lose_patience(self, state: ServoState) -> None:
         servo = self.servo
@@ -241,8 +245,11 @@ class PlanFollower:
         changed = servo.revision != self._failed_for and servo.time > self._failed_at + _PATIENCE
         if changed or servo.time >= self._again_at:
             self._searches.drop()
+            if self._round is not None:  # it led nowhere: another one
+                self._failed += 1
             self._round = None
             self._holding = True
+            self._stuck_at = self._plan.clock
 
     def _watch_round(self, deviation: float) -> None:
         """Back on the plan at the end of the way round; given up where it is no longer clear."""
@@ -309,8 +316,8 @@ class PlanFollower:
         if self._blocked:
             return Following.BLOCKED, self._blocked
         if self._holding or self._progress.waited > _NOTICED:
-            held = f"{state.link} is held back by {state.obstacle}" if state.obstacle is not None else "it is held back"
-            return Following.WAITING, held
+            near = state.obstacle is not None and state.margin < _NEAR
+            return Following.WAITING, f"{state.link} is held back by {state.obstacle}" if near else "it is off the plan"
         if self._round is not None:
             return Following.GOING_ROUND, "" if self._round.around is None else f"round {self._round.around}"
         return Following.FOLLOWING, ""

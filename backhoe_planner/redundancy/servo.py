@@ -620,12 +620,15 @@ class Servo:
         urgent_rows, urgent_bounds = self._urgent(near, gaps, low, high)
         held_back = evading = False
         tried = v
+        straight: tuple[BrakingPath, _Proof] | None = None
         for attempt in range(_ATTEMPTS):
             late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + _TOLERANCE).any())
             path = self._path(v)
             proof = self._prove(awake, path)
             if (proof.free if attempt == 0 else proof.clear) and not late:
                 return self._accepted(path, held_back, evading, awake, proof)
+            if attempt == 0 and proof.clear and not late:
+                straight = path, proof
             if attempt == _ATTEMPTS - 1:
                 tried = v
                 if proof.stands_clear:
@@ -642,6 +645,8 @@ class Servo:
                 tried = v
                 break
             v = solved
+        if straight is not None:  # only the buffer is missing, and asking for it leads nowhere
+            return self._accepted(straight[0], True, evading, awake, straight[1])
         brake = np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change)
         for part in _BLENDS:
             v = np.minimum(np.maximum(brake + part * (tried - brake), low), high)
