@@ -3,7 +3,8 @@
 The rest of the motion falls into stretches that are proven clear and parts that are not.
 The machine is brought to the earliest place that leads on: the first clear one behind
 what stops it. Where a short search finds no way there, longer ones look for a way to any
-of the stretches, and with less room to spare.
+of the stretches, and with less room to spare. First of all it draws back from what it
+stands before.
 """
 
 from __future__ import annotations

@@ -245,11 +245,20 @@ class PlanFollower:
         changed = servo.revision != self._failed_for and servo.time > self._failed_at + _PATIENCE
         if changed or servo.time >= self._again_at:
             self._searches.drop()
-            if self._round is not None:  # it led nowhere: another one
-                self._failed += 1
-            self._round = None
-            self._holding = True
             self._stuck_at = self._plan.clock
+            self._holding = True
+            if self._round is not None:  # it led nowhere: another one
+                self._round = None
+                self._note_failure(f"a way round was found, but {self._held_by(state)}", servo.revision)
+
+    def _note_failure(self, reason: str, revision: int, *, final: bool = False) -> None:
+        """Another attempt, or, after several or where no effort helps, a break."""
+        self._failed = max(self._failed + 1, _ATTEMPTS if final else 0)
+        self._failed_at, self._failed_for, self._may_succeed = self.servo.time, revision, not final
+        if self._failed >= _ATTEMPTS:
+            self._blocked = reason
+            self._holding = False
+            self._again_at = self.servo.time + min(2.0 ** (self._failed - _ATTEMPTS), _LONGEST_BREAK)
 
     def _watch_round(self, deviation: float) -> None:
         """Back on the plan at the end of the way round; given up where it is no longer clear."""
@@ -300,13 +309,9 @@ class PlanFollower:
             self._progress = _Progress(self._slowest)
             self._blocked = ""
         elif isinstance(answer, (NoRejoining, BaseException)):
-            searched = not isinstance(answer, NoRejoining) or answer.searched
-            self._failed = self._failed + 1 if searched else max(self._failed + 1, _ATTEMPTS)
-            self._failed_at, self._failed_for, self._may_succeed = servo.time, self._searches.revision, searched
-            if self._failed >= _ATTEMPTS:
-                self._blocked = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer}"
-                self._holding = False
-                self._again_at = servo.time + min(2.0 ** (self._failed - _ATTEMPTS), _LONGEST_BREAK)
+            final = isinstance(answer, NoRejoining) and not answer.searched
+            reason = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer}"
+            self._note_failure(reason, self._searches.revision, final=final)
 
     # --- what is said ------------------------------------------------------------------
 
@@ -316,11 +321,16 @@ class PlanFollower:
         if self._blocked:
             return Following.BLOCKED, self._blocked
         if self._holding or self._progress.waited > _NOTICED:
-            near = state.obstacle is not None and state.margin < _NEAR
-            return Following.WAITING, f"{state.link} is held back by {state.obstacle}" if near else "it is off the plan"
+            return Following.WAITING, self._held_by(state)
         if self._round is not None:
             return Following.GOING_ROUND, "" if self._round.around is None else f"round {self._round.around}"
         return Following.FOLLOWING, ""
+
+    @staticmethod
+    def _held_by(state: ServoState) -> str:
+        if state.obstacle is None or state.margin > _NEAR:
+            return "it is off the plan"
+        return f"{state.link} is held back by {state.obstacle}"
 
 
 class _Reference:
