@@ -50,6 +50,7 @@ class Surroundings:
     stands: (P,) of every pair whether its obstacle stands still.
     speed: (P,) of every pair's obstacle [m/s].
     anything_moves: whether any obstacle does, also one that no link minds.
+    revision: how often anything was put there, taken away, moved by hand or given another velocity.
     """
 
     def __init__(self, robot: Robot, scene: schema.Scene, separation: Separation) -> None:
@@ -62,12 +63,30 @@ class Surroundings:
         self.moving_pairs: Indices
         self.stands: NDArray[np.bool_]
         self.speed: Vector
+        self.revision = 0
         self._sort()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of what is there now."""
         return tuple(self._placed)
+
+    def snapshot(self) -> tuple[Obstacle, ...]:
+        """What is there now, each where it is now, with its present velocity."""
+        return tuple(
+            replace(
+                placed.obstacle,
+                pieces=tuple(_shifted(piece, placed.shift) for piece in placed.obstacle.pieces)
+                if placed.shift.any()
+                else placed.obstacle.pieces,
+                velocity=placed.velocity.copy(),
+            )
+            for placed in self._placed.values()
+        )
+
+    def moves(self, name: str | None) -> bool:
+        """Whether there is an obstacle of that name, or any, that has a velocity."""
+        return any(name is None or placed.obstacle.name == name for placed in self._movers)
 
     def said(self, pair: int) -> str:
         """Name of what the machine's link must not touch in this pair."""
@@ -154,6 +173,7 @@ class Surroundings:
         self._name_of[number] = obstacle.name
         pairs = self._separation.add(number, obstacle)
         self._separation.place_at(number, self._placed[obstacle.name].shift)
+        self.revision += 1
         self._sort()
         return pairs
 
@@ -174,6 +194,7 @@ class Surroundings:
         self._movers = [mover for mover in self._movers if mover is not placed]
         del self._placed[name], self._name_of[placed.number]
         kept = self._separation.remove(placed.number)
+        self.revision += 1
         self._sort()
         return kept
 
@@ -182,12 +203,14 @@ class Surroundings:
         placed = self._find(name)
         there = _three(placed.shift + _three(by, "by"), "by")
         placed.shift[:] = there
+        self.revision += 1
         return self._pairs(placed)
 
     def set_velocity(self, name: str, velocity: object) -> Indices:
         """Indices of the pairs of an obstacle that now moves otherwise."""
         placed = self._find(name)
         placed.velocity = _three(velocity, "velocity")
+        self.revision += 1
         pairs = self._pairs(placed)
         self._separation.velocity[pairs] = placed.velocity
         self._sort()
@@ -230,6 +253,12 @@ class Surroundings:
     def _stands_at(self, placed: _Placed, shift: Vector) -> None:
         placed.shift = shift
         self._separation.place_at(placed.number, shift)
+
+
+def _shifted(piece: shapes.Piece, by: Vector) -> shapes.Piece:
+    hull = piece.hull + by if len(piece.hull) else piece.hull
+    placement = pin.SE3(piece.placement.rotation, piece.placement.translation + by)
+    return replace(piece, placement=placement, hull=hull)
 
 
 def _three(values: object, key: str) -> Vector:
