@@ -178,7 +178,7 @@ class Servo:
         self._pace = 1.0
         classes = len(self._separation.travel)
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
-        self._recovery = Recovery(self._separation, self._at, self.dt, self._change)
+        self._recovery = Recovery(robot, self.limits, self._separation, self._at, self.dt, self._change)
         self._site = Surroundings(robot, scene, self._separation)
         self._renewed_bounds: tuple[Indices, Vector, Indices] | None = None
         self._sort()
@@ -259,6 +259,7 @@ class Servo:
             setattr(self, array, getattr(self, array)[kept])
         self._sort()
         self._find_inside()
+        self._recovery.changed()
 
     def move(self, name: str, by: object) -> None:
         """Put an obstacle elsewhere at once, `by` (3,) from where it is now [m], world.
@@ -279,6 +280,14 @@ class Servo:
         pairs = self._site.set_velocity(name, velocity)
         self._sort()
         self._take_in(pairs)
+
+    @property
+    def way_to_go(self) -> float | None:
+        """No point of the machine has further than this to go until it is clear [m].
+
+        Only where the way back leads past what is no shallower; it falls at every step. None elsewhere.
+        """
+        return self._recovery.to_go
 
     def shift_of(self, name: str) -> Vector:
         """(3,) how far an obstacle has moved from where it was put [m].
@@ -330,6 +339,8 @@ class Servo:
         self._proven_at[pairs] = self._path_odometer[separation.classes[pairs]]
         self._required[pairs] = np.minimum(separation.clearance[pairs], bound)
         self._find_inside()
+        if self._stands[pairs].any():
+            self._recovery.changed()
 
     def _find_inside(self) -> None:
         """Pairs of what stands that are closer than allowed."""
@@ -741,7 +752,7 @@ class Servo:
             prove=lambda path: self._prove(awake, path),
             rows=lambda path, proof: self._rows(awake, budget, path, proof),
         )  # fmt: skip
-        depth, way = self._recovery.choose(pairs, step)
+        depth, way = self._recovery.choose(pairs, self._stands, step)
         self._distance[pairs] = separation.clearance[pairs] - depth
         self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
         if way is None:
