@@ -414,9 +414,9 @@ def come_back(start: Start, wish: dict[str, Any], seconds: float) -> dict[str, A
     to_go, resting, counts = None, 0, Counter[str]()
     slowest = 0.0
     for _ in range(round(seconds / servo.dt)):
-        begun = time.perf_counter()
+        begun = time.process_time()
         state = servo.step(**wish)
-        slowest = max(slowest, time.perf_counter() - begun)
+        slowest = max(slowest, time.process_time() - begun)
         now, out = start.depths(state.q), start.outside(state.q)
         rests = bool(np.all(np.abs(state.v) < 1e-9))
         resting = resting + 1 if rests else 0

@@ -53,9 +53,10 @@ _LEVEL = 1e-9  # m: what counts as no deeper
 _FOLLOWED_FALL = 1e-3  # m/s: on a falling way
 _WAITING_FALL = 1e-4  # m/s: while the search is on
 _LOOKS_PER_STEP = 30  # postures and pairs that the search looks at
-_PROGRESS = 1e-5  # m: less is none
+_PROGRESS = 1e-3  # m: less is none
 _PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search; after one that found nothing
 _AHEAD, _AT_NODE = 0.06, 0.01  # rad or m: how far ahead a falling way is aimed at; where a node is reached
+_BETWEEN, _MOST_SPANS = 0.005, 16  # m between two looks at a braking path; how many at most
 _SMALLEST = 1e-12
 _STEP_END = MOST_PARTS + 1  # row of the placements
 
@@ -202,15 +203,12 @@ class Recovery:
             proof = step.prove(path)
             if len(proof.bound) == 0:
                 path.place(at)
-            at.place(_STEP_END, step.q + v * self._dt)
             keeps, before = True, ceiling + _LEVEL if below else deepest - _FALLS
             most = np.zeros(len(pairs))
-            ends = [
-                (_STEP_END, self._dt),
-                *((part, path.look * part / path.parts) for part in range(1, path.parts + 1)),
-            ]
-            for sample, span in ends:
-                there, cuts = separation.gradients(pairs, at, sample)
+            level = most
+            for span in self._spans(path):
+                at.place(_STEP_END, step.q + v * span)
+                there, cuts = separation.gradients(pairs, at, _STEP_END)
                 deep = separation.clearance[pairs] - there
                 now = by_owner(deep, owner)
                 worse = deep > np.maximum(before, 0.0)
@@ -218,7 +216,7 @@ class Recovery:
                     # still falling there, so that it falls all the way, braking too
                     worse |= (deep > np.maximum(now - _FALLS, 0.0)) & (cuts @ v >= 0.0)
                     before = now
-                if sample == _STEP_END:
+                if span == self._dt:
                     level = now
                 most = np.maximum(most, now)
                 if worse.any():
@@ -236,6 +234,12 @@ class Recovery:
                 soft_rows = np.vstack((soft_rows, more_rows))
                 soft_bounds = np.append(soft_bounds, np.maximum(bounds, 0.0))
         return depth, None
+
+    def _spans(self, path: BrakingPath) -> list[float]:
+        """When to measure along a braking path [s]: at the end of the step, and so often that little lies between."""
+        length = float(np.abs(path.delta) @ self._radius)
+        parts = min(max(math.ceil(length / _BETWEEN), 1), _MOST_SPANS)
+        return [self._dt, *(path.look * part / parts for part in range(1, parts + 1))]
 
     # --- where going down leads nowhere --------------------------------------------------
 
@@ -260,16 +264,12 @@ class Recovery:
                 raise
             return
         self._since += 1
-        left = float(deepest.sum()) if self.to_go is None else self.to_go
+        left = float(deepest.sum()) if self._route is None else self._still_to_go
         if left < self._best - _PROGRESS:
             self._best, self._since = left, 0
-        elif self._since > self._patience():
-            self._tries = self._tries + 1 if self._tries < 3 else 1
+        elif self._since * self._dt > (_PAUSE if self._rests else _PATIENCE):
+            self._tries += 1
             self._begin(pairs, stands, q)
-
-    def _patience(self) -> int:
-        seconds = _PAUSE if self._rests else _PATIENCE
-        return math.ceil(seconds / self._dt)
 
     def _begin(self, pairs: Indices, stands: Flags, q: Vector) -> None:
         self._leave()
@@ -281,27 +281,29 @@ class Recovery:
         self._search = self._searched(self._way_out, q)
 
     def _searched(self, way_out: WayOut, q: Vector) -> Search:
-        """What is tried, in this order; None where nothing is found, or where nothing else than descent is needed."""
-        if self._tries < 2:
+        """What is tried, one after the other; None where nothing is found."""
+        turn = self._tries % 3
+        if turn == 2:  # without a way, by descent alone
+            return None
+        if turn == 0:
             route = yield from way_out.descent(q)
-            if route is not None:
-                return route if self._tries else None
             self._waits = True
-            route = yield from way_out.falling(q)
+            if route is None:
+                route = yield from way_out.falling(q)
             if route is not None:
                 return route
-        self._waits = True
         route = yield from way_out.below(q)
         return route
 
     def _found(self, q: Vector, route: Route | None) -> None:
-        self._rests = route is None and self._waits
+        self._rests = route is None and self._tries % 3 < 2
         self._search = self._way_out = None
         self._since, self._best, self._waits = 0, math.inf, False
         self._route, self._node = route, 1
         if route is not None:
             lengths = np.abs(np.diff(route.nodes, axis=0)) @ self._radius
             self._left = np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
+            self._still_to_go = math.inf
 
     def _along(self, route: Route, step: Step) -> Vector:
         """(n,) the velocity along the way that was found."""
@@ -310,8 +312,9 @@ class Recovery:
         while self._node < last and np.abs(route.nodes[self._node] - step.q).max() < ahead:
             self._node += 1
         way = route.nodes[self._node] - step.q
+        self._still_to_go = float(np.abs(way) @ self._radius + self._left[self._node])
         if not route.falling:
-            self.to_go = float(np.abs(way) @ self._radius + self._left[self._node])
+            self.to_go = self._still_to_go
         length = float(np.abs(way).max())
         if self._node == last and length < _AT_NODE * 0.1:
             self._leave()
