@@ -57,6 +57,7 @@ _PROGRESS = 1e-3  # m: less is none
 _PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search; after one that found nothing
 _AHEAD, _AT_NODE = 0.06, 0.01  # rad or m: how far ahead a falling way is aimed at; where a node is reached
 _BETWEEN, _MOST_SPANS = 0.005, 16  # m between two looks at a braking path; how many at most
+_SLOWEST_RETURN = 1e-4  # rad/s or m/s: of a joint beyond its limit
 _SMALLEST = 1e-12
 _STEP_END = MOST_PARTS + 1  # row of the placements
 
@@ -139,7 +140,7 @@ class Recovery:
 
     def changed(self) -> None:
         """What stands around is not what it was: whatever was searched for is forgotten."""
-        self._begun = False
+        self._begun = self._rests = False
         self._search: Search | None = None
         self._way_out: WayOut | None = None
         self._leave()
@@ -151,9 +152,17 @@ class Recovery:
         self._left: Vector = np.zeros(0)  # (N,) W at the nodes
         self.to_go = None
 
-    def slowed(self, v: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:
-        """(n,), (n,) bounds so slow that little lies between what is measured of a braking path."""
+    def slowed(self, q: Vector, v: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:
+        """(n,), (n,) bounds so slow that little lies between what is measured of a braking path.
+
+        A joint beyond a limit may take its time, but not stand still: to hurry it back could drive
+        something deeper.
+        """
         up, down = v + self._change, v - self._change
+        if not self._rests:
+            limits = self._limits
+            high = np.where(q > limits.upper, np.maximum(high, -_SLOWEST_RETURN), high)
+            low = np.where(q < limits.lower, np.minimum(low, _SLOWEST_RETURN), low)
         low = np.minimum(np.maximum(np.maximum(low, -self._slow), down), up)
         high = np.minimum(np.maximum(np.minimum(high, self._slow), down), up)
         return low, high
@@ -249,7 +258,7 @@ class Recovery:
             self._begun = True
             self._ceiling = np.zeros(len(self._separation))
             self._ceiling[pairs] = deepest
-            self._tries, self._since, self._best, self._rests = 0, 0, math.inf, 0
+            self._tries, self._since, self._best = 0, 0, math.inf
             self._begin(pairs, stands, q)
         if self._search is not None:
             assert self._way_out is not None

@@ -742,7 +742,7 @@ class Servo:
     def _choose_back(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity of the way back, with what was proven of it held from now on."""
         pairs, separation = self._inside, self._separation
-        low, high = self._recovery.slowed(self._v, low, high)
+        low, high = self._recovery.slowed(self._q, self._v, low, high)
         awake, budget = self._awake()
         soft_rows, soft_bounds = self._urgent(near, gaps, low, high)
         step = Step(

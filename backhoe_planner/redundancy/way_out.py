@@ -115,8 +115,6 @@ class WayOut:
         self._owner = separation.owner[watched]
         self._ceiling = np.where(self._inside, ceiling[watched], 0.0)
         self._travel = separation.travel[separation.classes[watched]]
-        # beyond a limit a joint may come back, not go further out
-        self._low, self._high = np.minimum(limits.lower, q), np.maximum(limits.upper, q)
         self._lower, self._upper = limits.lower, limits.upper
         count = len(watched)
         self._distance, self._seen_at = np.full(count, -np.inf), np.zeros((count, robot.n))
@@ -189,8 +187,9 @@ class WayOut:
             found = way_back(
                 rows, _HOLDS * (deepest[own] - depth[own]),
                 target=wish,
-                low=np.minimum(np.maximum(-trust, self._low - q), 0.0),
-                high=np.maximum(np.minimum(trust, self._high - q), 0.0),
+                # beyond a limit a joint may come back, not go further out
+                low=np.minimum(np.maximum(-trust, self._lower - q), 0.0),
+                high=np.maximum(np.minimum(trust, self._upper - q), 0.0),
                 fastest=part * trust, soft_rows=others, soft_bounds=np.maximum(-depth[close[~hard]], 0.0),
             )  # fmt: skip
             if found is None:
