@@ -171,7 +171,7 @@ def test_where_nothing_leads_out_it_stays_and_gets_no_deeper(backhoe: Robot) -> 
     scene = site(backhoe, [AROUND_THE_POST], NOWHERE_TO_GO)
     servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
     first = violation(servo.q)
-    for step in range(1500):
+    for step in range(600):
         state = servo.step([0.5, 0.5, 0.5])
         if step % 5 == 0:
             assert violation(state.q) <= first
@@ -204,7 +204,7 @@ def test_what_is_dragged_while_the_machine_is_inside_is_searched_for_anew(backho
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     servo = Servo(backhoe, scene)
     shift = np.zeros(3)
-    for k in range(40):
+    for k in range(12):
         by = 0.01 * np.array([np.cos(k), np.sin(k), np.cos(2 * k)])
         servo.move("ball", by)
         shift += by
@@ -214,11 +214,45 @@ def test_what_is_dragged_while_the_machine_is_inside_is_searched_for_anew(backho
     violation = Violation(backhoe, site(backhoe, [moved], PINCHED_BY_THE_STICK))
     before = violation(servo.q)
     assert before > 0.01
-    for _ in range(4000):
-        before = violation(servo.step([0.3, -0.2, 0.4]).q)
-        if before <= 1e-6:
+    for step in range(6000):
+        servo.step([0.3, -0.2, 0.4])
+        if step % 50 == 0 and violation(servo.q) <= 1e-6:
             break
-    assert before <= 1e-6
+    assert violation(servo.q) <= 1e-6
+
+
+def test_held_outside_a_limit_by_obstacles_it_goes_round(backhoe: Robot) -> None:
+    """A ball just above the stick that has to come up to be within its limits."""
+    q = np.array([0.0, 0.3, -0.9, -0.5])
+    q[2] = backhoe.limits.lower[2] - 0.06
+    kinematics = bp.Kinematics(backhoe)
+    inside = q + np.array([0.0, 0.0, 0.06, 0.0])
+    way = kinematics.at(inside).tip_position - kinematics.at(q).tip_position
+    radius = 0.15
+    centre = kinematics.at(q).tip_position + way / np.linalg.norm(way) * (radius + 0.05)
+    for _ in range(400):  # pushed off until it is just clear
+        scene = site(
+            backhoe,
+            [{"name": "ball", "shape": "sphere", "radius": radius, "position": centre.tolist()}],
+            [0.0, 0.3, -0.9, -0.5],
+        )
+        if Violation(backhoe, scene)(q) <= -0.003:
+            break
+        centre = centre + 0.005 * way / np.linalg.norm(way)
+    violation = Violation(backhoe, scene)
+    assert -0.02 < violation(q) < 0.0
+    servo = Servo(backhoe, scene, q=q)
+    outside = 0.06
+    for step in range(12_000):
+        state = servo.step(joint_velocity=[0.0, 0.0, 0.0, 0.0])
+        left = float(backhoe.limits.lower[2] - state.q[2])
+        assert left <= outside + 1e-12
+        if step % 20 == 0:
+            assert violation(state.q) <= 1e-6
+        outside = left
+        if left <= 1e-9:
+            break
+    assert outside <= 1e-9
 
 
 def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:
@@ -226,7 +260,7 @@ def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:
     ends = []
     for _ in range(2):
         servo = Servo(backhoe, scene)
-        ends.append([servo.step([0.3, -0.2, 0.4]).q for _ in range(500)][-1])
+        ends.append([servo.step([0.3, -0.2, 0.4]).q for _ in range(150)][-1])
     np.testing.assert_array_equal(ends[0], ends[1])
 
 

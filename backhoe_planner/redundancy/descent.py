@@ -62,7 +62,7 @@ def way_back(
     # in parts of what the joints can change, so that a start from rest is as exact as any other
     middle, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), _SMALLEST)
     A = rows * reach
-    scale = max(float(np.abs(A).sum(axis=1).max()), _SMALLEST)
+    scale = max(float(np.abs(A).sum(axis=1).max(initial=0.0)), _SMALLEST)
     B = soft_rows * reach
     size = np.maximum(np.abs(B).sum(axis=1), _SMALLEST)
     constraints = np.zeros((hard + soft, n + 1))

@@ -52,12 +52,12 @@ _FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
 _LEVEL = 1e-9  # m: what counts as no deeper
 _FOLLOWED_FALL = 1e-3  # m/s: on a falling way
 _WAITING_FALL = 1e-4  # m/s: while the search is on
-_LOOKS_PER_STEP = 30  # postures and pairs that the search looks at
+_LOOKS_PER_STEP = 20  # postures and pairs that the search looks at
 _PROGRESS = 1e-3  # m: less is none
 _PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search; after one that found nothing
 _AHEAD, _AT_NODE = 0.06, 0.01  # rad or m: how far ahead a falling way is aimed at; where a node is reached
-_BETWEEN, _MOST_SPANS = 0.005, 16  # m between two looks at a braking path; how many at most
-_SLOWEST_RETURN = 1e-4  # rad/s or m/s: of a joint beyond its limit
+_BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks at a braking path; how many at most
+_SLOWEST_RETURN = 1e-5  # rad/s or m/s: of a joint beyond its limit
 _SMALLEST = 1e-12
 _STEP_END = MOST_PARTS + 1  # row of the placements
 
@@ -135,6 +135,8 @@ class Recovery:
         self._slow = np.array([_INSIDE_SPEED / max(radius, 0.1) for radius in separation.furthest])
         self._radius = np.array(separation.furthest)
         self._rng = np.random.default_rng(0)
+        self._outside = True  # perhaps; once within the limits, no step leads out of them
+        self._least_outside, self._held_for = math.inf, 0
         self.to_go: float | None = None
         self.changed()
 
@@ -151,6 +153,24 @@ class Recovery:
         self._node = 1
         self._left: Vector = np.zeros(0)  # (N,) W at the nodes
         self.to_go = None
+
+    def held_outside(self, q: Vector) -> bool:
+        """Whether something keeps the joints from coming back within their limits, so that a way must be searched."""
+        if not self._outside:
+            return False
+        limits = self._limits
+        left = float(np.maximum(np.maximum(q - limits.upper, limits.lower - q), 0.0).sum())
+        self._outside = left > _LEVEL
+        if self._search is not None or self._route is not None:
+            return self._outside
+        self._held_for += 1
+        if left < self._least_outside - _PROGRESS:
+            self._least_outside, self._held_for = left, 0
+        elif self._held_for * self._dt > (_PAUSE if self._rests else _PATIENCE):
+            self.changed()
+            self._least_outside, self._held_for = left, 0
+            return self._outside
+        return False
 
     def slowed(self, q: Vector, v: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:
         """(n,), (n,) bounds so slow that little lies between what is measured of a braking path.
@@ -184,7 +204,7 @@ class Recovery:
         self._think(pairs, stands, step.q, deepest)
         route, target = self._route, step.target
         below = route is not None and not route.falling
-        fastest = min(max(_RECOVERY * float(deepest.max()), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+        fastest = min(max(_RECOVERY * float(deepest.max(initial=0.0)), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
         if route is not None:
             target = self._along(route, step)
             fastest = 0.0 if below else _FOLLOWED_FALL
@@ -282,7 +302,7 @@ class Recovery:
 
     def _begin(self, pairs: Indices, stands: Flags, q: Vector) -> None:
         self._leave()
-        self._waits = self._tries > 0
+        self._waits = self._tries > 0 or len(pairs) == 0
         self._way_out = WayOut(
             self._robot, self._limits, self._separation, q,
             watched=np.flatnonzero(stands), inside=pairs, ceiling=self._ceiling, rng=self._rng,
@@ -299,7 +319,7 @@ class Recovery:
             self._waits = True
             if route is None:
                 route = yield from way_out.falling(q)
-            if route is not None:
+            if route is not None and len(route.nodes) > 1:
                 return route
         route = yield from way_out.below(q)
         return route

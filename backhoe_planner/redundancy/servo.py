@@ -606,7 +606,7 @@ class Servo:
 
     def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity nearest to the wish whose braking path is proven clear."""
-        if len(self._inside):
+        if len(self._inside) or self._recovery.held_outside(self._q):
             return self._choose_back(wish, low, high, near, gaps)
         v = self._towards(wish, low, high)
         target = v
