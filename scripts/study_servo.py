@@ -457,7 +457,7 @@ def another_way(start: Start, q: np.ndarray, rng: np.random.Generator) -> str | 
         count = max(int(np.max(np.abs(b - a)) / 0.02), 1)
         return all(allowed(a + part / count * (b - a)) for part in range(1, count + 1))
 
-    for origin in (start.q, q):
+    for origin in () if start.outside(start.q).any() else (start.q, q):  # descents do not care for limits
         if descended(robot, start.proximity, origin) <= 0.0:
             return "descent"
         for _ in range(10):

@@ -242,17 +242,19 @@ def test_held_outside_a_limit_by_obstacles_it_goes_round(backhoe: Robot) -> None
     violation = Violation(backhoe, scene)
     assert -0.02 < violation(q) < 0.0
     servo = Servo(backhoe, scene, q=q)
-    outside = 0.06
+    outside, went = 0.06, False
     for step in range(12_000):
         state = servo.step(joint_velocity=[0.0, 0.0, 0.0, 0.0])
         left = float(backhoe.limits.lower[2] - state.q[2])
         assert left <= outside + 1e-12
+        went |= servo.way_to_go is not None
         if step % 20 == 0:
             assert violation(state.q) <= 1e-6
         outside = left
         if left <= 1e-9:
             break
     assert outside <= 1e-9
+    assert went
 
 
 def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:

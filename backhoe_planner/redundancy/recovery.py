@@ -4,19 +4,34 @@ What is measured. Of every obstacle (and of the machine with itself) the deepest
 
     V = max over its violated pairs of (clearance - distance)
 
-This V falls at every step, as fast as the joints can make it fall, up to a speed that
-dies away with it. A pair that is less deep may meanwhile become deeper, never deeper
-than V: several links that stick in one obstacle need not leave it by the same side, and
-what would hold each of them to its own depth would hold them all.
+falls at every step, at the end of the step and at every look at the braking path that
+follows from it (`descent` says which velocity does that fastest). The fastest descent
+can lead into a local minimum, where no joint rate makes V smaller. So as soon as the
+machine is inside something a way out is searched, spread over the steps (`way_out`):
 
-    max t   s.t.   g_i v + t <= k (V - depth_i)   for every corner of every violated pair
+1. the chain of postures down which the fastest descent leads, if it leads out;
+2. another chain of postures along which V falls;
+3. a way that is nowhere deeper than where the machine began.
 
-over the joint rates within reach in this step; g_i is how fast a corner's gap falls.
-The term with k lets what is far from being the deepest go its way, and takes hold of
-it gradually, so that no row enters with a jump. Of all the best velocities the one
-nearest to the wish is taken.
+Of 1 and 2 the servo takes the direction, and V falls at every step. Only on 3, V may come
+back up to what it was at the beginning, and no further. What falls at every step then is
 
-Where no joint rate makes V smaller, t is 0: the machine is pinched, and V stays as it is.
+    W = sum over the way of r_j |dq_j|,
+
+an upper bound of how far any point of the machine still has to move until it is clear,
+and so of V. Where all three fail, and some seconds later again, the machine stays, and V does
+not grow: either nothing within its limits is clear, or every way there is deeper than
+the start.
+
+Until the first descent is known to lead out or not, V falls as fast as it can; while 2
+and 3 are searched it falls as slowly as can be measured, so that the way still begins
+where the machine is. A joint beyond its limit comes back at every step too, however
+slowly, and at its full rate once nothing is violated. Where obstacles then keep it from
+coming back, a way 3 is searched for it as well; and where they would at the end of a way 1
+or 2, a way 3 is preferred.
+
+A change of what stands around ends all that, and it begins anew. Per step the search
+looks at `_LOOKS_PER_STEP` postures and pairs, or at one posture where that has more.
 """
 
 from __future__ import annotations
@@ -48,12 +63,13 @@ _RECOVERY = 1.0  # 1/s
 _SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s
 _HOLDS = 2.0  # 1/s: how soon what is not the deepest is taken hold of
 _INSIDE_SPEED = 0.5  # m/s
+_LEAST_RADIUS = 0.1  # m, of a joint
 _FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
 _LEVEL = 1e-9  # m: what counts as no deeper
 _FOLLOWED_FALL = 1e-3  # m/s: on a falling way
 _WAITING_FALL = 1e-4  # m/s: while the search is on
 _LOOKS_PER_STEP = 20  # postures and pairs that the search looks at
-_PROGRESS = 1e-3  # m: less is none
+_PROGRESS, _RETURN_PROGRESS = 1e-3, 3e-3  # m; rad or m: less is none
 _PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search; after one that found nothing
 _AHEAD, _AT_NODE = 0.06, 0.01  # rad or m: how far ahead a falling way is aimed at; where a node is reached
 _BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks at a braking path; how many at most
@@ -132,8 +148,8 @@ class Recovery:
         self._robot, self._limits = robot, limits
         self._separation, self._at, self._dt, self._change = separation, at, dt, change
         # no point moves faster than this by one joint while the machine is inside something
-        self._slow = np.array([_INSIDE_SPEED / max(radius, 0.1) for radius in separation.furthest])
-        self._radius = np.array(separation.furthest)
+        self._slow = np.array([_INSIDE_SPEED / max(radius, _LEAST_RADIUS) for radius in separation.furthest])
+        self._radius = np.maximum(separation.furthest, _LEAST_RADIUS)
         self._rng = np.random.default_rng(0)
         self._outside = True  # perhaps; once within the limits, no step leads out of them
         self._least_outside, self._held_for = math.inf, 0
@@ -164,7 +180,7 @@ class Recovery:
         if self._search is not None or self._route is not None:
             return self._outside
         self._held_for += 1
-        if left < self._least_outside - _PROGRESS:
+        if left < self._least_outside - _RETURN_PROGRESS:
             self._least_outside, self._held_for = left, 0
         elif self._held_for * self._dt > (_PAUSE if self._rests else _PATIENCE):
             self.changed()
@@ -320,7 +336,11 @@ class Recovery:
             if route is None:
                 route = yield from way_out.falling(q)
             if route is not None and len(route.nodes) > 1:
-                return route
+                free = yield from way_out.returns(route.nodes[-1])
+                if free:
+                    return route
+                below = yield from way_out.below(q)
+                return route if below is None else below
         route = yield from way_out.below(q)
         return route
 

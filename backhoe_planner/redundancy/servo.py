@@ -18,8 +18,9 @@ row, which asks for a velocity away from it while the machine can still reach it
 
 What is closer than allowed already (it began so, or an obstacle was put there) may only
 get better: of every obstacle the deepest violation over the links falls at every step, and
-what was proven of it is what the next step must keep (`recovery`). Only where no motion of
-the joints makes it smaller, the machine is pinched and stays as deep as it is.
+what was proven of it is what the next step must keep. Where no such motion leads out, the
+machine goes by a way that is nowhere deeper than where it began, and the length of that way
+falls at every step (`recovery`).
 
 Within the slow distance of one of the scene's zones the wish is scaled down, direction kept.
 """

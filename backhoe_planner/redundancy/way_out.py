@@ -46,18 +46,27 @@ Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
 _DESCENTS, _DESCENT_LOOKS = 40, 120  # how many are tried, and the postures of one
-_GOALS, _CLEAR_GOALS = 300, 24  # postures tried, and those kept for being clear
-_TREE_LOOKS = 4000
-MOST_LOOKS = (_DESCENTS + 1) * _DESCENT_LOOKS + _GOALS + 3 * _TREE_LOOKS
+_NEAR_BY = 0.5  # rad or m
+_GOALS, _CLEAR_GOALS = 300, 40  # postures tried, and those kept for being clear
+_TREE_LOOKS, _LINE_LOOKS = 4000, 4000
 _TRUST = 0.03  # rad or m: longest step of a descent
 _SHORTEST = 1e-4
 _RESOLUTION = 0.02  # rad or m: between two looks along a line
 _EXTEND = 0.2  # rad or m: a branch of the trees
+_BRANCHES = 3  # that a tree grows at once
 _BEYOND = 0.003  # m: a way ends that much clearer than asked
+_SLIGHT = 1e-3  # m: what the servo's own rows make room for
 _NEAR = 0.1  # m: of what a descent keeps clear
 _FALLS = 1e-7  # m
 _LEVEL = 1e-7  # m: what counts as no more than before
 _HOLDS = 0.5
+MOST_LOOKS = (
+    (_DESCENTS + 1) * _DESCENT_LOOKS
+    + _GOALS
+    + 3 * _LINE_LOOKS
+    + _TREE_LOOKS
+    + 2 * _BRANCHES * round(_EXTEND / _RESOLUTION)  # the last branches
+)
 _PARTS = (0.02, 0.1, 0.3, 0.0)  # of a step's length, by which the violation is to fall [m/rad]
 
 Search = Generator[None, None, "Route | None"]
@@ -116,6 +125,9 @@ class WayOut:
         self._ceiling = np.where(self._inside, ceiling[watched], 0.0)
         self._travel = separation.travel[separation.classes[watched]]
         self._lower, self._upper = limits.lower, limits.upper
+        # where postures are chosen; a turn either way for joints without limits
+        self._from = np.where(np.isfinite(limits.lower), limits.lower, q - np.pi)
+        self._to = np.where(np.isfinite(limits.upper), limits.upper, q + np.pi)
         count = len(watched)
         self._distance, self._seen_at = np.full(count, -np.inf), np.zeros((count, robot.n))
 
@@ -127,7 +139,7 @@ class WayOut:
     def falling(self, q: Vector) -> Search:
         """A falling way from q (n,), or None."""
         for number in range(_DESCENTS):
-            aim = self._rng.uniform(self._lower, self._upper)
+            aim = self._rng.uniform(self._from, self._to)
             nodes = yield from self._descend(q, aim, _PARTS[number % len(_PARTS)])
             if nodes is not None:
                 return Route(np.array(nodes), True)
@@ -138,7 +150,11 @@ class WayOut:
         goals = yield from self._clear_postures(q)
         if not goals:
             return None
+        looks = 0
         for goal in goals[: _CLEAR_GOALS // 2]:
+            looks += _looks(q, goal)
+            if looks > _LINE_LOOKS:
+                break
             free = yield from self._line_is_allowed(q, goal)
             if free:
                 return Route(np.array([q, goal]), False)
@@ -147,6 +163,17 @@ class WayOut:
             return None
         nodes = yield from self._shorter(nodes)
         return Route(np.array(nodes), False)
+
+    def returns(self, q: Vector) -> Generator[None, None, bool]:
+        """Whether the joints can come straight back within their limits from q (n,) where nothing is violated."""
+        within = np.clip(q, self._lower, self._upper)
+        count = _looks(q, within)
+        for part in range(1, count + 1):
+            depth, _, _ = self._depth(q + (part / count) * (within - q))
+            yield
+            if (depth > _SLIGHT).any():
+                return False
+        return True
 
     # --- one posture -------------------------------------------------------------------
 
@@ -217,11 +244,16 @@ class WayOut:
         return bool((depth <= self._ceiling + _LEVEL).all())
 
     def _clear_postures(self, q: Vector) -> Generator[None, None, list[Vector]]:
-        """Clear postures, the nearest first; of some only a few joints are elsewhere than at q."""
+        """Clear postures, the nearest first; some near by, of others only a few joints are elsewhere than at q."""
         rng, found = self._rng, []
-        for _ in range(_GOALS):
-            moved = rng.random(len(q)) < rng.uniform(0.2, 1.0)
-            goal = np.where(moved, rng.uniform(self._lower, self._upper), np.clip(q, self._lower, self._upper))
+        within = np.clip(q, self._lower, self._upper)
+        for number in range(_GOALS):
+            if number % 2:
+                goal = within + rng.normal(size=len(q)) * rng.uniform(0.0, _NEAR_BY)
+                goal = np.clip(goal, self._lower, self._upper)
+            else:
+                moved = rng.random(len(q)) < rng.uniform(0.2, 1.0)
+                goal = np.where(moved, rng.uniform(self._from, self._to), within)
             depth, _, _ = self._depth(goal)
             yield
             if (depth <= -_BEYOND).all():
@@ -231,7 +263,7 @@ class WayOut:
         return sorted(found, key=lambda goal: float(np.abs(goal - q).max()))
 
     def _line_is_allowed(self, start: Vector, end: Vector) -> Generator[None, None, bool]:
-        count = max(int(np.ceil(float(np.abs(end - start).max()) / _RESOLUTION)), 1)
+        count = _looks(start, end)
         for part in range(1, count + 1):
             allowed = self._allowed(start + (part / count) * (end - start))
             yield
@@ -243,7 +275,7 @@ class WayOut:
         trees = [_Tree([q]), _Tree(goals)]
         looks = 0
         while looks < _TREE_LOOKS:
-            aim = self._rng.uniform(self._lower, self._upper)
+            aim = self._rng.uniform(self._from, self._to)
             reached = None
             for tree in trees:
                 grown = yield from self._grow(tree, aim, _EXTEND)
@@ -260,14 +292,14 @@ class WayOut:
         return None
 
     def _grow(self, tree: _Tree, aim: Vector, most: float) -> Generator[None, None, tuple[int | None, int]]:
-        """Grow a tree towards a posture: the first tree by one branch, the second as far as it goes."""
+        """The node of the tree that came nearest to a posture, None where there is no new one; and the looks taken."""
         nearest = tree.nearest(aim)
         start = tree.nodes[nearest]
         length = float(np.abs(aim - start).max())
         if length < _SHORTEST:
             return nearest, 1
         count = max(int(np.ceil(length / _RESOLUTION)), 1)
-        branch = max(int(most / _RESOLUTION), 1)
+        branch = max(round(most / _RESOLUTION), 1)
         looks, last, reached = 0, nearest, None
         for part in range(1, count + 1):
             there = start + (part / count) * (aim - start)
@@ -278,7 +310,7 @@ class WayOut:
                 break
             if part % branch == 0 or part == count:
                 last = reached = tree.add(there, last)
-                if part >= 3 * branch and part < count:
+                if part >= _BRANCHES * branch and part < count:
                     break
         return reached, looks
 
@@ -288,8 +320,9 @@ class WayOut:
         while here < len(nodes) - 1:
             after = here + 1
             for ahead in (len(nodes) - 1, (here + len(nodes)) // 2, here + 4, here + 2):
-                if here + 1 < ahead < len(nodes) and looks < _TREE_LOOKS:
-                    looks += int(float(np.abs(nodes[ahead] - nodes[here]).max()) / _RESOLUTION) + 1
+                more = _looks(nodes[here], nodes[ahead]) if here + 1 < ahead < len(nodes) else _LINE_LOOKS
+                if looks + more < _LINE_LOOKS:
+                    looks += more
                     free = yield from self._line_is_allowed(nodes[here], nodes[ahead])
                     if free:
                         after = ahead
@@ -297,6 +330,11 @@ class WayOut:
             here = after
             kept.append(nodes[here])
         return kept
+
+
+def _looks(start: Vector, end: Vector) -> int:
+    """How often a line is looked at."""
+    return max(int(np.ceil(float(np.abs(end - start).max()) / _RESOLUTION)), 1)
 
 
 class _Tree:
