@@ -515,7 +515,7 @@ def recoveries(robot: bp.Robot, count: int, seed: int) -> dict[str, Any]:
             said += ", with wrong steps"
         counts[said] += 1
         if (number + 1) % 20 == 0:
-            print(number + 1, dict(counts), flush=True)
+            print(number + 1, dict(counts), notes, flush=True)
     return {
         "starts": count,
         **dict(sorted(counts.items())),
