@@ -11,6 +11,11 @@ own margin is small; limits, accelerations and finiteness at every step.
 
     python scripts/study_servo.py [--steps 200000] [--seed 0] [--check 10] [--save FILE]
     python scripts/study_servo.py --recoveries 20
+
+With `--recoveries`, the machine starts from rest inside obstacles, inside itself, outside a
+limit, or outside a limit and inside an obstacle, and every step is judged by `Proximity`.
+Where the servo does not come out, a search that shares nothing with its own says whether
+there is a way.
 """
 
 from __future__ import annotations
