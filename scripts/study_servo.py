@@ -11,6 +11,11 @@ own margin is small; limits, accelerations and finiteness at every step.
 
     python scripts/study_servo.py [--steps 200000] [--seed 0] [--check 10] [--save FILE]
     python scripts/study_servo.py --recoveries 20
+
+With `--recoveries`, the machine starts from rest inside obstacles, inside itself, outside a
+limit, or outside a limit and inside an obstacle, and every step is judged by `Proximity`.
+Where the servo does not come out, a search that shares nothing with its own says whether
+there is a way.
 """
 
 from __future__ import annotations
@@ -353,61 +358,176 @@ def descended(robot: bp.Robot, proximity: Proximity, q: np.ndarray) -> float:
     return deepest
 
 
-def recoveries(robot: bp.Robot, count: int, seed: int) -> dict[str, Any]:
-    """Starts inside an obstacle, from rest, with any wish: does the violation shrink at every step?
+class Start:
+    """A posture that is closer to something than allowed, outside a limit, or both."""
 
-    The violation is the largest shortfall of any pair's clearance, by `Proximity`. Where
-    the machine comes to rest inside, `descended` says whether it is pinched.
+    def __init__(self, robot: bp.Robot, rng: np.random.Generator, number: int) -> None:
+        self.robot, self.number = robot, number
+        self.kind = KINDS[number % len(KINDS)]
+        alone = Proximity(robot)
+        while True:
+            q = robot.random_q(rng)
+            outside = 0.0
+            if "limit" in self.kind:
+                joint, outside = int(rng.integers(robot.n)), float(rng.uniform(0.02, 0.15))
+                up = rng.integers(2)
+                q[joint] = robot.limits.upper[joint] + outside if up else robot.limits.lower[joint] - outside
+            least = float(np.min(alone.distances(q)))
+            if "itself" in self.kind:
+                if not -0.2 < least < -0.02:
+                    continue
+            elif least < 0.02:
+                continue
+            obstacles = []
+            if "obstacle" in self.kind:
+                count = int(rng.integers(1, 4)) if "several" in self.kind else 1
+                obstacles = [random_spec(rng, f"obstacle {number % 5 + 5 * k}") for k in range(count)]
+            self.q, self.scene = q, scene_of(robot, q if outside == 0.0 else robot.random_q(rng), obstacles)
+            self.proximity = Proximity(
+                robot, [build_obstacle(spec, folder=Path(), clearance=CLEARANCE) for spec in self.scene.obstacles]
+            )
+            self.deepest = self.depths(q)
+            if "obstacle" not in self.kind or 0.02 < float(np.max(self.deepest[1:])) < 0.3:
+                return
+
+    def depths(self, q: np.ndarray) -> np.ndarray:
+        """(1 + obstacles,) of the machine itself and of every obstacle the deepest violation [m]."""
+        depth = self.proximity.clearance - self.proximity.distances(q)
+        owner = self.proximity.owner
+        found = [float(np.max(depth[owner == k], initial=0.0)) for k in range(-1, len(self.scene.obstacles))]
+        return np.array(found)
+
+    def outside(self, q: np.ndarray) -> np.ndarray:
+        """(n,) how far every joint is outside its limits [rad]."""
+        limits = self.robot.limits
+        return np.maximum(np.maximum(q - limits.upper, limits.lower - q), 0.0)
+
+
+KINDS = ("obstacle", "obstacle", "obstacle", "several obstacles", "itself", "limit", "limit and obstacle")
+
+
+def come_back(start: Start, wish: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """Let the servo find its way back, and judge every step by `Proximity`.
+
+    Of every step it is asked whether of every obstacle, of the machine itself and of
+    every limit the deepest violation fell (what is gone stays gone). On a way that the servo says leads past
+    what is no shallower, the length to go must fall instead, and nothing may be deeper
+    than at the start.
     """
-    rng = np.random.default_rng([seed, 1])
-    alone = Proximity(robot)
-    counts: Counter[str] = Counter()
-    longest, number = 0.0, 0
-    notes: list[str] = []
-    while sum(counts.values()) < count:
-        number += 1
-        q = robot.random_q(rng)
-        if np.any(alone.distances(q) < 0.02):
-            continue
-        scene = scene_of(robot, q, [random_spec(rng, f"obstacle {number % 5}")])
-        proximity = Proximity(robot, [build_obstacle(s, folder=Path(), clearance=CLEARANCE) for s in scene.obstacles])
-
-        def violation(at: np.ndarray, proximity: Proximity = proximity) -> float:
-            return float(np.max(proximity.clearance - proximity.distances(at)))
-
-        before = violation(q)
-        if not 0.02 < before < 0.3:
-            continue
-        own = np.random.default_rng([seed, number, 7])
-        servo = Servo(robot, scene)
-        wish = (
-            {"tip_velocity": own.normal(size=3)} if own.integers(2) else {"joint_velocity": own.uniform(-1, 1, robot.n)}
-        )
-        first, grew, unmoved, resting = before, 0, 0, 0
-        for _ in range(20_000):
-            state = servo.step(**wish)
-            now = violation(state.q)
-            resting = resting + 1 if np.all(np.abs(state.v) < 1e-9) else 0
-            grew += now > before + 1e-9
-            unmoved += before > 1e-6 and now >= before and resting == 0
-            before = now
-            if now <= 1e-6 or resting > 300:
-                break
-        shape = scene.obstacles[0].shape
-        if before <= 1e-6:
-            found = "out"
-            longest = max(longest, servo.time)
+    servo = Servo(start.robot, start.scene, q=start.q)
+    first, before, before_out = start.depths(start.q), start.depths(start.q), start.outside(start.q)
+    to_go, resting, counts = None, 0, Counter[str]()
+    slowest = 0.0
+    for _ in range(round(seconds / servo.dt)):
+        begun = time.process_time()
+        state = servo.step(**wish)
+        slowest = max(slowest, time.process_time() - begun)
+        now, out = start.depths(state.q), start.outside(state.q)
+        rests = bool(np.all(np.abs(state.v) < 1e-9))
+        resting = resting + 1 if rests else 0
+        on_the_way = servo.way_to_go is not None
+        if on_the_way:
+            counts["steps on a way below"] += 1
+            counts["deeper than at the start"] += bool((now > np.maximum(first, 1e-6) + 1e-7).any())
+            counts["not nearer"] += to_go is not None and not rests and servo.way_to_go >= to_go
         else:
-            could = descended(robot, proximity, state.q)
-            found = "at rest, pinched" if resting and could > before - 1e-3 else "not out, and could be"
-            notes.append(f"case {number}: {shape}, {first:.3f} m, now {before:.4f} m; by descent {could:.4f} m")
-        if grew or (unmoved and found == "out"):
-            found += ", grew"
-            notes.append(f"case {number}: {shape}, {first:.3f} m: grew at {grew} steps, did not shrink at {unmoved}")
-        counts[found] += 1
-        if sum(counts.values()) % 20 == 0:
-            print(dict(counts), flush=True)
-    return {"starts inside": count, **counts, "longest way out [s]": longest, "notes": notes}
+            counts["grew"] += bool((now > np.maximum(before, 1e-6) + 1e-9).any())
+            counts["did not shrink"] += bool(((now >= before) & (before > 1e-6)).any()) and not rests
+        counts["further outside"] += bool((out > before_out + 1e-9).any())
+        to_go = servo.way_to_go
+        before, before_out = now, out
+        done = bool((now <= 1e-6).all() and (out <= 1e-6).all())
+        if done or resting > RESTS:
+            break
+    counts["at rest"] += resting > 0
+    return {"out": done, "time": servo.time, "counts": counts, "q": state.q, "left": now, "slowest": slowest}
+
+
+RESTS = 9000  # steps: longer than the servo takes until it searches again
+
+
+def another_way(start: Start, q: np.ndarray, rng: np.random.Generator) -> str | None:
+    """Whether a search that shares nothing with the servo's finds a way out that is never deeper than the start.
+
+    Descents by linear programmes from 20 postures around; straight lines to 2000 clear
+    postures; and a tree of 3000 postures grown from the start.
+    """
+    robot, limits, ceiling = start.robot, start.robot.limits, start.deepest + 1e-7
+    low, high = np.minimum(limits.lower, start.q), np.maximum(limits.upper, start.q)
+
+    def allowed(at: np.ndarray) -> bool:
+        return bool((start.depths(at) <= np.maximum(ceiling, 1e-7)).all())
+
+    def line(a: np.ndarray, b: np.ndarray) -> bool:
+        count = max(int(np.max(np.abs(b - a)) / 0.02), 1)
+        return all(allowed(a + part / count * (b - a)) for part in range(1, count + 1))
+
+    for origin in () if start.outside(start.q).any() else (start.q, q):  # descents do not care for limits
+        if descended(robot, start.proximity, origin) <= 0.0:
+            return "descent"
+        for _ in range(10):
+            near = np.clip(origin + rng.normal(size=robot.n) * 0.05, low, high)
+            if allowed(near) and descended(robot, start.proximity, near) <= 0.0:
+                return "descent from near by"
+    clear = [at for at in (robot.random_q(rng) for _ in range(2000)) if np.all(start.depths(at) <= 0.0)]
+    if not clear:
+        return None
+    for goal in clear:
+        if line(start.q, goal):
+            return "straight line"
+    nodes = [start.q]
+    for _ in range(3000):
+        aim = rng.uniform(low, high)
+        nearest = min(nodes, key=lambda at: float(np.sum((at - aim) ** 2)))
+        tried = nearest + (aim - nearest) * min(1.0, 0.1 / float(np.max(np.abs(aim - nearest))))
+        if line(nearest, tried):
+            if np.all(start.depths(tried) <= 0.0):
+                return "tree"
+            nodes.append(tried)
+    return None
+
+
+def recoveries(robot: bp.Robot, count: int, seed: int) -> dict[str, Any]:
+    """Starts inside obstacles, inside itself, outside limits, from rest, with any wish."""
+    counts: Counter[str] = Counter()
+    notes: list[str] = []
+    longest = slowest = 0.0
+    for number in range(count):
+        rng = np.random.default_rng([seed, number, 7])
+        start = Start(robot, rng, number)
+        wish = (
+            {"tip_velocity": rng.normal(size=3)} if rng.integers(2) else {"joint_velocity": rng.uniform(-1, 1, robot.n)}
+        )
+        found = come_back(start, wish, seconds=30.0)
+        seen, said = found["counts"], start.kind
+        slowest = max(slowest, found["slowest"])
+        if found["out"]:
+            longest = max(longest, found["time"])
+            said += ": out, on a way below" if seen["steps on a way below"] else ": out"
+        else:
+            way = another_way(start, found["q"], rng)
+            said += ": not out, and no way is found" if way is None else f": not out, {way}"
+            notes.append(
+                f"case {number}: from {np.round(start.deepest, 4)} m to {np.round(found['left'], 4)} m, {said}"
+            )
+        wrong = {
+            key: seen[key]
+            for key in ("grew", "did not shrink", "not nearer", "deeper than at the start", "further outside")
+            if seen[key]
+        }
+        if wrong:
+            notes.append(f"case {number}: {np.round(start.deepest, 4)} m, {said}, {wrong}")
+            said += ", with wrong steps"
+        counts[said] += 1
+        if (number + 1) % 20 == 0:
+            print(number + 1, dict(counts), notes, flush=True)
+    return {
+        "starts": count,
+        **dict(sorted(counts.items())),
+        "longest way out [s]": longest,
+        "slowest step [ms]": 1e3 * slowest,
+        "notes": notes,
+    }
 
 
 def main() -> None:
@@ -415,7 +535,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--check", type=int, default=10)
-    parser.add_argument("--recoveries", type=int, default=0, help="starts inside an obstacle, instead of the steps")
+    parser.add_argument("--recoveries", type=int, default=0, help="starts that are violated, instead of the steps")
     parser.add_argument("--save", type=Path, help="write the figures as JSON")
     arguments = parser.parse_args()
     if arguments.recoveries:

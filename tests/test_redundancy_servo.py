@@ -16,8 +16,8 @@ import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.redundancy.braking_path import BrakingPath, Placements, bend
 from backhoe_planner.redundancy.completed import CompletedLaw, activation
+from backhoe_planner.redundancy.descent import way_back
 from backhoe_planner.redundancy.feedback import Feedback
-from backhoe_planner.redundancy.recovery import way_back
 from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo import Servo
 from backhoe_planner.redundancy.servo_state import Command, Status

@@ -18,8 +18,9 @@ row, which asks for a velocity away from it while the machine can still reach it
 
 What is closer than allowed already (it began so, or an obstacle was put there) may only
 get better: of every obstacle the deepest violation over the links falls at every step, and
-what was proven of it is what the next step must keep (`recovery`). Only where no motion of
-the joints makes it smaller, the machine is pinched and stays as deep as it is.
+what was proven of it is what the next step must keep. Where no such motion leads out, the
+machine goes by a way that is nowhere deeper than where it began, and the length of that way
+falls at every step (`recovery`).
 
 Within the slow distance of one of the scene's zones the wish is scaled down, direction kept.
 """
@@ -42,7 +43,8 @@ from backhoe_planner.machine.target import TipTarget, movable_rows
 from backhoe_planner.redundancy.braking_path import MOST_PARTS, BrakingPath, Placements
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.redundancy.feedback import Feedback
-from backhoe_planner.redundancy.recovery import way_back
+from backhoe_planner.redundancy.proof import Proof
+from backhoe_planner.redundancy.recovery import Recovery, Step
 from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
 from backhoe_planner.redundancy.surroundings import Surroundings, number_within
@@ -65,7 +67,6 @@ _BLENDS = (0.5, 0.2)
 _LOOKS = 12  # pairs that are looked at closely per step at most
 _RECOVERY = 1.0  # 1/s
 _SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
-_HOLDS = 2.0  # 1/s: how soon what is not the deepest is taken hold of
 _SOFT, _HARD = 8, 0  # daqp's senses
 _UNBOUNDED = -1e30
 _FREE = 0.005  # weight of the null space beside the tip
@@ -79,9 +80,6 @@ _WARN = 0.10  # m of margin within which it says so
 _AS_ASKED = 1e-9  # rad/s or m/s
 _AT_REST = 1e-3  # rad/s or m/s: what creeps more slowly is told as standing
 _FAR = 1e3  # m
-_INSIDE_SPEED = 0.5  # m/s
-_STEP_END = MOST_PARTS + 1  # row of the placements
-_FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
 _STEPS = (1e-6, 1.0)  # s
 _MOST_ROWS = 400  # of the QP: the tightest
 _FASTEST_WISH = 100.0  # m/s or rad/s
@@ -194,8 +192,7 @@ class Servo:
         self._pace = 1.0
         classes = len(self._separation.travel)
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
-        # no point moves faster than this by one joint while the machine is inside something
-        self._slow = np.array([_INSIDE_SPEED / max(radius, 0.1) for radius in self._separation.furthest])
+        self._recovery = Recovery(robot, self.limits, self._separation, self._at, self.dt, self._change)
         self._site = Surroundings(robot, scene, self._separation)
         self._renewed_bounds: tuple[Indices, Vector, Indices] | None = None
         self._sort()
@@ -292,6 +289,7 @@ class Servo:
             setattr(self, array, getattr(self, array)[kept])
         self._sort()
         self._find_inside()
+        self._recovery.changed()
 
     def move(self, name: str, by: object) -> None:
         """Put an obstacle elsewhere at once, `by` (3,) from where it is now [m], world.
@@ -312,6 +310,14 @@ class Servo:
         pairs = self._site.set_velocity(name, velocity)
         self._sort()
         self._take_in(pairs)
+
+    @property
+    def way_to_go(self) -> float | None:
+        """No point of the machine has further than this to go until it is clear [m].
+
+        Only where the way back leads past what is no shallower; it falls at every step. None elsewhere.
+        """
+        return self._recovery.to_go
 
     def shift_of(self, name: str) -> Vector:
         """(3,) how far an obstacle has moved from where it was put [m].
@@ -365,6 +371,8 @@ class Servo:
         self._proven_at[pairs] = self._path_odometer[separation.classes[pairs]]
         self._required[pairs] = np.minimum(separation.clearance[pairs], bound)
         self._find_inside()
+        if self._stands[pairs].any():
+            self._recovery.changed()
 
     def _find_inside(self) -> None:
         """Pairs of what stands that are closer than allowed."""
@@ -662,14 +670,14 @@ class Servo:
 
     def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
         """The velocity nearest to the wish whose braking path is proven clear."""
-        if len(self._inside):
+        if len(self._inside) or self._recovery.held_outside(self._q):
             return self._choose_back(wish, low, high, near, gaps)
         v = self._within_limits(wish, low, high)
         awake, budget = self._awake()
         urgent_rows, urgent_bounds = self._urgent(near, gaps, low, high)
         held_back = evading = False
         tried = v
-        straight: tuple[BrakingPath, _Proof] | None = None
+        straight: tuple[BrakingPath, Proof] | None = None
         for attempt in range(_ATTEMPTS):
             late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + _TOLERANCE).any())
             path = self._path(v)
@@ -770,10 +778,10 @@ class Servo:
             awake[self._inside] = False
         return awake.nonzero()[0], budget
 
-    def _prove(self, awake: Indices, path: BrakingPath) -> _Proof:
+    def _prove(self, awake: Indices, path: BrakingPath) -> Proof:
         separation = self._separation
         if len(awake) == 0:
-            return _Proof(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
+            return Proof(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
         path.place(self._at)
         required = self._required[awake]
         drift_time = path.time if len(self._moving_pairs) else 0.0
@@ -798,9 +806,9 @@ class Servo:
             short = (bound < required - _TOLERANCE).nonzero()[0]
         stands_clear = not self._stands[awake[short]].any()
         free = len(short) == 0 and bool((bound >= required + _BUFFER).all())
-        return _Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
+        return Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
-    def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: _Proof) -> tuple[Matrix, Vector]:
+    def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: Proof) -> tuple[Matrix, Vector]:
         """Rows and bounds, row @ v <= bound, of what could bind along the path [m/s]."""
         separation = self._separation
         n = self.robot.n
@@ -835,88 +843,30 @@ class Servo:
         return rows, np.maximum(bounds, -2.0 * short)
 
     def _choose_back(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
-        """The velocity by which the deepest violation falls fastest, measured to be falling where it leads.
-
-        The violated pairs are measured where the step ends and along its braking path.
-        Where the linear rows promised more than that, what was found there is one more
-        row (a cutting plane), and the velocity is asked for anew.
-        """
-        pairs, at, separation = self._inside, self._at, self._separation
-        owner = separation.owner[pairs]
-        distance, rows = separation.gradients(pairs, at, 0)
-        self._distance[pairs] = distance
-        self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
-        depth = separation.clearance[pairs] - distance
-        deepest = _by_owner(depth, owner)
-        fastest = min(max(_RECOVERY * float(deepest.max()), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
-        slack = _HOLDS * (deepest - depth)
-        # slowly, so that little lies between what is measured of the braking path
-        up, down = self._v + self._change, self._v - self._change
-        low = np.minimum(np.maximum(np.maximum(low, -self._slow), down), up)
-        high = np.minimum(np.maximum(np.minimum(high, self._slow), down), up)
-        target = np.minimum(np.maximum(self._towards(wish), low), high)
+        """The velocity of the way back, with what was proven of it held from now on."""
+        pairs, separation = self._inside, self._separation
+        low, high = self._recovery.slowed(self._q, self._v, low, high)
         awake, budget = self._awake()
         soft_rows, soft_bounds = self._urgent(near, gaps, low, high)
-        brake = np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change)
-        tried = brake
-        all_rows, all_slack = rows, slack
-        for attempt in range(_ATTEMPTS + len(_BLENDS)):
-            if attempt < _ATTEMPTS:
-                found = way_back(
-                    all_rows, all_slack, target=target, low=low, high=high,
-                    fastest=fastest, soft_rows=soft_rows, soft_bounds=soft_bounds,
-                )  # fmt: skip
-                if found is None:
-                    continue
-                v = tried = found[0]
-            else:
-                v = brake + _BLENDS[attempt - _ATTEMPTS] * (tried - brake)
-            path = self._path(v)
-            if len(awake) == 0:
-                path.place(at)
-            proof = self._prove(awake, path)
-            at.place(_STEP_END, self._q + v * self.dt)
-            falls, before = True, deepest - _FALLS
-            ends = [(_STEP_END, self.dt), *((part, path.look * part / path.parts) for part in range(1, path.parts + 1))]
-            for sample, span in ends:
-                there, cuts = separation.gradients(pairs, at, sample)
-                deep = separation.clearance[pairs] - there
-                now = _by_owner(deep, owner)
-                worse = deep > np.maximum(before, 0.0)
-                # still falling there, so that it falls all the way, braking too
-                worse |= (deep > np.maximum(now - _FALLS, 0.0)) & (cuts @ v >= 0.0)
-                if sample == _STEP_END:
-                    level = now
-                before = now
-                if worse.any():
-                    falls = False
-                    more = slack[worse] + (there - distance)[worse] / span + cuts[worse] @ v
-                    all_rows, all_slack = np.vstack((all_rows, cuts[worse])), np.append(all_slack, more)
-                    break
-            if falls and proof.stands_clear and (proof.clear or attempt == _ATTEMPTS - 1):
-                self._required[pairs] = separation.clearance[pairs] - np.maximum(level, 0.0)
-                self._let_out(path, level)
-                return self._accepted(path, True, False, awake, proof)
-            if not proof.clear:
-                more_rows, bounds = self._rows(awake, budget, path, proof)
-                # nothing may be asked for that the way back could not give
-                soft_rows = np.vstack((soft_rows, more_rows))
-                soft_bounds = np.append(soft_bounds, np.maximum(bounds, 0.0))
-        return _Chosen(self._brake(), True, False, None)
-
-    def _let_out(self, path: BrakingPath, level: Vector) -> None:
-        """Hold what is out to its clearance again, once that is proven of the braking path."""
-        separation = self._separation
-        pairs = self._inside[level <= 0.0]
-        if len(pairs) == 0:
-            return
-        bound, _ = separation.least_on(pairs, path, self._at, 0.0)
-        for row in (bound < separation.clearance[pairs]).nonzero()[0].tolist():
-            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, self._at, 0.0))
-        out = bound >= separation.clearance[pairs]
-        self._proven[pairs[out]] = bound[out]
-        self._proven_at[pairs[out]] = self._path_odometer[separation.classes[pairs[out]]]
-        self._inside = self._inside[~np.isin(self._inside, pairs[out])]
+        step = Step(
+            q=self._q, v=self._v, low=low, high=high, target=np.minimum(np.maximum(self._towards(wish), low), high),
+            brake=np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change),
+            soft_rows=soft_rows, soft_bounds=soft_bounds, path=self._path,
+            prove=lambda path: self._prove(awake, path),
+            rows=lambda path, proof: self._rows(awake, budget, path, proof),
+        )  # fmt: skip
+        depth, way = self._recovery.choose(pairs, self._stands, step)
+        self._distance[pairs] = separation.clearance[pairs] - depth
+        self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
+        if way is None:
+            return _Chosen(self._brake(), True, False, None)
+        self._required[pairs] = separation.clearance[pairs] - np.maximum(way.level, 0.0)
+        out, bound = self._recovery.out(pairs, way)
+        self._proven[out] = bound
+        self._proven_at[out] = self._path_odometer[separation.classes[out]]
+        if len(out):  # held to its clearance again
+            self._inside = pairs[~np.isin(pairs, out)]
+        return self._accepted(way.path, True, False, awake, way.proof)
 
     def _urgent(self, near: Indices, gaps: Matrix, low: Vector, high: Vector) -> tuple[Matrix, Vector]:
         """Rows and bounds, row @ v <= bound, of obstacles that come nearer and of what is too close already."""
@@ -975,7 +925,7 @@ class Servo:
             x = self._brake()
         return np.asarray(np.minimum(np.maximum(x, low), high))
 
-    def _accepted(self, path: BrakingPath, held_back: bool, evading: bool, awake: Indices, proof: _Proof) -> _Chosen:
+    def _accepted(self, path: BrakingPath, held_back: bool, evading: bool, awake: Indices, proof: Proof) -> _Chosen:
         if len(awake):
             classes = self._separation.classes[awake]
             self._renewed_bounds = (awake, proof.bound, classes)
@@ -1100,27 +1050,6 @@ class Servo:
         )
 
 
-class _Proof(NamedTuple):
-    """What is known of a braking path.
-
-    Attributes
-    ----------
-    free: whether every pair that was looked at keeps the buffer too.
-    clear: whether every pair that was looked at keeps what is required.
-    stands_clear: the same for the pairs whose obstacle stands still.
-    bound: (K,) proven distance [m].
-    gaps: (S, K, V) of the corners.
-    closely: (K,) which were measured at every part of the path.
-    """
-
-    free: bool
-    clear: bool
-    stands_clear: bool
-    bound: Vector
-    gaps: Matrix
-    closely: NDArray[np.bool_]
-
-
 _PER_PAIR = (
     "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at", "_reach", "_slow_from",
 )  # fmt: skip
@@ -1140,15 +1069,6 @@ _NOBODY = Nearby(
     drift=np.zeros(0),
     moves=_NONE,
 )
-
-
-def _by_owner(depth: Vector, owner: Indices) -> Vector:
-    """(K,) of every pair the deepest of its obstacle."""
-    deepest = np.zeros(len(depth))
-    for number in set(owner.tolist()):
-        own = owner == number
-        deepest[own] = depth[own].max()
-    return deepest
 
 
 def _numbers(values: object, count: int) -> Vector | None:
