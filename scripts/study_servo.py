@@ -160,7 +160,7 @@ class Episode:
         if self.kind == "jump":
             return {"tip_velocity": rng.normal(size=3) * 2.0}
         if self.kind == "push" and self.known:
-            tip = self.servo._tip
+            tip = self.servo._tip.position
             goals = [
                 np.array(getattr(self.specs[n], "position", (4.0, 0.0, 0.0))) + s for n, (_, s) in self.known.items()
             ]
@@ -168,7 +168,7 @@ class Episode:
             way = goal - tip
             return {"tip_velocity": 1.5 * way / max(float(np.linalg.norm(way)), 1e-6)}
         if self.kind == "stretch":
-            tip = self.servo._tip
+            tip = self.servo._tip.position
             return {"tip_velocity": 1.0 * tip / np.linalg.norm(tip)}
         return {"tip_velocity": self.tip}
 

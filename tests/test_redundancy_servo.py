@@ -586,7 +586,7 @@ def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
     def fails(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(servo._law, "wish_with_one_spare", fails)
+    monkeypatch.setattr(servo._tip.law, "wish_with_one_spare", fails)
     states = pushed(servo, {"tip_velocity": [0.0, 0.6, 0.2]}, 1500)
     keeps_limits(servo, states, moving.v)
     assert not any(state.proven for state in states)

@@ -118,7 +118,7 @@ def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch:
 
     servo.add({**BALL, "position": [4.7, 0.7, -0.6]})
     near = servo.step([0.0, 0.1, 0.0])
-    monkeypatch.setattr(servo, "_wished", fails)
+    monkeypatch.setattr(servo._tip, "wished", fails)
     state = servo.step([0.0, 0.1, 0.0])
     assert isinstance(servo.last_error, ZeroDivisionError)
     assert not state.proven
@@ -155,5 +155,6 @@ def test_whatever_comes_and_goes_the_books_agree(servo: Servo, seed: int) -> Non
             there[known] = there[known] + 0.005 * speed[known]
             np.testing.assert_allclose(servo.shift_of(known), there[known], atol=1e-9)
         assert set(servo.obstacles) == set(there)
-        for array in (servo._proven, servo._distance, servo._required, servo._renewed_at, servo._reach):
+        bounds = servo._bounds
+        for array in (bounds._proven, bounds._distance, bounds.required, bounds._renewed_at, bounds._reach):
             assert len(array) == len(servo._separation)

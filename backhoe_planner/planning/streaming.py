@@ -42,7 +42,7 @@ __all__ = ["Followed", "Following", "PlanFollower"]
 
 Vector = NDArray[np.float64]
 
-_PULL = 4.0  # 1/s
+_PULL = 10.0  # 1/s
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
 _ARRIVED = 1e-3  # rad or m
 _AT_REST = 1e-2  # rad/s or m/s, at the end of the plan

@@ -37,21 +37,28 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
-from backhoe_planner.machine.kinematics import Configuration, Kinematics
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.machine.target import TipTarget, movable_rows
+from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.redundancy.braking_path import MOST_PARTS, BrakingPath, Placements
-from backhoe_planner.redundancy.completed import CompletedLaw
+from backhoe_planner.redundancy.commands import Commands
 from backhoe_planner.redundancy.feedback import Feedback
+from backhoe_planner.redundancy.joint_bounds import (
+    BRAKING,
+    FASTEST_RECOVERY,
+    RECOVERY,
+    SLOWEST_RECOVERY,
+    JointBounds,
+)
+from backhoe_planner.redundancy.pair_bounds import BUFFER, TOLERANCE, Near, PairBounds
 from backhoe_planner.redundancy.proof import Proof
 from backhoe_planner.redundancy.recovery import Recovery, Step
 from backhoe_planner.redundancy.separation import Separation
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
 from backhoe_planner.redundancy.surroundings import Surroundings, number_within
+from backhoe_planner.redundancy.tip_task import TipTask, Wished
 from backhoe_planner.site import scene as schema
 from backhoe_planner.site.limits import scaled_limits, within_sectors
 from backhoe_planner.site.obstacles import Obstacle, build_obstacles
-from backhoe_planner.site.proximity import Nearby
 from backhoe_planner.site.zones import pace
 
 __all__ = ["Servo"]
@@ -60,29 +67,19 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest corrects
-_BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
 _ATTEMPTS = 3
 _BLENDS = (0.5, 0.2)
 _LOOKS = 12  # pairs that are looked at closely per step at most
-_RECOVERY = 1.0  # 1/s
-_SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
 _SOFT, _HARD = 8, 0  # daqp's senses
 _UNBOUNDED = -1e30
 _FREE = 0.005  # weight of the null space beside the tip
-_TOLERANCE = 1e-9  # m
 _VIOLATED = 1e-7  # m
-_INFLUENCE = 0.3  # m: further away the null space need not care
 _REMEMBERED = 0.02  # s for which being held back counts
-_FAR_RENEWED_EVERY = 4  # steps, where nothing is within
-_NEAR_RENEWED_EVERY = 2  # and where something is near
 _WARN = 0.10  # m of margin within which it says so
 _AS_ASKED = 1e-9  # rad/s or m/s
 _AT_REST = 1e-3  # rad/s or m/s: what creeps more slowly is told as standing
-_FAR = 1e3  # m
 _STEPS = (1e-6, 1.0)  # s
 _MOST_ROWS = 400  # of the QP: the tightest
-_FASTEST_WISH = 100.0  # m/s or rad/s
 
 
 class _Chosen(NamedTuple):
@@ -141,7 +138,6 @@ class Servo:
         robot = within_sectors(robot.with_tip(scene.tip), scene)
         self.robot, self.scene, self.dt = robot, scene, dt
         self.limits = scaled_limits(robot, scene)
-        self.watchdog, self.circulate = watchdog, circulate
         self._q = _start(robot, scene) if q is None else robot.check_q(q)
         n = robot.n
         self._v = np.zeros(n)
@@ -150,61 +146,30 @@ class Servo:
         self._end = self._q.copy()
         self._steps = 0
         self.last_error: Exception | None = None
-        self._acceleration = _BRAKING * self.limits.acceleration
-        self._change = self.limits.acceleration * self.dt * (1.0 - 1e-9)
-        self._holds = max(math.ceil(_REMEMBERED / self.dt), 1)
+        self._joints = JointBounds(self.limits, dt)
+        self._holds = max(math.ceil(_REMEMBERED / dt), 1)
         self._held_back_for = 0
-        # the joint rates from which braking ends within the limits, however soon they can be had
-        self._least, self._most = -self.limits.velocity, self.limits.velocity
-        self._look = self.dt  # s: of the longest braking path that this step could begin
-        self._forgets = 1.0 - math.exp(-self.dt / _REMEMBERED)
-        self._changes: list[float] = self._change.tolist()
-        self._braking: list[float] = self._acceleration.tolist()
-        self._per_acceleration: list[float] = (1.0 / self._acceleration).tolist()
-        limits = self.limits
-        self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
-        self._law = CompletedLaw(robot, influence=min(scene.influence, _INFLUENCE))
-        self._feedback = Feedback(self.dt) if feedback is None else feedback
+        self._forgets = 1.0 - math.exp(-dt / _REMEMBERED)
+        self._feedback = Feedback(dt) if feedback is None else feedback
+        self._commands = Commands(robot, dt=dt, watchdog=watchdog)
         self._at = Placements(robot, MOST_PARTS + 2)
-        frame = robot.model.frames[robot.tip_frame]
-        self._tip_joint = int(frame.parentJoint)
-        self._tip_t = np.array(frame.placement.translation)
-        self._jacobian = np.zeros((6, n))
-        # of the last wish: the task's Jacobian, and the part of it in the null space
-        self._task, self._beside = self._jacobian[:3], np.zeros(n)
-        self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
         self._separation = Separation(robot, self_collision=self_collision)
-        count = len(self._separation)
-        # of every pair: the distance proven over the braking path, and at its start, each
-        # with the odometer at that moment; what must be kept; when its plane was measured
-        self._proven, self._proven_at = np.full(count, -_FAR), np.zeros(count)
-        self._distance, self._distance_at = np.full(count, -_FAR), np.zeros(count)
-        self._required = self._separation.clearance.copy()
-        self._renewed_at = np.zeros(count, dtype=np.int64)
-        self._inside: Indices = np.zeros(0, dtype=np.intp)  # pairs of what stands that are not clear yet
-        # how far beyond its clearance a pair is looked at; and slows the machine down
-        self._reach, self._slow_from = np.full(count, self._law.influence), np.zeros(count)
+        self._tip = TipTask(
+            robot, self._separation, self._joints, self._at, influence=scene.influence, circulate=circulate
+        )
+        self._task: Matrix | None = None
+        self._beside = np.zeros(n)
+        self._bounds = PairBounds(self._separation, influence=self._tip.law.influence)
         self._sectors = [
             (zone.start + zone.stop, zone.end - zone.stop, zone.slow_distance - zone.stop)
             for zone in scene.zones
             if isinstance(zone, schema.SwingSector) and zone.slow_distance > zone.stop
         ]
         self._pace = 1.0
-        classes = len(self._separation.travel)
-        self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
-        self._recovery = Recovery(robot, self.limits, self._separation, self._at, self.dt, self._change)
+        self._recovery = Recovery(robot, self.limits, self._separation, self._at, dt, self._joints.change)
         self._site = Surroundings(robot, scene, self._separation)
-        self._renewed_bounds: tuple[Indices, Vector, Indices] | None = None
         self._sort()
-        self._wish: tuple[Vector | None, Vector | None, float | None] = (None, None, None)
-        self._since_command = math.inf
-        self._blocking = np.zeros(3)
-        self._task_rows: NDArray[np.bool_] = np.ones(3, dtype=bool)
-        self._sense = np.zeros(3)
-        self._place_start()
-        self._task_rows = self._movable_tip_rows()
-        self._all_rows = bool(self._task_rows.all())
-        self._take_in(np.arange(count, dtype=np.intp))
+        self._take_in(np.arange(len(self._separation), dtype=np.intp))
         for obstacle in build_obstacles(scene, robot):
             self._add(obstacle)
 
@@ -219,6 +184,15 @@ class Servo:
     def v(self) -> Vector:
         """(n,) velocity of the last step [rad/s or m/s]."""
         return self._v.copy()
+
+    @property
+    def circulate(self) -> bool:
+        """Whether a tip that is pushed straight into an obstacle goes round it; may be set."""
+        return self._tip.circulate
+
+    @circulate.setter
+    def circulate(self, value: bool) -> None:
+        self._tip.circulate = value
 
     @property
     def time(self) -> float:
@@ -284,11 +258,9 @@ class Servo:
         ------
         InputError: there is none of that name.
         """
-        kept = self._site.take_away(name)
-        for array in _PER_PAIR:
-            setattr(self, array, getattr(self, array)[kept])
+        self._bounds.keep(self._site.take_away(name))
         self._sort()
-        self._find_inside()
+        self._bounds.find_inside()
         self._recovery.changed()
 
     def move(self, name: str, by: object) -> None:
@@ -332,52 +304,25 @@ class Servo:
         pairs = self._site.put(obstacle, now=self.time)
         if len(pairs) == 0:
             return
-        count = len(pairs)
-        far, none = np.full(count, -_FAR), np.zeros(count)
-        self._proven, self._proven_at = np.append(self._proven, far), np.append(self._proven_at, none)
-        self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
-        self._required = np.append(self._required, self._separation.clearance[pairs])
-        self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
-        self._slow_from = np.append(self._slow_from, np.full(count, obstacle.slow))
-        self._reach = np.append(self._reach, np.full(count, max(obstacle.slow, self._law.influence)))
+        self._bounds.extend(pairs, slow=obstacle.slow)
         self._sort()
         self._take_in(pairs)
 
     def _sort(self) -> None:
-        site = self._site
-        self._moving_pairs, self._stands = site.moving_pairs, site.stands
-        self._within = self._separation.clearance + self._reach
-        self._some_slow = bool(self._slow_from.any())
-        self._per_step = self.dt * site.speed
-        # the braking path of one step later may end up to 2 / _BRAKING steps later
-        self._per_step_on_path = (1.0 + 2.0 / _BRAKING) * self._per_step
+        per_step = self.dt * self._site.speed
+        # the braking path of one step later may end up to 2 / BRAKING steps later
+        self._bounds.sort(self._site.stands, per_step, (1.0 + 2.0 / BRAKING) * per_step)
 
     def _take_in(self, pairs: Indices) -> None:
-        """Measure pairs that are new or were moved, and note what the braking path leaves of them."""
+        """Measure pairs that are new or were moved."""
         if len(pairs) == 0:
             return
-        separation = self._separation
-        self._place_start()
+        self._tip.place(self._q)
         path = self._path(self._v, step=False)
         path.place(self._at)
-        for pair in pairs.tolist():
-            self._distance[pair] = separation.renew(pair, self._at, 0)
-        self._renewed_at[pairs] = self._steps
-        self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
-        bound, _ = separation.least_on(pairs, path, self._at, path.time)
-        for row in (bound < separation.clearance[pairs]).nonzero()[0].tolist():
-            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, self._at, path.time))
-        self._proven[pairs] = bound
-        self._proven_at[pairs] = self._path_odometer[separation.classes[pairs]]
-        self._required[pairs] = np.minimum(separation.clearance[pairs], bound)
-        self._find_inside()
-        if self._stands[pairs].any():
+        self._bounds.measure(pairs, path, self._at, self._steps)
+        if self._bounds.stands[pairs].any():
             self._recovery.changed()
-
-    def _find_inside(self) -> None:
-        """Pairs of what stands that are closer than allowed."""
-        short = self._required < self._separation.clearance - _TOLERANCE
-        self._inside = (self._stands & short).nonzero()[0]
 
     # --- one step ----------------------------------------------------------------------
 
@@ -396,7 +341,7 @@ class Servo:
         finite, of the wrong shape or contradictory counts as no wish. Nothing is raised.
         """
         self._steps += 1
-        command = self._understand(tip_velocity, joint_velocity, pitch_rate)
+        command = self._commands.understand(tip_velocity, joint_velocity, pitch_rate)
         before = self._q
         try:
             return self._moved(command)
@@ -404,58 +349,33 @@ class Servo:
             self.last_error = error.with_traceback(None)
             return self._braked(command, moved=self._q is not before)
 
-    def _understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
-        if tip_velocity is None and joint_velocity is None and pitch_rate is None:
-            found = Command.HELD
-        else:
-            tip = None if tip_velocity is None else _numbers(tip_velocity, 3)
-            joints = None if joint_velocity is None else _numbers(joint_velocity, self.robot.n)
-            pitch = None if pitch_rate is None else _numbers(pitch_rate, 1)
-            understood = (
-                (tip is not None) != (joints is not None)
-                and (tip_velocity is None or tip is not None)
-                and (joint_velocity is None or joints is not None)
-                and (pitch_rate is None or (pitch is not None and tip is not None and self.robot.has_pitch))
-            )
-            if understood:
-                tip, joints = _capped(tip), _capped(joints)
-                self._wish = (tip, joints, None if pitch is None else float(pitch[0]))
-                self._since_command = 0.0
-                return Command.NEW
-            found = Command.INVALID
-        self._since_command += self.dt
-        if self._since_command > self.watchdog:
-            self._wish = (None, None, None)
-            return Command.TIMED_OUT if found is Command.HELD else found
-        return found
-
     def _moved(self, command: Command) -> ServoState:
-        self._appear()
-        self._drift()
-        self._place_start()
-        near, gaps = self._near()
-        wish, tip_wish, singular = self._wished(near, gaps)
-        self._pace = self._slowed(near)
-        if self._pace < 1.0:
-            wish = self._pace * wish
-        low, high, at_limit = self._velocity_bounds(wish)
-        self._asked = self._towards(wish)
-        chosen = self._choose(wish, low, high, near, gaps)
-        self._renew(near)
+        for obstacle in self._site.due(self.time):
+            self._add(obstacle)
+        if self._site.anything_moves:
+            self._site.drift(self.dt)
+            self._bounds.drift()
+        self._tip.place(self._q)
+        near = self._bounds.near(self._at)
+        wished = self._tip.wished(self._q, self._commands, near)
+        self._task, self._beside = wished.task, wished.beside
+        self._pace = min(self._bounds.pace(near), self._pace_of_sectors())
+        wish = wished.v if self._pace == 1.0 else self._pace * wished.v
+        low, high, at_limit = self._joints.within(self._q, self._v, wish)
+        self._asked = self._joints.towards(wish, self._v)
+        chosen = self._choose(wish, low, high, near)
+        self._bounds.renew(near, self._at, self._steps)
         self._advance(chosen.v, chosen.end)
-        return self._state(command, chosen, wish, tip_wish, near, at_limit, singular)
+        return self._state(command, chosen, wish, wished, near, at_limit)
 
     def _braked(self, command: Command, *, moved: bool) -> ServoState:
         """The way out where something failed: brake, unless the step was taken already."""
         if not moved:
-            self._advance(self._brake(), None)
-        separation = self._separation
-        left = self._distance + self._distance_at - self._start_odometer[separation.classes] - separation.clearance
-        pair = int(left.argmin()) if len(left) else -1
-        margin = float(left[pair]) if len(left) else math.inf
-        near = margin < self._law.influence
-        tip = self._jacobian[:3] @ self._v
-        wish = _ZERO if self._wish[0] is None else self._wish[0]
+            self._advance(self._joints.brake(self._v), None)
+        pair, margin = self._bounds.tightest_of_all()
+        near = margin < self._tip.law.influence
+        tip = self._tip.jacobian[:3] @ self._v
+        wish = _ZERO if self._commands.tip is None else self._commands.tip
         return ServoState(
             time=self.time,
             q=self.q,
@@ -463,223 +383,34 @@ class Servo:
             status=Status.STOPPED,
             command=command,
             margin=margin if near else math.inf,
-            link=separation.link(pair) if near else None,
+            link=self._separation.link(pair) if near else None,
             obstacle=self._site.said(pair) if near else None,
-            tip_position=self._tip.copy(),
+            tip_position=self._tip.position,
             tip_velocity=tip,
             refused=wish - tip,
             feedback_force=self._feedback.next(wish, _ZERO, _ZERO, 0.0),
             proven=False,
         )
 
-    def _appear(self) -> None:
-        for obstacle in self._site.due(self.time):
-            self._add(obstacle)
-
-    def _drift(self) -> None:
-        """Let the obstacles move on, and what is known of them with them."""
-        if not self._site.anything_moves:
-            return
-        self._site.drift(self.dt)
-        self._distance -= self._per_step
-        self._proven -= self._per_step_on_path
-
-    def _place_start(self) -> None:
-        """Forward kinematics at q, and the tip's Jacobian."""
-        at = self._at
-        at.place(0, self._q)
-        R, t, J = at.R[0, self._tip_joint], at.t[0, self._tip_joint], at.J[0]
-        tip = R @ self._tip_t + t
-        self._tip = tip
-        x, y, z = tip.tolist()
-        to = self._to_tip  # its upper right part is omega -> omega x tip
-        to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
-        np.matmul(to, J, out=self._jacobian)
-
-    def _movable_tip_rows(self) -> NDArray[np.bool_]:
-        """(3,) which directions any joint can move the tip in at all."""
-        rng, kinematics = np.random.default_rng(0), Kinematics(self.robot)
-        found = [movable_rows(kinematics.at(self.robot.random_q(rng)).jacobian[:3]) for _ in range(8)]
-        return np.asarray(np.any(found, axis=0))
-
-    # --- what is wished ------------------------------------------------------------------
-
-    def _near(self) -> tuple[Indices, Matrix]:
-        """Pairs within the influence distance, and the gaps of their corners (K, V) at q."""
-        separation = self._separation
-        odometer = self._start_odometer.take(separation.classes)
-        lower = self._distance + self._distance_at - odometer
-        near = (lower < self._within).nonzero()[0]
-        if len(near) == 0:
-            return near, np.zeros((0, 1))
-        gaps = separation.gaps(near, self._at, 1)[0]
-        self._distance[near] = np.maximum(gaps.min(axis=1), lower.take(near))
-        self._distance_at[near] = odometer.take(near)
-        return near, gaps
-
-    def _slowed(self, near: Indices) -> float:
-        """Part of the wished speed that the zones leave."""
-        part = 1.0
-        rows = self._slow_from[near].nonzero()[0] if self._some_slow else _NOBODY.pair
-        if len(rows):
-            slow = self._slow_from[near]
-            margin = self._distance[near[rows]] - self._separation.clearance[near[rows]]
-            part = min(pace(left, room) for left, room in zip(margin.tolist(), slow[rows].tolist(), strict=True))
+    def _pace_of_sectors(self) -> float:
+        """Part of the wished speed that the swing sectors leave."""
         swing = float(self._q[0])
-        for low, high, room in self._sectors:
-            part = min(part, pace(min(swing - low, high - swing), room))
-        return part
-
-    def _nearby(self, near: Indices, gaps: Matrix) -> Nearby:
-        """The same as the law wants it: one row each, of the nearest corner."""
-        separation = self._separation
-        margin = self._distance[near] - separation.clearance[near]
-        acts = (margin < self._law.influence).nonzero()[0]
-        if len(acts) == 0:
-            return _NOBODY
-        pairs = near[acts]
-        rows = separation.nearest_rows(pairs, gaps[acts], self._at)
-        drift = separation.drift[pairs]
-        return Nearby(
-            pair=pairs,
-            distance=self._distance[pairs],
-            margin=margin[acts],
-            normal=_NOTHING,
-            point_link=_NOTHING,
-            point_obstacle=_NOTHING,
-            gradient=-rows,
-            drift=drift,
-            moves=_NONE,
-        )
-
-    def _wished(self, near: Indices, gaps: Matrix) -> tuple[Vector, Vector, bool]:
-        """(n,) joint velocity that is wished, within the joints' rates; the tip's; whether near a singularity."""
-        tip, joints, pitch = self._wish
-        if joints is not None:
-            return joints / self._over_rates(joints), self._jacobian[:3] @ joints, False
-        if tip is None:
-            self._task, self._beside = self._jacobian[:3], np.zeros(self.robot.n)
-            return np.zeros(self.robot.n), np.zeros(3), False
-        J, xdot = self._jacobian[:3], self._around(tip)
-        if not self._all_rows:
-            J, xdot = J[self._task_rows], xdot[self._task_rows]
-        if pitch is not None:
-            turn = self._jacobian[3:]
-            J = np.vstack((J, self.robot.pitch_sense * turn[:, -1] @ turn))
-            xdot = np.append(xdot, pitch)
-        nearby, damped = self._nearby(near, gaps), False
-        quick = self._law.wish_with_one_spare(self._q, J, xdot, nearby)
-        if quick is None:
-            at = Configuration(self.robot, self._q, None, self._jacobian, self._at.J[0], _NOTHING)
-            wish = self._law.wish(at, J, xdot, nearby)
-            v, beside, damped = wish.v, wish.null, wish.resolved.damping > 0.0
-        else:
-            v, beside = quick
-        self._task = J
-        over = self._over_rates(v)
-        if over > 1.0 and np.count_nonzero(beside):
-            # the tip comes first here too: what is beside it has the rates that are left
-            first = v - beside
-            first /= self._over_rates(first)
-            part = self._room_for(beside, first)
-            self._beside = part * beside
-            return first + self._beside, tip, damped
-        self._beside = beside / over
-        return v / over, tip, damped
-
-    def _room_for(self, more: Vector, v: Vector) -> float:
-        """The largest part, at most 1, of `more` that fits within the joints' rates beside v."""
-        part = 1.0
-        for add, rate, (_, _, fastest) in zip(more.tolist(), v.tolist(), self._ranges, strict=True):
-            if abs(add) * part > 1e-12:
-                part = min(part, max(fastest - math.copysign(1.0, add) * rate, 0.0) / abs(add))
-        return part
-
-    def _over_rates(self, v: Vector) -> float:
-        """By how much joint rates go beyond the limits, 1 where they do not."""
-        ranges = self._ranges
-        over: float = max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), ranges, strict=True))
-        return max(over, 1.0)
-
-    def _around(self, tip: Vector) -> Vector:
-        """The tip's wish, turned along the surface that blocks it where that is asked for."""
-        if not self.circulate:
-            return tip
-        normal = self._blocking
-        into = float(tip @ normal)
-        if into <= 0.0:
-            self._sense = np.zeros(3)
-            return tip
-        along = tip - into * normal
-        size = math.sqrt(float(along @ along))
-        if size > 0.2 * into:
-            self._sense = along / size
-        else:
-            sense = self._sense - (self._sense @ normal) * normal
-            if not sense.any():
-                sense = _UP - normal[2] * normal
-                if abs(normal[2]) > 0.9 or not self._task_rows[2]:
-                    sense = np.array([-normal[1], normal[0], 0.0])
-            self._sense = sense / max(math.sqrt(float(sense @ sense)), 1e-9)
-        return np.asarray(tip + into * self._sense)
+        return min((pace(min(swing - low, high - swing), room) for low, high, room in self._sectors), default=1.0)
 
     # --- what is safe --------------------------------------------------------------------
 
-    def _brake(self) -> Vector:
-        """(n,) the next velocity while braking in proportion."""
-        time = float((np.abs(self._v) / self._acceleration).max())
-        return self._v * max(1.0 - self.dt / time, 0.0) if time > 0.0 else self._v
-
-    def _velocity_bounds(self, wish: Vector) -> tuple[Vector, Vector, bool]:
-        """(n,), (n,) the velocities from which braking in proportion ends within the joint limits.
-
-        Also whether they cut the wish. Beyond a limit a joint must come back.
-        """
-        dt = self.dt
-        time = max(abs(rate) * per for rate, per in zip(self._v.tolist(), self._per_acceleration, strict=True))
-        look = self._look = dt + 0.5 * (time + dt / _BRAKING)
-        lows, highs = [], []
-        tight = cut = False
-        rates = self._v.tolist()
-        for position, rate, wished, change, (lower, upper, fastest) in zip(
-            self._q.tolist(), rates, wish.tolist(), self._changes, self._ranges, strict=True
-        ):
-            above, below = upper - position, position - lower
-            high, low = min(above / look, fastest), max(-below / look, -fastest)
-            if above < -_TOLERANCE:
-                high = -min(max(-_RECOVERY * above, _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
-                low = min(low, high)
-            elif below < -_TOLERANCE:
-                low = min(max(-_RECOVERY * below, _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
-                high = max(low, high)
-            else:
-                tight |= high < rate - change or low > rate + change
-            cut |= wished > high + 1e-9 or wished < low - 1e-9
-            highs.append(high)
-            lows.append(low)
-        if tight:
-            # a joint needs the whole of its way to brake: the others must not make that longer
-            caps = (self._acceleration * max(time - dt, 0.0)).tolist()
-            highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
-            lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
-        self._least, self._most = np.array(lows), np.array(highs)
-        reach = [(rate - change, rate + change) for rate, change in zip(rates, self._changes, strict=True)]
-        low_bounds = [min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]
-        high_bounds = [min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]
-        return np.array(low_bounds), np.array(high_bounds), cut
-
-    def _choose(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
+    def _choose(self, wish: Vector, low: Vector, high: Vector, near: Near) -> _Chosen:
         """The velocity nearest to the wish whose braking path is proven clear."""
-        if len(self._inside) or self._recovery.held_outside(self._q):
-            return self._choose_back(wish, low, high, near, gaps)
+        if len(self._bounds.inside) or self._recovery.held_outside(self._q):
+            return self._choose_back(wish, low, high, near)
         v = self._within_limits(wish, low, high)
         awake, budget = self._awake()
-        urgent_rows, urgent_bounds = self._urgent(near, gaps, low, high)
+        urgent_rows, urgent_bounds = self._urgent(near, low, high)
         held_back = evading = False
         tried = v
         straight: tuple[BrakingPath, Proof] | None = None
         for attempt in range(_ATTEMPTS):
-            late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + _TOLERANCE).any())
+            late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + TOLERANCE).any())
             path = self._path(v)
             proof = self._prove(awake, path)
             if (proof.free if attempt == 0 else proof.clear) and not late:
@@ -704,25 +435,32 @@ class Servo:
             v = solved
         if straight is not None:  # only the buffer is missing, and asking for it leads nowhere
             return self._accepted(straight[0], True, evading, awake, straight[1])
-        brake = np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change)
+        brake = self._braking()
         for part in _BLENDS:
             v = np.minimum(np.maximum(brake + part * (tried - brake), low), high)
             path = self._path(v)
             proof = self._prove(awake, path)
             if proof.stands_clear:
                 return self._accepted(path, True, evading, awake, proof)
-        return _Chosen(self._brake(), True, evading, None)
+        return _Chosen(self._joints.brake(self._v), True, evading, None)
+
+    def _braking(self) -> Vector:
+        """(n,) braking, where that stays within what a step can change."""
+        change = self._joints.change
+        return np.minimum(np.maximum(self._joints.brake(self._v), self._v - change), self._v + change)
 
     def _within_limits(self, wish: Vector, low: Vector, high: Vector) -> Vector:
         """(n,) the next velocity on the way to the wish, or to what the joints' limits leave of it."""
         target = self._asked
-        v = np.minimum(np.maximum(target, low), high)
-        if self._wish[0] is None or not np.count_nonzero(v != target):
-            return v
+        joints = zip(target.tolist(), low.tolist(), high.tolist(), strict=True)
+        if all(least <= rate <= most for rate, least, most in joints):
+            return target
+        if self._commands.tip is None:
+            return np.minimum(np.maximum(target, low), high)
         # the other joints alone would lead the tip elsewhere
-        none, nothing = np.zeros((0, len(v))), np.zeros(0)
-        self._beside = np.zeros(len(v))
-        target = self._towards(self._solve(wish, self._least, self._most, none, nothing))
+        none, nothing = np.zeros((0, len(target))), np.zeros(0)
+        self._beside = np.zeros(len(target))
+        target = self._joints.towards(self._solve(wish, self._joints.least, self._joints.most, none, nothing), self._v)
         v = np.minimum(np.maximum(target, low), high)
         return self._solve(target, low, high, none, nothing) if np.count_nonzero(v != target) else v
 
@@ -732,62 +470,42 @@ class Servo:
         What would be left in the end is asked for first: from step to step alone, each
         within the joints' accelerations, the nearest need not lead there.
         """
-        target = self._towards(self._solve(wish, self._least, self._most, rows, bounds))
+        target = self._joints.towards(self._solve(wish, self._joints.least, self._joints.most, rows, bounds), self._v)
         v = np.minimum(np.maximum(target, low), high)
         if np.count_nonzero(v != target) or np.count_nonzero(rows @ v > bounds):
             return self._solve(target, low, high, rows, bounds)
         return v
-
-    def _towards(self, wish: Vector) -> Vector:
-        """(n,) on the straight way from the present velocity to the wish, as far as acceleration allows."""
-        rates = self._v.tolist()
-        change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
-        part = 1.0
-        for amount, largest in zip(change, self._changes, strict=True):
-            if abs(amount) * part > largest:
-                part = largest / abs(amount)
-        return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
 
     def _path(self, v: Vector, *, step: bool = True) -> BrakingPath:
         return BrakingPath(
             self._q,
             v,
             self.dt if step else 0.0,
-            acceleration=self._braking,
+            acceleration=self._joints.braking,
             furthest=self._separation.furthest,
             turning=self._separation.turning,
         )
 
     def _awake(self) -> tuple[Indices, Vector]:
         """Pairs that could come into question this step; and by how much the path may change (C,) [m]."""
-        separation = self._separation
-        look = self._look
+        look, later = self._joints.look, self.dt / BRAKING
+        now = zip(self._q.tolist(), self._v.tolist(), self._end.tolist(), self._joints.changes, strict=True)
         # the end moves with the step taken, and with the change of velocity
-        later = self.dt / _BRAKING
-        now = zip(self._q.tolist(), self._v.tolist(), self._end.tolist(), self._changes, strict=True)
-        budget = separation.travel @ np.array(
-            [
-                abs(position + rate * look - end) + look * change + abs(rate) * later
-                for position, rate, end, change in now
-            ]
-        )
-        # what is within the buffer is always looked at: else a wish would be held back every other step
-        left = self._proven + self._proven_at - self._required - _BUFFER
-        awake = left < (self._path_odometer + budget).take(separation.classes)
-        if len(self._inside):  # these are looked at by themselves
-            awake[self._inside] = False
-        return awake.nonzero()[0], budget
+        change = [
+            abs(position + rate * look - end) + look * change + abs(rate) * later for position, rate, end, change in now
+        ]
+        return self._bounds.awake(np.array(change))
 
     def _prove(self, awake: Indices, path: BrakingPath) -> Proof:
         separation = self._separation
         if len(awake) == 0:
             return Proof(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=bool))
         path.place(self._at)
-        required = self._required[awake]
-        drift_time = path.time if len(self._moving_pairs) else 0.0
+        required, stands = self._bounds.required[awake], self._bounds.stands
+        drift_time = path.time if self._site.anything_moves else 0.0
         bound, gaps = separation.least_on(awake, path, self._at, drift_time)
         closely = np.zeros(len(awake), dtype=bool)
-        short = (bound < required - _TOLERANCE).nonzero()[0]
+        short = (bound < required - TOLERANCE).nonzero()[0]
         if len(short):
             # first with a plane measured where it is tightest, then with several
             for row in short[:_LOOKS].tolist():
@@ -795,17 +513,17 @@ class Servo:
             again = short[:_LOOKS]
             better, gaps[:, again] = separation.least_on(awake[again], path, self._at, drift_time)
             bound[again] = np.maximum(bound[again], better)
-            for row in again[better < required[again] - _TOLERANCE].tolist():
+            for row in again[better < required[again] - TOLERANCE].tolist():
                 pair = int(awake[row])
-                found = separation.closer_look(pair, path, self._at, 0.0 if self._stands[pair] else drift_time)
+                found = separation.closer_look(pair, path, self._at, 0.0 if stands[pair] else drift_time)
                 bound[row] = max(bound[row], found)
                 closely[row] = True
             if closely.any():
                 gaps[:, closely] = separation.gaps(awake[closely], self._at, path.parts + 1)
-            self._renewed_at[awake[again]] = 0
-            short = (bound < required - _TOLERANCE).nonzero()[0]
-        stands_clear = not self._stands[awake[short]].any()
-        free = len(short) == 0 and bool((bound >= required + _BUFFER).all())
+            self._bounds.renew_soon(awake[again])
+            short = (bound < required - TOLERANCE).nonzero()[0]
+        stands_clear = not stands[awake[short]].any()
+        free = len(short) == 0 and bool((bound >= required + BUFFER).all())
         return Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
     def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: Proof) -> tuple[Matrix, Vector]:
@@ -815,8 +533,8 @@ class Servo:
         if len(awake) == 0:
             return np.zeros((0, n)), np.zeros(0)
         classes = separation.classes[awake]
-        required = self._required[awake]
-        wanted = required + _BUFFER
+        required = self._bounds.required[awake]
+        wanted = required + BUFFER
         room = proof.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
         counts = room < (2.0 * budget[classes])[None, :, None]
         counts[0] = False
@@ -842,58 +560,57 @@ class Servo:
         short = np.maximum(wanted[k] - proof.gaps[0, k, corners], 0.0)
         return rows, np.maximum(bounds, -2.0 * short)
 
-    def _choose_back(self, wish: Vector, low: Vector, high: Vector, near: Indices, gaps: Matrix) -> _Chosen:
+    def _choose_back(self, wish: Vector, low: Vector, high: Vector, near: Near) -> _Chosen:
         """The velocity of the way back, with what was proven of it held from now on."""
-        pairs, separation = self._inside, self._separation
+        bounds, clearance = self._bounds, self._separation.clearance
+        pairs = bounds.inside
         low, high = self._recovery.slowed(self._q, self._v, low, high)
         awake, budget = self._awake()
-        soft_rows, soft_bounds = self._urgent(near, gaps, low, high)
+        soft_rows, soft_bounds = self._urgent(near, low, high)
         step = Step(
-            q=self._q, v=self._v, low=low, high=high, target=np.minimum(np.maximum(self._towards(wish), low), high),
-            brake=np.minimum(np.maximum(self._brake(), self._v - self._change), self._v + self._change),
+            q=self._q, v=self._v, low=low, high=high, target=np.minimum(np.maximum(self._asked, low), high),
+            brake=self._braking(),
             soft_rows=soft_rows, soft_bounds=soft_bounds, path=self._path,
             prove=lambda path: self._prove(awake, path),
             rows=lambda path, proof: self._rows(awake, budget, path, proof),
         )  # fmt: skip
-        depth, way = self._recovery.choose(pairs, self._stands, step)
-        self._distance[pairs] = separation.clearance[pairs] - depth
-        self._distance_at[pairs] = self._start_odometer[separation.classes[pairs]]
+        depth, way = self._recovery.choose(pairs, bounds.stands, step)
+        bounds.is_at(pairs, clearance[pairs] - depth)
         if way is None:
-            return _Chosen(self._brake(), True, False, None)
-        self._required[pairs] = separation.clearance[pairs] - np.maximum(way.level, 0.0)
+            return _Chosen(self._joints.brake(self._v), True, False, None)
+        bounds.required[pairs] = clearance[pairs] - np.maximum(way.level, 0.0)
         out, bound = self._recovery.out(pairs, way)
-        self._proven[out] = bound
-        self._proven_at[out] = self._path_odometer[separation.classes[out]]
+        bounds.is_proven(out, bound)
         if len(out):  # held to its clearance again
-            self._inside = pairs[~np.isin(pairs, out)]
+            bounds.inside = pairs[~np.isin(pairs, out)]
         return self._accepted(way.path, True, False, awake, way.proof)
 
-    def _urgent(self, near: Indices, gaps: Matrix, low: Vector, high: Vector) -> tuple[Matrix, Vector]:
+    def _urgent(self, near: Near, low: Vector, high: Vector) -> tuple[Matrix, Vector]:
         """Rows and bounds, row @ v <= bound, of obstacles that come nearer and of what is too close already."""
         separation = self._separation
         n = self.robot.n
-        if len(near) == 0:
+        if len(near.pairs) == 0:
             return np.zeros((0, n)), np.zeros(0)
-        clearance = separation.clearance[near]
-        too_close = np.maximum(self._distance[near], self._required[near]) < clearance - _VIOLATED
-        too_close &= ~self._stands[near]
-        drift = separation.drift[near]
+        clearance = separation.clearance[near.pairs]
+        too_close = np.maximum(near.distance, self._bounds.required[near.pairs]) < clearance - _VIOLATED
+        too_close &= ~self._bounds.stands[near.pairs]
+        drift = separation.drift[near.pairs]
         chosen = ((drift < 0.0) | too_close).nonzero()[0]
         if len(chosen) == 0:
             return np.zeros((0, n)), np.zeros(0)
-        own = gaps[chosen]
+        own = near.gaps[chosen]
         if len(chosen) > _MOST_ROWS:
             chosen = chosen[np.argpartition(own.min(axis=1), _MOST_ROWS)[:_MOST_ROWS]]
-            own = gaps[chosen]
+            own = near.gaps[chosen]
         k, corners = np.nonzero(own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + 0.02)
-        pairs = near[chosen[k]]
+        pairs = near.pairs[chosen[k]]
         rows = separation.rows(pairs, 0, corners, self._at)
         comes = drift[chosen[k]]
         moves = comes < 0.0
-        margin = own[k, corners] - clearance[chosen[k]] - np.where(moves, 2.0 * _BUFFER, 0.0)
+        margin = own[k, corners] - clearance[chosen[k]] - np.where(moves, 2.0 * BUFFER, 0.0)
         authority = 0.5 * np.abs(rows) @ self.limits.acceleration
         allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
-        back = -np.minimum(np.maximum(-_RECOVERY * margin, _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+        back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
         bounds = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
         could = np.maximum(rows * low, rows * high).sum(axis=1) > bounds
         return rows[could], bounds[could]
@@ -901,7 +618,7 @@ class Servo:
     def _solve(self, target: Vector, low: Vector, high: Vector, rows: Matrix, bounds: Vector) -> Vector:
         """The velocity nearest to the target within rows and bounds, as the tip notices it."""
         n, count = len(target), len(bounds)
-        if self._wish[1] is None:
+        if self._task is not None:
             # what the target does for the tip is asked of the tip alone: that of each joint
             # would drive the others on where one cannot follow
             J = self._task
@@ -922,102 +639,54 @@ class Servo:
             sense,
         )
         if flag < 1 or not np.isfinite(x).all():
-            x = self._brake()
+            x = self._joints.brake(self._v)
         return np.asarray(np.minimum(np.maximum(x, low), high))
 
     def _accepted(self, path: BrakingPath, held_back: bool, evading: bool, awake: Indices, proof: Proof) -> _Chosen:
-        if len(awake):
-            classes = self._separation.classes[awake]
-            self._renewed_bounds = (awake, proof.bound, classes)
-            stands = self._stands[awake]
-            lowest = np.where(stands, np.maximum(self._required[awake], proof.bound), proof.bound)
-            self._required[awake] = np.minimum(self._separation.clearance[awake], lowest)
-        else:
-            self._renewed_bounds = None
+        self._bounds.accept(awake, proof)
         return _Chosen(path.v, held_back, evading, path.end)
 
     def _advance(self, v: Vector, end: Vector | None) -> None:
         """Take the step."""
-        separation = self._separation
-        if end is not None:
-            self._path_odometer += separation.travel @ np.abs(end - self._end)
-            self._end = end
-            if self._renewed_bounds is not None:
-                awake, bound, classes = self._renewed_bounds
-                self._proven[awake] = bound
-                self._proven_at[awake] = self._path_odometer[classes]
         moved = v * self.dt
-        self._moved_by = separation.travel @ np.abs(moved)
-        self._start_odometer += self._moved_by
+        self._bounds.advance(moved, None if end is None else end - self._end)
         self._q = self._q + moved
         self._v = v
-        if end is None:  # what is left of the path that was proven before
-            self._end = self._path(v, step=False).end
-
-    def _renew(self, near: Indices) -> None:
-        """Measure the planes that are oldest anew, a few at a time."""
-        if len(near) == 0:
-            return
-        separation = self._separation
-        margin = self._distance[near] - separation.clearance[near]
-        nearest = int(margin.argmin())
-        if self._steps % (_FAR_RENEWED_EVERY if margin[nearest] > _WARN else _NEAR_RENEWED_EVERY):
-            return
-        # the nearer, the sooner; the placements of row 0 are those of the beginning of the step
-        value = (self._steps - self._renewed_at[near]) / (0.02 + np.maximum(margin, 0.0))
-        # and every other step the nearest of all
-        turn = self._steps // _NEAR_RENEWED_EVERY % 2
-        pair = int(near[nearest if margin[nearest] < _WARN and turn else value.argmax()])
-        self._distance[pair] = separation.renew(pair, self._at, 0)
-        self._distance_at[pair] = self._start_odometer[separation.classes[pair]]
-        self._renewed_at[pair] = self._steps
+        # without an end, what is left of the path that was proven before
+        self._end = self._path(v, step=False).end if end is None else end
 
     # --- what is said ----------------------------------------------------------------------
 
     def _state(
-        self,
-        command: Command,
-        chosen: _Chosen,
-        wish: Vector,
-        tip_wish: Vector,
-        near: Indices,
-        at_limit: bool,
-        singular: bool,
+        self, command: Command, chosen: _Chosen, wish: Vector, wished: Wished, near: Near, at_limit: bool
     ) -> ServoState:
-        J = self._jacobian[:3]
-        v = self._v
-        rates, wished = v.tolist(), wish.tolist()
-        margin, link, obstacle, normal = math.inf, None, None, _ZERO
-        separation = self._separation
-        if len(near):
-            margins = self._distance[near] - separation.clearance[near] - self._moved_by[separation.classes[near]]
-            row = int(margins.argmin())
-            found, pair = float(margins[row]), int(near[row])
-            if found < self._law.influence:
-                margin = found
-                if margin < 0.0 and self._stands[pair]:  # this much was proven, of this step or of braking before it
-                    margin = max(margin, float(self._required[pair] - separation.clearance[pair]))
-                link = separation.link(pair)
-                obstacle = self._site.said(pair)
-                if margin < _WARN:
-                    normal = separation.world_normals(near[row : row + 1], self._at)[0]
+        J = self._tip.jacobian[:3]
+        rates, aims = self._v.tolist(), wish.tolist()
+        pair, margin = self._bounds.tightest(near)
+        link, obstacle, normal = None, None, _ZERO
+        if margin < self._tip.law.influence:
+            link, obstacle = self._separation.link(pair), self._site.said(pair)
+            if margin < _WARN:
+                normal = self._separation.world_normals(np.array([pair]), self._at)[0]
+        else:
+            margin = math.inf
         self._held_back_for = self._holds if chosen.held_back else self._held_back_for - 1
         # a joint that was let go its way has caught up with what it would have done
-        joints = zip(self._free_v, wished, rates, self._asked.tolist(), self._changes, strict=True)
+        joints = zip(self._free_v, aims, rates, self._asked.tolist(), self._joints.changes, strict=True)
         self._free_v = [
             free
             + (min(max(aim - free, -most), most) if abs(rate - asked) > _AS_ASKED else self._forgets * (rate - free))
             for free, aim, rate, asked, most in joints
         ]
-        held = [free - rate - aim for free, rate, aim in zip(self._free_v, rates, wished, strict=True)]
+        held = [free - rate - aim for free, rate, aim in zip(self._free_v, rates, aims, strict=True)]
         tip_velocity, refused = np.array((rates, held)) @ J.T
-        refused += tip_wish
-        self._blocking = normal if chosen.held_back else _ZERO
+        refused += wished.tip
+        self._tip.blocking = normal if chosen.held_back else _ZERO
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / _WARN, 0.0), 1.0)))
-        hand = self._wish[0] if self._wish[0] is not None else tip_wish
+        hand = wished.tip if self._commands.tip is None else self._commands.tip
         force = self._feedback.next(hand, refused, normal, nearness)
         moving = max(map(abs, rates)) > _AT_REST
-        wishes = max(map(abs, wished)) > 1e-6
+        wishes = max(map(abs, aims)) > 1e-6
         if chosen.evading:
             status = Status.EVADING
         elif not moving and (wishes or command in (Command.TIMED_OUT, Command.INVALID)):
@@ -1028,7 +697,7 @@ class Servo:
             status = Status.NEAR_OBSTACLE
         elif at_limit:
             status = Status.NEAR_LIMIT
-        elif singular:
+        elif wished.singular:
             status = Status.NEAR_SINGULARITY
         else:
             status = Status.OK
@@ -1041,7 +710,7 @@ class Servo:
             margin=margin,
             link=link,
             obstacle=obstacle,
-            tip_position=self._tip.copy(),
+            tip_position=self._tip.position,
             tip_velocity=tip_velocity,
             refused=refused,
             feedback_force=force,
@@ -1050,46 +719,8 @@ class Servo:
         )
 
 
-_PER_PAIR = (
-    "_proven", "_proven_at", "_distance", "_distance_at", "_required", "_renewed_at", "_reach", "_slow_from",
-)  # fmt: skip
 _ZERO = np.zeros(3)
 _ZERO.setflags(write=False)
-_UP = np.array([0.0, 0.0, 1.0])
-_NOTHING = np.zeros((0, 3))
-_NONE = np.zeros((0, 0), dtype=bool)
-_NOBODY = Nearby(
-    pair=np.zeros(0, dtype=np.intp),
-    distance=np.zeros(0),
-    margin=np.zeros(0),
-    normal=_NOTHING,
-    point_link=_NOTHING,
-    point_obstacle=_NOTHING,
-    gradient=_NOTHING,
-    drift=np.zeros(0),
-    moves=_NONE,
-)
-
-
-def _numbers(values: object, count: int) -> Vector | None:
-    """(count,) finite numbers, or None."""
-    try:
-        found = np.array(values, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    if count == 1 and found.ndim == 0:
-        found = found.reshape(1)
-    if found.shape != (count,) or not all(map(math.isfinite, found.tolist())):
-        return None
-    return found
-
-
-def _capped(wish: Vector | None) -> Vector | None:
-    """The same direction, no larger than any machine moves."""
-    if wish is None:
-        return None
-    largest = max(map(abs, wish.tolist()))
-    return wish if largest <= _FASTEST_WISH else wish / largest * _FASTEST_WISH
 
 
 def _start(robot: Robot, scene: schema.Scene) -> Vector:

@@ -1,0 +1,111 @@
+"""The joint velocities that a step may take: accelerations, rates, and room to brake before a limit."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import JointLimits
+
+__all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds"]
+
+Vector = NDArray[np.float64]
+
+BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest corrects
+RECOVERY = 1.0  # 1/s: speed of the way back by what is missing
+SLOWEST_RECOVERY, FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
+_TOLERANCE = 1e-9  # rad or m
+
+
+class JointBounds:
+    """What one step can do to the joints' velocity.
+
+    Attributes
+    ----------
+    acceleration: (n,) that braking is planned with [rad/s^2 or m/s^2]; `braking` the same as a list.
+    change: (n,) of the velocity in a step at most.
+    least, most: (n,) of the last call of `within`: the velocities from which braking ends
+        within the limits, however soon they can be had.
+    look: of the last call: the time that the longest braking path which a step could begin
+        is worth at its first velocity [s].
+    """
+
+    def __init__(self, limits: JointLimits, dt: float) -> None:
+        self._dt = dt
+        self.acceleration = BRAKING * limits.acceleration
+        self.braking: list[float] = self.acceleration.tolist()
+        self.change = limits.acceleration * dt * (1.0 - 1e-9)
+        self.changes: list[float] = self.change.tolist()
+        self._per_acceleration: list[float] = (1.0 / self.acceleration).tolist()
+        self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
+        self.least, self.most = -limits.velocity, limits.velocity
+        self.look = dt
+
+    def brake(self, v: Vector) -> Vector:
+        """(n,) the next velocity while braking in proportion."""
+        time = float((np.abs(v) / self.acceleration).max())
+        return v * max(1.0 - self._dt / time, 0.0) if time > 0.0 else v
+
+    def towards(self, wish: Vector, v: Vector) -> Vector:
+        """(n,) on the straight way from v to the wish, as far as acceleration allows."""
+        rates = v.tolist()
+        change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
+        part = 1.0
+        for amount, largest in zip(change, self.changes, strict=True):
+            if abs(amount) * part > largest:
+                part = largest / abs(amount)
+        return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
+
+    def within(self, q: Vector, v: Vector, wish: Vector) -> tuple[Vector, Vector, bool]:
+        """(n,), (n,) the velocities from which braking in proportion ends within the joint limits.
+
+        Also whether they cut the wish. Beyond a limit a joint must come back.
+        """
+        dt = self._dt
+        rates = v.tolist()
+        time = max(abs(rate) * per for rate, per in zip(rates, self._per_acceleration, strict=True))
+        look = self.look = dt + 0.5 * (time + dt / BRAKING)
+        lows, highs = [], []
+        tight = cut = False
+        for position, rate, wished, change, (lower, upper, fastest) in zip(
+            q.tolist(), rates, wish.tolist(), self.changes, self._ranges, strict=True
+        ):
+            above, below = upper - position, position - lower
+            high, low = min(above / look, fastest), max(-below / look, -fastest)
+            if above < -_TOLERANCE:
+                high = -min(max(-RECOVERY * above, SLOWEST_RECOVERY), FASTEST_RECOVERY)
+                low = min(low, high)
+            elif below < -_TOLERANCE:
+                low = min(max(-RECOVERY * below, SLOWEST_RECOVERY), FASTEST_RECOVERY)
+                high = max(low, high)
+            else:
+                tight |= high < rate - change or low > rate + change
+            cut |= wished > high + 1e-9 or wished < low - 1e-9
+            highs.append(high)
+            lows.append(low)
+        if tight:
+            # a joint needs the whole of its way to brake: the others must not make that longer
+            caps = (self.acceleration * max(time - dt, 0.0)).tolist()
+            highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
+            lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
+        self.least, self.most = np.array(lows), np.array(highs)
+        reach = [(rate - change, rate + change) for rate, change in zip(rates, self.changes, strict=True)]
+        low_bounds = [min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]
+        high_bounds = [min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]
+        return np.array(low_bounds), np.array(high_bounds), cut
+
+    def over_rates(self, v: Vector) -> float:
+        """By how much joint velocities (n,) go beyond the joints' rates, 1 where they do not."""
+        ranges = self._ranges
+        over: float = max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), ranges, strict=True))
+        return max(over, 1.0)
+
+    def room_for(self, more: Vector, v: Vector) -> float:
+        """The largest part, at most 1, of `more` (n,) that fits within the joints' rates beside v (n,)."""
+        part = 1.0
+        for add, rate, (_, _, fastest) in zip(more.tolist(), v.tolist(), self._ranges, strict=True):
+            if abs(add) * part > 1e-12:
+                part = min(part, max(fastest - math.copysign(1.0, add) * rate, 0.0) / abs(add))
+        return part
