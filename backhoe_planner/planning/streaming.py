@@ -2,7 +2,7 @@
 
 The plan's own clock s runs slower the further the machine is off the plan:
 
-    v_w = s' v_p(s) + k (q_p(s) - q),    s' = max(0, 1 - |q_p(s) - q| / tolerance)
+    v_w = s' v_p(s) + min(k |e|, sqrt(a |e|)) sgn e,    e = q_p(s) - q,    s' = max(0, 1 - |e| / tolerance)
 
 so that the machine waits for what is in its way, leaves the plan as far as it must, and
 comes back to it. Where that leads nowhere for a while, the machine holds still, and a
@@ -43,6 +43,7 @@ __all__ = ["Followed", "Following", "PlanFollower"]
 Vector = NDArray[np.float64]
 
 _PULL = 10.0  # 1/s
+_PART = 0.5  # of the acceleration that the way back onto the plan is braked with
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
 _ARRIVED = 1e-3  # rad or m
 _AT_REST = 1e-2  # rad/s or m/s, at the end of the plan
@@ -215,7 +216,10 @@ class PlanFollower:
         off = goal - servo.q
         deviation = float(np.abs(off).max())
         pace = max(0.0, 1.0 - deviation / _TOLERANCE)
-        state = servo.step(joint_velocity=pace * rates + _PULL * off)
+        # no faster towards it than can be braked away again
+        size = np.abs(off)
+        pull = np.copysign(np.minimum(_PULL * size, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
+        state = servo.step(joint_velocity=pace * rates + pull)
         reference.advance(pace * servo.dt)
         if self._progress.made(reference.clock, deviation, servo.dt):
             self._got_on()
