@@ -168,6 +168,17 @@ def test_unusable_mesh_file_is_named_with_the_link_and_the_urdf(
     assert capfd.readouterr() == ("", "")
 
 
+def test_flat_mesh_in_a_tilted_plane_and_a_flat_cylinder_may_be_links(tmp_path: Path) -> None:
+    """coal would end the process with either."""
+    turn = trimesh.transformations.euler_matrix(0.3, 0.2, 0.1)
+    sheet = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]], [[0, 1, 2], [1, 3, 2]])
+    sheet.apply_transform(turn).export(tmp_path / "sheet.stl")
+    path = tmp_path / "tiny.urdf"
+    for shape in ('<mesh filename="sheet.stl"/>', '<cylinder radius="1" length="1e-9"/>'):
+        path.write_text(robot_xml(arm=solid(shape)))
+        assert [piece.link for piece in load_robot(path).pieces] == ["arm"]
+
+
 HARMLESS = {
     "empty dynamics": hinge(inside=f'<axis xyz="0 0 1"/>{LIMIT}<dynamics/>'),
     "empty safety controller": hinge(inside=f'<axis xyz="0 0 1"/>{LIMIT}<safety_controller/>'),
