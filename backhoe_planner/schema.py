@@ -75,7 +75,12 @@ def say(detail: Any, variants: Mapping[str, type[BaseModel]] = _NO_VARIANTS) -> 
         return f"there is no {_tag(detail)} {tag!r}{hint} Allowed: {', '.join(choices)}"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
+    if kind == "too_long":
+        has, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
+        return f"has {has} entries, allowed: at most {most}" + (f"; found {found!r}" if len(str(found)) < 80 else "")
     shown = f"; found {found!r}" if not isinstance(found, (Mapping, list)) or len(str(found)) < 80 else ""
+    if kind == "tuple_type":
+        return f"is not a list{shown}"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
 
 

@@ -224,6 +224,12 @@ def test_unknown_example_names_the_nearest_one() -> None:
         read_urdf("example:bakhoe")
 
 
+@pytest.mark.parametrize("name", ["excavator", "Excavators", "digger"])
+def test_another_word_for_a_backhoe_names_the_backhoe(name: str) -> None:
+    with pytest.raises(RobotError, match=rf"example:{name}: no such example robot.*did you mean example:backhoe\?"):
+        read_urdf(f"example:{name}")
+
+
 def test_examples_hold_the_shipped_models_and_those_of_example_robot_data() -> None:
     names = example_names()
     assert names == sorted(names)

@@ -152,7 +152,7 @@ def _axes(points: Vector) -> Vector:
 def _outline(points: Vector) -> Vector | None:
     """The corners of the convex hull of (k, 2) points in order, None where it cannot be built."""
     try:
-        return points[ConvexHull(points).vertices]
+        return np.asarray(points[ConvexHull(points).vertices])
     except QhullError:
         return None
 

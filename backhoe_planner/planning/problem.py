@@ -126,7 +126,7 @@ def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]
     _check_joint_names(robot, scene, "start.joints", joints)
     missing = [name for name in robot.joint_names if name not in joints]
     if missing:
-        raise SceneError("joints are missing", file=scene.file, key="start.joints", found=", ".join(missing))
+        raise SceneError(f"joints are missing: {', '.join(missing)}", file=scene.file, key="start.joints")
     return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints"), None
 
 
