@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.reach import tip_travel_bound
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.drive import drive_of
+from backhoe_planner.planning.drive import between_samples, drive_of
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.retiming import DRIVEN_WITHIN, use_of_drive
 from backhoe_planner.planning.tracking import Detour, Tracking, track_goal, track_path
@@ -39,6 +39,7 @@ __all__ = [
     "certify_problem",
     "path_segment_is_clear",
     "segment_is_clear",
+    "told_part",
 ]
 
 Vector = NDArray[np.float64]
@@ -230,7 +231,12 @@ def _problems(
         )
     for kind, use in zip(("position", "velocity", "acceleration"), limits, strict=True):
         if not use.kept:
-            found.append(f"{use.joint} exceeds its {kind} limit at {use.time:.2f} s ({use.ratio:.3f} of it)")
+            if kind == "position":
+                slides = problem.robot.prismatic[problem.robot.joint_names.index(use.joint)]
+                much = f"{use.ratio - 1.0:.3g} {'m' if slides else 'rad'} outside"
+            else:
+                much = f"{told_part(use.ratio)} it"
+            found.append(f"{use.joint} exceeds its {kind} limit at {use.time:.2f} s ({much})")
     if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(trajectory.q[0]))) > 1e-5:
         found.append("the motion does not begin at the asked start")
     if not np.allclose(trajectory.v, Trajectory.from_steps(trajectory.time, trajectory.q).v, rtol=1e-6, atol=1e-6):
@@ -431,18 +437,24 @@ def _load_use(problem: Problem, trajectory: Trajectory) -> tuple[LoadUse | None,
     drive = drive_of(problem)
     if not drive.limited:
         return None, None
-    names, q, v = problem.robot.joint_names, trajectory.q, trajectory.v
+    names = problem.robot.joint_names
+    time, q, v, a = trajectory.time, trajectory.q, trajectory.v, trajectory.accelerations()
     effort, speeds = use_of_drive(trajectory, drive)
+    between = between_samples(trajectory)
+    if len(between.time):
+        time, q, v = np.append(time, between.time), np.vstack((q, between.q)), np.vstack((v, between.v))
+        a = np.vstack((a, np.zeros_like(between.q)))
+        more_effort, more_speeds = between.use(drive)
+        effort, speeds = np.vstack((effort, more_effort)), np.vstack((speeds, more_speeds))
     row, joint = (int(index) for index in np.unravel_index(int(np.argmax(effort)), effort.shape))
     here, still = q[row : row + 1], np.zeros((1, problem.robot.n))
-    acceleration = trajectory.accelerations()[row : row + 1]
-    torque = drive.rigid_torques(here, v[row : row + 1], acceleration) + drive.soil_torques(here, v[row : row + 1])
+    torque = drive.rigid_torques(here, v[row : row + 1], a[row : row + 1]) + drive.soil_torques(here, v[row : row + 1])
     needed = float(torque[0, joint])
     limits = drive.torque_limits(here)
     used = LoadUse(
         ratio=float(effort[row, joint]),
         joint=names[joint],
-        time=float(trajectory.time[row]),
+        time=float(time[row]),
         kind="torque",
         needed=needed,
         available=_finite((limits.positive if needed > 0.0 else limits.negative)[0, joint]),
@@ -459,7 +471,7 @@ def _load_use(problem: Problem, trajectory: Trajectory) -> tuple[LoadUse | None,
     return used, LoadUse(
         ratio=ratio,
         joint=names[column] if column < len(names) else "",
-        time=float(trajectory.time[row]),
+        time=float(time[row]),
         kind=kinds[column],
         needed=ratio * available,
         available=available,
@@ -472,13 +484,20 @@ def _finite(value: float) -> float:
     return float(value) if np.isfinite(value) else 0.0
 
 
+def told_part(ratio: float) -> str:
+    """How much of a limit, in words: ``149 % of``, ``12 times``, ``more than 1000 times``."""
+    if ratio < 10.0:
+        return f"{100.0 * ratio:.{2 if ratio < 1.1 else 0}f} % of"
+    return f"{ratio:.0f} times" if ratio < 1000.0 else "more than 1000 times"
+
+
 def _load_told(use: LoadUse) -> str:
     """A limit that is not kept, in words."""
     when = f"at {use.time:.2f} s"
     if use.kind == "torque":
-        figures = f"{abs(use.needed) / 1e3:.3g} kN m of {use.available / 1e3:.3g} kN m ({use.ratio:.3f} of it)"
+        figures = f"{abs(use.needed) / 1e3:.3g} kN m of {use.available / 1e3:.3g} kN m ({told_part(use.ratio)} it)"
         what = "cannot hold the load" if use.at_rest > 1.0 else "has too little torque for the motion"
         return f"{use.joint} {what} {when}: it takes {figures}"
     if use.kind == "rod speed":
-        return f"{use.joint} asks its cylinders for {use.ratio:.3f} of their greatest speed {when}"
-    return f"the motion asks for {use.ratio:.3f} of the {use.kind} {when}"
+        return f"{use.joint} asks its cylinders for {told_part(use.ratio)} their greatest speed {when}"
+    return f"the motion asks for {told_part(use.ratio)} the {use.kind} {when}"
