@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.reach import tip_travel_bound
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.drive import between_samples, drive_of
+from backhoe_planner.planning.between import between_samples
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.retiming import DRIVEN_WITHIN, use_of_drive
 from backhoe_planner.planning.tracking import Detour, Tracking, track_goal, track_path
@@ -35,6 +36,7 @@ __all__ = [
     "Clearance",
     "LimitUse",
     "LoadUse",
+    "SpeedUse",
     "certify",
     "certify_problem",
     "path_segment_is_clear",
@@ -52,6 +54,7 @@ KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts a
 TOUCH = 5e-5  # m: a path at exactly its clearance is clear to within this
 _TOUCHING_DEPTH = 9
 _LIMIT_TOLERANCE = 1e-6  # relative, for rounding
+SPEED_WITHIN = 0.03  # over the asked speed of the tip that a motion may be: it is timed along the path's own arc
 _NEVER = 10.0  # m: clearances above this are not told apart
 
 
@@ -123,6 +126,28 @@ class LoadUse(LimitUse):
 
 
 @dataclass(frozen=True)
+class SpeedUse:
+    """The tip's speed on the followed parts of a path, where it is greatest.
+
+    Attributes
+    ----------
+    ratio: over the asked speed; 3 % more is allowed.
+    greatest, asked: [m/s]
+    time: when [s].
+    """
+
+    ratio: float
+    greatest: float
+    asked: float
+    time: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the tip is no faster than asked."""
+        return self.ratio <= 1.0 + SPEED_WITHIN
+
+
+@dataclass(frozen=True)
 class Certificate:
     """What was proven of a motion.
 
@@ -135,6 +160,7 @@ class Certificate:
     hydraulics: use of rod speeds, pump flow and engine power; None for a machine without
         a hydraulic description.
     tracking: how the tip keeps to its task.
+    tip_speed: use of the asked speed; None where none is asked.
     problems: what is not as it must be, in words; empty where verified.
     """
 
@@ -146,6 +172,7 @@ class Certificate:
     effort: LoadUse | None
     hydraulics: LoadUse | None
     tracking: Tracking
+    tip_speed: SpeedUse | None
     problems: tuple[str, ...]
 
     @property
@@ -198,6 +225,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     else:
         assert problem.goal is not None
         tracking = track_goal(problem.goal, trajectory, kinematics)
+    tip_speed = _speed_use(problem, tracking)
     tightest = clearances[0] if clearances else None
     return Certificate(
         min_clearance=tightest,
@@ -208,9 +236,11 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
         effort=effort,
         hydraulics=hydraulics,
         tracking=tracking,
+        tip_speed=tip_speed,
         problems=tuple(
             _problems(problem, trajectory, tightest, (position, velocity, acceleration), tracking, kinematics)
             + [_load_told(use) for use in (effort, hydraulics) if use is not None and not use.kept]
+            + ([_speed_told(tip_speed)] if tip_speed is not None and not tip_speed.kept else [])
         ),
     )
 
@@ -444,7 +474,7 @@ def _load_use(problem: Problem, trajectory: Trajectory) -> tuple[LoadUse | None,
     if len(between.time):
         time, q, v = np.append(time, between.time), np.vstack((q, between.q)), np.vstack((v, between.v))
         a = np.vstack((a, np.zeros_like(between.q)))
-        more_effort, more_speeds = between.use(drive)
+        more_effort, more_speeds = drive.use_between(between)
         effort, speeds = np.vstack((effort, more_effort)), np.vstack((speeds, more_speeds))
     row, joint = (int(index) for index in np.unravel_index(int(np.argmax(effort)), effort.shape))
     here, still = q[row : row + 1], np.zeros((1, problem.robot.n))
@@ -482,6 +512,20 @@ def _load_use(problem: Problem, trajectory: Trajectory) -> tuple[LoadUse | None,
 def _finite(value: float) -> float:
     """Without a limit, 0: nothing of it is used."""
     return float(value) if np.isfinite(value) else 0.0
+
+
+def _speed_use(problem: Problem, tracking: Tracking) -> SpeedUse | None:
+    path = problem.scene.task.path
+    if path is None or path.speed is None:
+        return None
+    return SpeedUse(tracking.max_speed / path.speed, tracking.max_speed, path.speed, tracking.max_speed_time)
+
+
+def _speed_told(use: SpeedUse) -> str:
+    return (
+        f"the tip moves along the path at {use.greatest:.3g} m/s at {use.time:.2f} s, "
+        f"{told_part(use.ratio)} the asked {use.asked:.3g} m/s"
+    )
 
 
 def told_part(ratio: float) -> str:

@@ -15,19 +15,17 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.dynamics import Dynamics
 from backhoe_planner.machine.hydraulics import BothWays, Hydraulics
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning.between import Between
 from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.site.scene import Soil
 from backhoe_planner.site.soil import SoilReaction
 
-__all__ = ["Between", "Drive", "DriveUse", "between_samples", "drive_of"]
+__all__ = ["Drive", "DriveUse", "drive_of"]
 
 Array = NDArray[np.float64]
 
 _BRISK = 1.0  # 1/s: a speed along a path at which the soil's force is fully there
 MOST = 1e6  # ratios beyond are not told apart
-_LONG = 0.025  # rad or m of a joint between two samples: load and limits are looked at in between
-_MOST_BETWEEN = 200_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,51 +140,15 @@ class Drive:
             power=self.power_use(q, v, torque),
         )
 
+    def use_between(self, between: Between) -> tuple[Array, Array]:
+        """Inside the long segments of a motion, where nothing is accelerated.
 
-@dataclass(frozen=True, eq=False)
-class Between:
-    """K moments inside the long segments of a sampled motion, in order.
-
-    Attributes
-    ----------
-    segment: (K,) index of the segment.
-    time: (K,) [s].
-    q, v: (K, n) joints, and the constant velocity of the segment.
-    """
-
-    segment: NDArray[np.int64]
-    time: Array
-    q: Array
-    v: Array
-
-    def use(self, drive: Drive) -> tuple[Array, Array]:
-        """(K, n) torque over limit; (K, n + 2) rod speed of each joint, flow, power: 1 at the limit.
-
-        Nothing is accelerated between two samples.
+        Returns
+        -------
+        (K, n) torque over limit; (K, n + 2) rod speed of each joint, flow, power: 1 at the limit.
         """
-        use = drive.use(self.q, self.v, np.zeros_like(self.q))
+        use = self.use(between.q, between.v, np.zeros_like(between.q))
         return use.effort, np.minimum(np.column_stack((use.rod_speed, use.flow, use.power)), MOST)
-
-
-def between_samples(trajectory: Trajectory) -> Between:
-    """Where a motion must be looked at besides its samples: no joint gets on by more than 0.025 rad unseen.
-
-    The motions that are planned have none such; a motion of few samples has.
-    """
-    steps = np.max(np.abs(np.diff(trajectory.q, axis=0)), axis=1, initial=0.0)
-    parts = np.ceil(steps / _LONG)
-    parts = np.maximum(np.ceil(parts * min(1.0, _MOST_BETWEEN / max(float(np.sum(parts)), 1.0))), 1.0).astype(np.int64)
-    inside = parts - 1
-    segment = np.repeat(np.arange(len(parts)), inside)
-    number = np.arange(len(segment)) - np.repeat(np.cumsum(inside) - inside, inside) + 1
-    part = number / parts[segment]
-    time, q = trajectory.time, trajectory.q
-    return Between(
-        segment=segment,
-        time=time[segment] + part * (time[segment + 1] - time[segment]),
-        q=q[segment] + part[:, None] * (q[segment + 1] - q[segment]),
-        v=trajectory.segment_velocities()[segment],
-    )
 
 
 def drive_of(problem: Problem) -> Drive:

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
-from backhoe_planner.planning.drive import between_samples, drive_of
+from backhoe_planner.planning.between import between_samples
+from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.planning.retiming import use_of_drive
 from backhoe_planner.planning.trajectory import Trajectory
@@ -64,7 +65,7 @@ def limit_usage(problem: Problem, trajectory: Trajectory) -> LimitUsage:
     if drive.limited:
         effort, speeds = use_of_drive(trajectory, drive)
         between = between_samples(trajectory)
-        for values, more in zip((effort, speeds), between.use(drive), strict=True):
+        for values, more in zip((effort, speeds), drive.use_between(between), strict=True):
             for beside in (between.segment, between.segment + 1):
                 np.maximum.at(values, beside, more)
         names += [f"torque {joint}" for joint in joints]
