@@ -1,4 +1,4 @@
-"""Very slow motions: they have as many samples as they get on, not as they take time."""
+"""Motions that hardly get on: very slow ones, and places at which a path stands."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.local_resolution import resolve_along
+from backhoe_planner.planning.problem import build_problem
 from backhoe_planner.planning.timing import time_along
+from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.scene import Waypoint
 
 
 def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot) -> None:
@@ -33,3 +38,33 @@ def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> N
     assert found.trajectory.duration == pytest.approx(np.hypot(0.4, 0.15) / 1e-4, rel=0.01)
     assert len(found.trajectory) < 5000
     assert found.certificate.tracking.max_error < 0.005
+
+
+A, B = {"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_waypoints_that_stand_twice_change_nothing(backhoe: bp.Robot, method: str) -> None:
+    """Warnings are errors here."""
+
+    def planned(*waypoints: dict[str, list[float]]) -> bp.Plan:
+        task = {"path": {"waypoints": list(waypoints), "speed": 0.5}}
+        return bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": task}), method=method)
+
+    once, twice = planned(A, B), planned(A, A, B, B)
+    assert once.verified
+    assert twice.verified
+    np.testing.assert_array_equal(twice.trajectory.q, once.trajectory.q)
+    assert twice.metrics.get("objective") == once.metrics.get("objective")
+
+
+def test_law_takes_a_leg_without_length_in_its_stride(backhoe: bp.Robot) -> None:
+    content = {"version": 1, "task": {"path": {"waypoints": [A, B]}}}
+    problem = build_problem(backhoe, bp.scene_from_dict(content))
+    path = BucketPath([Waypoint.model_validate(point) for point in (A, A, B, B)])
+    kinematics, proximity = bp.Kinematics(backhoe), Proximity(backhoe, ())
+    start = bp.solve_inverse_kinematics(backhoe, path.target(0.0)).q
+    found = resolve_along(problem, path, 0.0, start, proximity=proximity, kinematics=kinematics)
+    assert found.blocker is None
+    assert np.all(np.isfinite(found.q))
+    assert found.reached == pytest.approx(np.hypot(0.7, 0.3))

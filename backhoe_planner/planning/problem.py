@@ -83,7 +83,8 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         waypoints = scene.waypoints()
         for index, waypoint in enumerate(waypoints):
             _target(robot, scene, waypoint, f"task.path.waypoints[{index}]")
-        path = BucketPath(waypoints)
+        different = [b for a, b in zip((None, *waypoints), waypoints, strict=False) if a != b]
+        path = BucketPath(different if len(different) > 1 else waypoints)  # one that stands twice adds nothing
     return Problem(
         robot=robot,
         scene=scene,
