@@ -27,7 +27,7 @@ from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.retiming import DRIVEN_WITHIN, use_of_drive
 from backhoe_planner.planning.tracking import Detour, Tracking, track_goal, track_path
 from backhoe_planner.planning.trajectory import Trajectory
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.proximity import Proximity, obstacle_told
 from backhoe_planner.site.scene import Scene
 
 __all__ = [
@@ -256,8 +256,8 @@ def _problems(
     found = []
     if tightest is not None and tightest.margin < -KEPT_WITHIN:
         found.append(
-            f"{tightest.link} comes to {tightest.value:.3f} m of {tightest.obstacle} at {tightest.time:.2f} s, "
-            f"{-tightest.margin:.3f} m closer than allowed"
+            f"{tightest.link} comes to {tightest.value:.3f} m of {obstacle_told(tightest.obstacle)} "
+            f"at {tightest.time:.2f} s, {-tightest.margin:.3f} m closer than allowed"
         )
     for kind, use in zip(("position", "velocity", "acceleration"), limits, strict=True):
         if not use.kept:
