@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import math
+import re
 import sys
 import time as clock
 import webbrowser
@@ -426,15 +427,18 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     from backhoe_planner.planning.objectives import UNITS
 
     unit = UNITS[compared["name"]]
+    breaks = compared["law_breaks"]
+    if breaks is not None:
+        breaks = re.sub(r"self: (\S+)", r"the machine itself (\1)", breaks)
     told = f"{compared['name']} {_quantity(compared['value'], unit)} along the path"
     if compared["law"] is not None:
         told += f"; the local law {_quantity(compared['law'], unit)}"
         if compared["saving_percent"] is not None:
             told += f" (saves {compared['saving_percent']:.0f} %)"
-        if compared["law_breaks"] is not None:
-            told += f", and it breaks the {compared['law_breaks']}"
-    elif compared["law_breaks"] is not None:
-        told += f"; the local law does not get along it ({compared['law_breaks']})"
+        if breaks is not None:
+            told += f", and it breaks the {breaks}"
+    elif breaks is not None:
+        told += f"; the local law does not get along it ({breaks})"
     _out.print(f"objective     {told}")
 
 
