@@ -285,7 +285,11 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     ),
     "flat cylinder": (
         shaped("cylinder", radius=1e5, length=1e-3),
-        ["obstacles[0]", "length is 1e-05 to 100000 times its radius", "0.001 m and 100000 m (1e-08 times)"],
+        [
+            "obstacles[0]: a cylinder's",
+            "length is 1e-05 to 100000 times its radius",
+            "0.001 m and 100000 m (1e-08 times)",
+        ],
     ),
     "needle": (shaped("cylinder", radius=1e-5, length=10.0), ["obstacles[0]", "10 m and 1e-05 m (1e+06 times)"]),
     "fine voxels": (shaped("pointcloud", file="a.xyz", resolution=1e-9), ["obstacles[0].resolution", "0.000001"]),
@@ -329,7 +333,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "rpy and quaternion": (goal(rpy=[0, 0, 0], quaternion=[1, 0, 0, 0]), ["task.goal", "rpy and quaternion"]),
     "rpy and quaternion of a box": (
         shaped("box", size=[1, 1, 1], rpy=[0, 0, 0], quaternion=[1, 0, 0, 0]),
-        ["obstacles[0]", "only one of rpy, quaternion"],
+        ["obstacles[0]: only one of rpy, quaternion"],
     ),
     "reversed pitch range": (goal(pitch=[-1.2, -2.2]), ["task.goal", "reversed", "[-1.2, -2.2]"]),
     "pitch of three": (goal(pitch=[1, 2, 3]), ["task.goal.pitch", "at most 2"]),

@@ -208,7 +208,8 @@ def _locate_example(name: str) -> Path:
     raise RobotError(
         "no such example robot",
         key=f"example:{name}",
-        allowed=f"{', '.join(shipped_names)}; of example-robot-data {', '.join(others)}",
+        allowed=f"{', '.join(shipped_names)}, or of example-robot-data "
+        + (f"one of {len(others)} robots" if near else ", ".join(others)),
         hint=f"did you mean example:{_ALSO_CALLED.get(near, near)}?" if near else "the backhoe is example:backhoe",
     )
 
