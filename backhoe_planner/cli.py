@@ -10,6 +10,7 @@ import contextlib
 import io
 import json
 import math
+import re
 import sys
 import time as clock
 import webbrowser
@@ -150,6 +151,8 @@ def view_plan(
 @app.command()
 def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     """Compute the certificate of a plan anew."""
+    from backhoe_planner.site.proximity import obstacle_told
+
     begun = clock.monotonic()
     loaded = bp.load_plan(plan_file, urdf=urdf)
     certificate = loaded.certificate
@@ -161,7 +164,9 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
             _out.print(f"  {problem}")
     table = Table("obstacle", "link", "distance [m]", "margin [m]", "at [s]", box=None, pad_edge=False)
     for row in certificate.clearances:
-        table.add_row(row.obstacle, row.link, f">= {row.value:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}")
+        table.add_row(
+            obstacle_told(row.obstacle), row.link, f">= {row.value:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}"
+        )
     if certificate.clearances:
         _out.print(table)
     for kind in ("position", "velocity", "acceleration"):
@@ -172,7 +177,13 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
             _out.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
     _out.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
-    _tell_zones(loaded)
+    speed = certificate.tip_speed
+    if speed is not None:
+        _out.print(
+            f"{'tip speed':<13}{100.0 * speed.ratio:5.1f} % of the asked {speed.asked:g} m/s at most "
+            f"({speed.time:.2f} s)"
+        )
+    _tell_all_zones(loaded)
     _out.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
     return VERIFIED if certificate.verified else FAILED
 
@@ -345,6 +356,8 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
+    from backhoe_planner.site.proximity import obstacle_told
+
     _out.print(_verdict(found))
     if found.message:
         _out.print(f"  {found.message}")
@@ -352,8 +365,8 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
     tightest = certificate.min_clearance
     if tightest is not None:
         _out.print(
-            f"clearance     {tightest.value:.3f} m at least between {tightest.link} and {tightest.obstacle} "
-            f"(margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
+            f"clearance     {tightest.value:.3f} m at least between {tightest.link} "
+            f"and {obstacle_told(tightest.obstacle)} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
         )
     tracking = certificate.tracking
     if len(found.trajectory) < 2:
@@ -378,7 +391,7 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
     _tell_zones(found)
     metrics = found.metrics
     _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
-    _out.print(f"work          {metrics['energy']['work'] / 1e3:.2f} kJ ({_loads(found)})")
+    _out.print(f"work          {_quantity(metrics['energy']['work'], 'J')} ({_loads(found)})")
     _tell_saving(metrics.get("objective"))
     _out.print(f"planned in    {metrics['planning_time']:.2f} s")
     _out.print(f"plan          {output}")
@@ -386,11 +399,17 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
 
 def _because(found: Plan, detour: Detour) -> str:
     """What the planner left the path for, where it says so."""
+    from backhoe_planner.site.proximity import obstacle_told
+
     middle = 0.5 * (detour.path_from + detour.path_to)
     for known in found.details.get("detours", ()):
         if known["path_from"] - 0.05 <= middle <= known["path_to"] + 0.05:
             limit = known["link"] == "joint"
-            return f", for the limit of joint {known['obstacle']}" if limit else f", around {known['obstacle']}"
+            return (
+                f", for the limit of joint {known['obstacle']}"
+                if limit
+                else f", around {obstacle_told(known['obstacle'])}"
+            )
     return ""
 
 
@@ -408,16 +427,46 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     from backhoe_planner.planning.objectives import UNITS
 
     unit = UNITS[compared["name"]]
-    told = f"{compared['name']} {compared['value']:.4g} {unit} along the path"
+    breaks = compared["law_breaks"]
+    if breaks is not None:
+        breaks = re.sub(r"self: (\S+)", r"the machine itself (\1)", breaks)
+    told = f"{compared['name']} {_quantity(compared['value'], unit)} along the path"
     if compared["law"] is not None:
-        told += f"; the local law {compared['law']:.4g} {unit}"
+        told += f"; the local law {_quantity(compared['law'], unit)}"
         if compared["saving_percent"] is not None:
             told += f" (saves {compared['saving_percent']:.0f} %)"
-        if compared["law_breaks"] is not None:
-            told += f", and it breaks the {compared['law_breaks']}"
-    elif compared["law_breaks"] is not None:
-        told += f"; the local law does not get along it ({compared['law_breaks']})"
+        if breaks is not None:
+            told += f", and it breaks the {breaks}"
+    elif breaks is not None:
+        told += f"; the local law does not get along it ({breaks})"
     _out.print(f"objective     {told}")
+
+
+def _quantity(value: float, unit: str) -> str:
+    """A number of four digits with its unit: 11.39 kJ, 1357 (kN m)^2 s."""
+    if unit == "N^2 m^2 s" and abs(value) >= 1e4:
+        value, unit = 1e-6 * value, "(kN m)^2 s"
+    elif unit.startswith("J"):
+        for prefix, factor in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
+            if abs(value) >= factor:
+                return f"{value / factor:.4g} {prefix}{unit}"
+    return f"{value:.4g} {unit}" if abs(value) < 1e4 else f"{value:,.0f} {unit}"
+
+
+def _tell_all_zones(found: Plan) -> None:
+    """A table of every visit to a zone, if there is any, the innermost distances first."""
+    from backhoe_planner.site.zones import worst_first
+
+    visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
+    if not visits:
+        return
+    _out.print("zones that were come too near to")
+    table = Table("zone", "distance", "link", "beyond it", "at [s]", "from [s]", "to [s]", box=None, pad_edge=False)
+    for visit in visits:
+        unit = "rad" if visit.kind == "swing_sector" else "m"
+        moments = (f"{moment:.2f}" for moment in (visit.time, visit.begin, visit.end))
+        table.add_row(visit.zone, visit.level, visit.link, f"{visit.depth:.3f} {unit}", *moments)
+    _out.print(table)
 
 
 def _tell_zones(found: Plan) -> None:

@@ -46,7 +46,7 @@ def explain(
     """
     problems = []
     for detail in error.errors(include_url=False):
-        place = _place_in_file(detail["loc"], content)
+        place = _place_in_file(detail["loc"], content, missing=detail["type"] == "missing")
         line = next((lines[place[:k]] for k in range(len(place), 0, -1) if place[:k] in lines), None)
         where = _spell(place) + (f" (line {line})" if line is not None else "")
         if detail["type"] == "extra_forbidden":
@@ -75,7 +75,12 @@ def say(detail: Any, variants: Mapping[str, type[BaseModel]] = _NO_VARIANTS) -> 
         return f"there is no {_tag(detail)} {tag!r}{hint} Allowed: {', '.join(choices)}"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
+    if kind == "too_long":
+        has, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
+        return f"has {has} entries, allowed: at most {most}" + (f"; found {found!r}" if len(str(found)) < 80 else "")
     shown = f"; found {found!r}" if not isinstance(found, (Mapping, list)) or len(str(found)) < 80 else ""
+    if kind == "tuple_type":
+        return f"is not a list{shown}"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
 
 
@@ -94,8 +99,8 @@ def _unknown_key(key: str, allowed: list[str]) -> str:
     return f"there is no such key{hint} Allowed: {', '.join(sorted(allowed))}"
 
 
-def _place_in_file(loc: tuple[str | int, ...], content: Any) -> KeyPath:
-    """The key path without the names that pydantic adds for union members."""
+def _place_in_file(loc: tuple[str | int, ...], content: Any, *, missing: bool) -> KeyPath:
+    """The key path without the names that pydantic adds for union members; `missing`: its last key is not there."""
     place: list[str | int] = []
     node = content
     for position, part in enumerate(loc):
@@ -104,7 +109,7 @@ def _place_in_file(loc: tuple[str | int, ...], content: Any) -> KeyPath:
             node = node[part]
         elif isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node):
             node = node[part]
-        elif isinstance(node, Mapping) and isinstance(part, str) and last and "[" not in part:
+        elif isinstance(node, Mapping) and isinstance(part, str) and last and missing:
             pass  # a key that is missing
         elif isinstance(node, (list, tuple)) and isinstance(part, int):
             pass

@@ -17,7 +17,7 @@ import jsonschema
 import pytest
 import yaml
 
-from backhoe_planner.cli import main
+from backhoe_planner.cli import _quantity, main
 
 Data = dict[str, Any]
 Run = Callable[..., tuple[int, str, str]]
@@ -55,18 +55,68 @@ def scene_file(folder: Path, content: Data | str = REACH) -> Path:
 # --- what works -------------------------------------------------------------------
 
 
-def test_what_zones_were_passed_is_one_line_of_plan_and_of_check(run: Run, tmp_path: Path) -> None:
+def test_what_zones_were_passed_is_one_line_of_plan_and_a_row_of_check(run: Run, tmp_path: Path) -> None:
     sector = {"kind": "swing_sector", "name": "road", "from": -0.2, "to": 1.5, "stop": 0.1, "warn": 0.3}
     scene = scene_file(tmp_path, {**REACH, "zones": [sector]})
     status, planned, _ = run("plan", PLANAR4, scene, "-o", "out.json")
     assert status == 0
     _, checked, _ = run("check", "out.json")
-    for said in (planned, checked):
-        (line,) = [line for line in said.splitlines() if line.startswith("zones")]
-        assert "beyond the warn distance of road" in line
-        assert line.split()[1] == "joint1"
+    (line,) = [line for line in planned.splitlines() if line.startswith("zones")]
+    assert "beyond the warn distance of road" in line
+    assert line.split()[1] == "joint1"
+    lines = checked.splitlines()
+    row = lines[next(k for k, line in enumerate(lines) if line.startswith("zones")) + 2].split()
+    assert row[:3] == ["road", "warn", "joint1"]
+    assert row[4] == "rad"
+    assert float(row[3]) == pytest.approx(float(line.split()[2]))
     run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json")
     assert "zones" not in run("check", "out.json")[1]
+
+
+def test_check_lists_every_zone(run: Run, tmp_path: Path) -> None:
+    """Two ceilings over an arm that stays at height 0, 0.5 m and 0.7 m above it."""
+    zones = [
+        {"name": name, "kind": "ceiling", "height": height, "warn": 2.0}
+        for name, height in (("roof", 0.7), ("wire", 0.5))
+    ]
+    assert run("plan", PLANAR4, scene_file(tmp_path, {**REACH, "zones": zones}), "-o", "out.json")[0] == 0
+    assert "(and 1 more)" in run("plan", PLANAR4, scene_file(tmp_path, {**REACH, "zones": zones}))[1]
+    lines = run("check", "out.json")[1].splitlines()
+    head = next(k for k, line in enumerate(lines) if line.startswith("zones"))
+    rows = [line.split() for line in lines[head + 2 : head + 4]]
+    assert [row[:2] for row in rows] == [["wire", "warn"], ["roof", "warn"]]
+    assert float(rows[0][3]) - float(rows[1][3]) == pytest.approx(0.2, abs=1e-3)
+
+
+def test_the_machine_itself_and_what_is_asked_of_the_tip_are_said_in_words(run: Run, tmp_path: Path) -> None:
+    points = [{"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}]
+    scene = {"version": 1, "objective": "effort", "task": {"path": {"waypoints": points, "speed": 0.4}}}
+    _, planned, _ = run("plan", "example:backhoe", scene_file(tmp_path, scene), "-o", "out.json")
+    _, checked, _ = run("check", "out.json")
+    assert re.search(r"between \w+ and the machine itself \(\w+\) ", planned)
+    assert "the machine itself (" in checked
+    assert "self: " not in planned + checked
+    assert re.search(r"objective +effort [\d,.]+ \(kN m\)\^2 s along the path", planned)
+    assert re.search(r"work +[\d.]+ k?J ", planned)
+    assert re.search(r"tip speed +\d+\.\d % of the asked 0\.4 m/s at most", checked)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "said"),
+    [
+        (0.7131, "J", "0.7131 J"),
+        (11394.2, "J", "11.39 kJ"),
+        (-2.5e6, "J", "-2.5 MJ"),
+        (3.21e9, "J s", "3.21 GJ s"),
+        (1.357e9, "N^2 m^2 s", "1357 (kN m)^2 s"),
+        (2.5e11, "N^2 m^2 s", "250,000 (kN m)^2 s"),
+        (120.0, "N^2 m^2 s", "120 N^2 m^2 s"),
+        (3.4567, "s", "3.457 s"),
+        (0.0, "rad^2/s", "0 rad^2/s"),
+    ],
+)
+def test_quantities_are_told_with_a_prefix(value: float, unit: str, said: str) -> None:
+    assert _quantity(value, unit) == said
 
 
 def test_plan_check_export(run: Run, tmp_path: Path) -> None:
@@ -255,13 +305,14 @@ PLAIN = yaml.safe_dump(REACH)
         (PLAIN.replace("2.6", ".inf"), ["task.goal.position[0]", "finite"]),
         (PLAIN.replace("joint2: 0.3", "joint2: -.inf"), ["start.joints.joint2", "finite"]),
         (PLAIN.replace("joint2", "jiont2"), ["start.joints", "jiont2", "did you mean 'joint2'"]),
+        (PLAIN.replace("    joint2: 0.3\n", ""), ["start.joints", "joints are missing: joint2"]),
         (PLAIN + "clearence: 0.1\n", ["clearence", "clearance"]),
         (PLAIN + "clearance: -0.1\n", ["clearance", "0"]),
         (PLAIN + "tip: bucket\n", ["bucket"]),
         (PLAIN + "payload: .nan\n", ["payload", "finite"]),
         (
             PLAIN + "obstacles:\n- {name: rock, shape: sphere, radius: -0.2, position: [1, 1, 0]}\n",
-            ["obstacles[0].radius", "greater than 0", "-0.2"],
+            ["obstacles[0].radius", "equal to 0.000001", "-0.2"],
         ),
         (PLAIN + "obstacles:\n- {name: spoil, shape: mesh, file: spoil.stl}\n", ["spoil.stl"]),
         (PLAIN + "obstacles:\n- {name: scan, shape: pointcloud, file: empty.xyz, resolution: 0.1}\n", ["empty.xyz"]),

@@ -124,6 +124,69 @@ def test_flat_mesh_becomes_a_solid_that_coal_can_measure(corners: list[list[floa
         assert np.max(np.abs(piece - mesh.vertices.mean(axis=0))) <= np.ptp(mesh.vertices) + 1e-3
 
 
+def test_flat_mesh_in_any_tilted_plane_is_measured_half_a_millimetre_above_it() -> None:
+    """To rounding a tilted sheet has a volume, so that Qhull takes it; inside coal it ends the process."""
+    rng = np.random.default_rng(7)
+    quad = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]])
+    for _ in range(20):
+        at = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3.0, 3.0, 3)), rng.uniform(-5.0, 5.0, 3))
+        sheet = trimesh.Trimesh(quad @ at.rotation.T + at.translation, [[0, 1, 2], [1, 3, 2]], process=False)
+        (corners,) = convex_cover(sheet)
+        for height in (0.8, -0.8):
+            ball = at.act(np.array([0.7, 1.2, height]))
+            found = gap(shapes.convex(corners, pin.SE3.Identity()), ball, radius=0.1)
+            assert found == pytest.approx(0.8 - 0.1 - 0.0005, abs=1e-9)
+
+
+def gap(piece: shapes.Piece, centre: Points, radius: float) -> float:
+    """Signed distance from a piece to a ball [m]."""
+    at = shapes.transform(piece.placement.rotation, piece.placement.translation)
+    ball = shapes.sphere(radius, pin.SE3.Identity())
+    return shapes.Gauge().measure(piece.shape, at, ball.shape, shapes.transform(np.eye(3), centre))[0]
+
+
+SPREAD = [10.0**power for power in (-320, -12, -9, -8, -7, -6, -5, 0)]
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-6, 0.01, 1.0, 100.0, 1e5])
+def test_points_spread_by_however_little_make_a_piece_that_holds_them(size: float) -> None:
+    """What is nearly flat, a needle or a point, and bundles of points that nearly coincide."""
+    rng = np.random.default_rng(11)
+    for thin in SPREAD:
+        for thinner in SPREAD:
+            for count in (3, 8, 40):
+                points = size * rng.uniform(-1.0, 1.0, (count, 3)) * [1.0, min(thin, 1.0), min(thinner, 1.0)]
+                points = np.repeat(points, 3, axis=0) + 1e-13 * size * rng.normal(size=(3 * count, 3))
+                points = points @ pin.rpy.rpyToMatrix(*rng.uniform(-3.0, 3.0, 3)).T
+                piece = shapes.convex(points, pin.SE3.Identity())
+                for point in points[[0, count, -1]]:
+                    assert gap(piece, point, radius=0.001) <= 1e-8 * max(size, 1.0)
+
+
+def test_shape_far_from_its_origin_keeps_its_size() -> None:
+    """As a mesh in map coordinates; 1 mm wide, 4,000 km north."""
+    corners = 0.001 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) + [5e5, 4e6, 100.0]
+    piece = shapes.convex(corners, pin.SE3.Identity())
+    assert gap(piece, np.array([5e5 + 2.0, 4e6 + 0.0005, 100.0005]), radius=1.0) == pytest.approx(0.999, abs=1e-8)
+
+
+def test_flat_cylinder_is_a_disc() -> None:
+    for radius, length in ((1.0, 1e-9), (10.0, 1e-7), (100.0, 1e-6), (1e5, 1e-3), (1e-300, 1e-300)):
+        disc = shapes.cylinder(radius, length, pin.SE3.Identity())
+        half = 0.5 * max(1e-3, 2.0e-5 * radius / np.cos(np.pi / 32))
+        assert gap(disc, np.array([0.0, 0.0, 3.0 + half]), radius=1.0) == pytest.approx(
+            2.0, abs=1e-6 * max(radius, 1.0)
+        )
+
+
+def test_mesh_beyond_every_map_is_refused() -> None:
+    mesh = trimesh.creation.box((1e9, 1.0, 1.0))
+    with pytest.raises(
+        InputError, match=r"too large; found a vertex 5e\+08 m from the origin; allowed: up to 1e\+07 m"
+    ):
+        convex_cover(mesh)
+
+
 # --- voxels -------------------------------------------------------------------
 
 

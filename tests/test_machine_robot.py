@@ -159,6 +159,22 @@ def test_mimic_joint_off_the_chain_is_held(tmp_path: Path) -> None:
     assert robot.joint_names == ("arm",)
 
 
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "continuous"])
+@pytest.mark.parametrize("second", ['<mimic joint="arm" multiplier="-1"/>', '<mimic joint="first"/>'])
+def test_mimic_joint_beside_the_chain_that_copies_one_of_it_is_refused(tmp_path: Path, kind: str, second: str) -> None:
+    """Its link moves with the arm; held at 0 it would be proven clear where it is not."""
+    followers = [
+        joint("first", "revolute", "a", "c", '<mimic joint="arm"/>' if "first" in second else ""),
+        joint("second", kind, "a", "d", second),
+    ]
+    with pytest.raises(RobotError, match=r"tiny\.urdf: joint '(first|second)': copies joint 'arm'.*<mimic>"):
+        load(tmp_path, joint("arm", "revolute", "a", "b"), *followers, links="a b c d", tip="b")
+    moved_by_none = [follower.replace('joint="arm"', 'joint="left"') for follower in followers]
+    left = joint("left", "revolute", "a", "e")
+    robot = load(tmp_path, joint("arm", "revolute", "a", "b"), left, *moved_by_none, links="a b c d e", tip="b")
+    assert robot.joint_names == ("arm",)
+
+
 def test_several_ends_without_a_tip_is_an_error_that_lists_them(tmp_path: Path) -> None:
     with pytest.raises(RobotError, match=r"tip: .*several ends.*allowed: left, right") as caught:
         load(tmp_path, joint("l", "revolute", "a", "left"), joint("r", "revolute", "a", "right"), links="a left right")

@@ -168,6 +168,17 @@ def test_unusable_mesh_file_is_named_with_the_link_and_the_urdf(
     assert capfd.readouterr() == ("", "")
 
 
+def test_flat_mesh_in_a_tilted_plane_and_a_flat_cylinder_may_be_links(tmp_path: Path) -> None:
+    """coal would end the process with either."""
+    turn = trimesh.transformations.euler_matrix(0.3, 0.2, 0.1)
+    sheet = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]], [[0, 1, 2], [1, 3, 2]])
+    sheet.apply_transform(turn).export(tmp_path / "sheet.stl")
+    path = tmp_path / "tiny.urdf"
+    for shape in ('<mesh filename="sheet.stl"/>', '<cylinder radius="1" length="1e-9"/>'):
+        path.write_text(robot_xml(arm=solid(shape)))
+        assert [piece.link for piece in load_robot(path).pieces] == ["arm"]
+
+
 HARMLESS = {
     "empty dynamics": hinge(inside=f'<axis xyz="0 0 1"/>{LIMIT}<dynamics/>'),
     "empty safety controller": hinge(inside=f'<axis xyz="0 0 1"/>{LIMIT}<safety_controller/>'),
@@ -211,6 +222,12 @@ def test_robot_error_is_a_value_error(tmp_path: Path) -> None:
 def test_unknown_example_names_the_nearest_one() -> None:
     with pytest.raises(RobotError, match=r"example:bakhoe.*no such example robot.*did you mean example:backhoe\?"):
         read_urdf("example:bakhoe")
+
+
+@pytest.mark.parametrize("name", ["excavator", "Excavators", "digger"])
+def test_another_word_for_a_backhoe_names_the_backhoe(name: str) -> None:
+    with pytest.raises(RobotError, match=rf"example:{name}: no such example robot.*did you mean example:backhoe\?"):
+        read_urdf(f"example:{name}")
 
 
 def test_examples_hold_the_shipped_models_and_those_of_example_robot_data() -> None:

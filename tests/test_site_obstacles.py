@@ -175,6 +175,14 @@ def test_flat_mesh_is_an_obstacle_too(planar4: Robot, tmp_path: Path) -> None:
     np.testing.assert_allclose(found, [[0, 0, 1], [1, 1, 1]], atol=1e-3)
 
 
+def test_flat_mesh_in_a_tilted_plane_is_an_obstacle_too(planar4: Robot, tmp_path: Path) -> None:
+    turn = trimesh.transformations.euler_matrix(0.3, 0.2, 0.1)
+    sheet = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]], [[0, 1, 2], [1, 3, 2]])
+    sheet.apply_transform(turn).export(tmp_path / "sheet.stl")
+    found = extent(build(planar4, tmp_path, shape="mesh", file="sheet.stl"))
+    np.testing.assert_allclose(found, sheet.bounds, atol=1e-3)
+
+
 def test_height_map_is_centred_and_reaches_50_m_below_its_lowest_point(planar4: Robot, tmp_path: Path) -> None:
     (tmp_path / "hill.csv").write_text("0,0,0\n0,1,0\n0,0,0\n")
     found = build(planar4, tmp_path, shape="heightmap", file="hill.csv", size=[4, 6], position=[10, 0, 2])

@@ -16,8 +16,18 @@ from hypothesis import given, settings
 from strategies import scenes
 
 from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.machine.robot import load_robot
 from backhoe_planner.machine.urdf import shipped
-from backhoe_planner.site.scene import Capsule, HalfSpace, Scene, load_scene, scene_from_dict, scene_schema
+from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.site.scene import (
+    Capsule,
+    HalfSpace,
+    Scene,
+    load_scene,
+    obstacle_from_dict,
+    scene_from_dict,
+    scene_schema,
+)
 
 Data = dict[str, Any]
 
@@ -200,6 +210,32 @@ def test_shipped_scenes_are_read_and_found_from_any_folder(tmp_path: Path, monke
         assert load_scene(f"scenes/{file.name}") == load_scene(file)
 
 
+def test_one_obstacle_is_read_with_keys_as_in_a_scene() -> None:
+    found = obstacle_from_dict(SPHERE)
+    assert found == scene_from_dict(scene(obstacles=[SPHERE])).obstacles[0]
+
+
+NO_OBSTACLE: list[tuple[Data, list[str]]] = [
+    ({"shape": "ball", "name": "b"}, ["b: is not an obstacle", "no shape 'ball'", "Allowed: box, capsule, cylinder"]),
+    ({"name": "b"}, ["b: is not an obstacle: shape is missing", "box, capsule"]),
+    ({"shape": "sphere", "name": "b"}, ["b: is not an obstacle: radius: is missing"]),
+    ({"shape": "sphere", "radius": 1.0}, ["obstacle: is not an obstacle: name: is missing"]),
+    ({"shape": "sphere", "name": "b", "radios": 1.0, "radius": 1.0}, ["radios", "did you mean 'radius'?"]),
+]
+
+
+@pytest.mark.parametrize(("data", "said"), NO_OBSTACLE)
+def test_what_is_wrong_with_one_obstacle_is_said_as_of_a_scene(data: Data, said: list[str]) -> None:
+    servo = Servo(load_robot("example:planar4"), scene_from_dict(scene()), q=np.zeros(4))
+    for read in (obstacle_from_dict, servo.add):
+        with pytest.raises(InputError) as caught:
+            read(data)
+        for fragment in said:
+            assert fragment in str(caught.value)
+        assert "http" not in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
+
+
 # --- what is not --------------------------------------------------------------
 
 BAD: dict[str, tuple[Data, list[str]]] = {
@@ -238,9 +274,29 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "NaN": (scene(task={"goal": {"position": [1, 2, float("nan")]}}), ["task.goal.position[2]", "finite", "nan"]),
     "infinite": (scene(clearance=float("inf")), ["clearance", "finite", "found inf"]),
     "infinite joint": (scene(start={"joints": {"boom": float("-inf")}}), ["start.joints.boom", "finite"]),
-    "negative radius": (obstacle(radius=-1), ["obstacles[0].radius", "greater than 0", "found -1"]),
-    "zero radius": (obstacle(radius=0), ["obstacles[0].radius", "greater than 0"]),
-    "negative edge": (shaped("box", size=[1, -1, 1]), ["obstacles[0].size[1]", "greater than 0", "-1"]),
+    "negative radius": (obstacle(radius=-1), ["obstacles[0].radius", "greater than or equal to 0.000001", "found -1"]),
+    "zero radius": (obstacle(radius=0), ["obstacles[0].radius", "greater than or equal to 0.000001", "found 0"]),
+    "radius of rounding": (obstacle(radius=1e-300), ["obstacles[0].radius", "equal to 0.000001", "found 1e-300"]),
+    "negative edge": (shaped("box", size=[1, -1, 1]), ["obstacles[0].size[1]", "equal to 0.000001", "-1"]),
+    "thin block": (shaped("box", size=[1, 1e-9, 1]), ["obstacles[0].size[1]", "equal to 0.000001", "found 1e-09"]),
+    "thin cylinder": (
+        shaped("cylinder", radius=1.0, length=1e-9),
+        ["obstacles[0].length", "equal to 0.000001", "found 1e-09"],
+    ),
+    "flat cylinder": (
+        shaped("cylinder", radius=1e5, length=1e-3),
+        [
+            "obstacles[0]: a cylinder's",
+            "length is 1e-05 to 100000 times its radius",
+            "0.001 m and 100000 m (1e-08 times)",
+        ],
+    ),
+    "needle": (shaped("cylinder", radius=1e-5, length=10.0), ["obstacles[0]", "10 m and 1e-05 m (1e+06 times)"]),
+    "fine voxels": (shaped("pointcloud", file="a.xyz", resolution=1e-9), ["obstacles[0].resolution", "0.000001"]),
+    "wall of three coordinates": (
+        scene(zones=[{"name": "w", "kind": "wall", "from": [5, 0, 1], "to": [5, 3]}]),
+        ["zones[0].from", "three coordinates", "two, x and y", "found [5, 0, 1]", "point and normal"],
+    ),
     "negative clearance": (scene(clearance=-0.1), ["clearance", "greater than or equal to 0", "-0.1"]),
     "appears in the past": (obstacle(appears_at=-1), ["obstacles[0].appears_at", "greater than or equal to 0"]),
     "negative payload": (scene(payload=-1), ["payload", "greater than or equal to 0"]),
@@ -277,7 +333,7 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "rpy and quaternion": (goal(rpy=[0, 0, 0], quaternion=[1, 0, 0, 0]), ["task.goal", "rpy and quaternion"]),
     "rpy and quaternion of a box": (
         shaped("box", size=[1, 1, 1], rpy=[0, 0, 0], quaternion=[1, 0, 0, 0]),
-        ["obstacles[0]", "only one of rpy, quaternion"],
+        ["obstacles[0]: only one of rpy, quaternion"],
     ),
     "reversed pitch range": (goal(pitch=[-1.2, -2.2]), ["task.goal", "reversed", "[-1.2, -2.2]"]),
     "pitch of three": (goal(pitch=[1, 2, 3]), ["task.goal.pitch", "at most 2"]),
@@ -297,7 +353,7 @@ def test_what_is_wrong_with_a_scene_is_said_with_its_key(data: Data, said: list[
     assert message.startswith("site/trench.yaml: ")
     for fragment in said:
         assert fragment in message
-    for inner in ("literal[", "union", "tagged", "function-", "pydantic", "Value error"):
+    for inner in ("tuple", "validation", "literal[", "union", "tagged", "function-", "pydantic", "Value error"):
         assert inner not in message, "a name of the schema's machinery, not of the scene"
 
 
@@ -339,7 +395,7 @@ BAD_YAML = {
     "line of a wrong value": (
         "version: 1\nstart: {joints: {}}\ntask: {goal: {position: [1, 2, 3]}}\nobstacles:\n"
         "  - {name: a, shape: sphere, radius: 1}\n  - name: b\n    shape: sphere\n    radius: -2\n",
-        ["obstacles[1].radius (line 8)", "greater than 0", "found -2"],
+        ["obstacles[1].radius (line 8)", "equal to 0.000001", "found -2"],
     ),
     "line of an unknown key": ("version: 1\ntask: {}\n\nclearanc: 1\n", ["clearanc (line 4)", "'clearance'"]),
 }
@@ -546,7 +602,12 @@ SHAPELY = [
     "vector of four",
     "negative radius",
     "zero radius",
+    "radius of rounding",
     "negative edge",
+    "thin block",
+    "thin cylinder",
+    "fine voxels",
+    "wall of three coordinates",
     "negative clearance",
     "appears in the past",
     "negative payload",
@@ -571,6 +632,16 @@ def test_schema_describes_the_keys_in_the_words_of_the_code() -> None:
     schema = scene_schema()
     assert schema["properties"]["payload"]["description"] == "Mass in the bucket [kg]."
     assert set(schema["$defs"]["Capsule"]["properties"]) >= {"from", "to", "radius"}
+
+
+def test_schema_describes_soil_and_each_of_its_keys_with_its_default() -> None:
+    schema = scene_schema()
+    assert "digs" in schema["properties"]["soil"]["description"]
+    for key, record in schema["$defs"]["Soil"]["properties"].items():
+        assert "default" in record["description"], key
+        default = record["default"]
+        if default is not None:
+            assert f"{default:g} by default" in record["description"]
 
 
 def test_the_schema_beside_the_scenes_is_the_one_in_the_code() -> None:

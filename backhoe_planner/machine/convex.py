@@ -17,13 +17,14 @@ from scipy.spatial import ConvexHull, QhullError
 from vhacdx import compute_vhacd
 
 from backhoe_planner.errors import InputError
+from backhoe_planner.machine.shapes import is_flat, thickened
 
 __all__ = ["convex_cover", "load_mesh", "terrain_columns", "voxel_boxes"]
 
 Points = NDArray[np.float64]
 
 _RESOLUTION = 60_000
-_THICKNESS = 1e-3  # m given to a mesh that has no volume
+_FURTHEST = 1e7  # m from the origin of a mesh: as far as map coordinates go
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
@@ -61,14 +62,27 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
 
     Returns
     -------
-    One (k, 3) array of hull vertices per piece, in the frame of the mesh.
+    One (k, 3) array of hull vertices per piece, in the frame of the mesh; one piece a
+    little thicker than the mesh where that is flat.
+
+    Raises
+    ------
+    InputError: the mesh reaches further than any map.
     """
     vertices = np.asarray(mesh.vertices, dtype=float)
     faces = np.asarray(mesh.faces)
     used = np.unique(faces)
-    hull = _hull(vertices[used])
+    furthest = float(np.max(np.abs(vertices[used])))
+    if furthest > _FURTHEST:
+        raise InputError(
+            "the mesh is too large",
+            found=f"a vertex {furthest:.4g} m from the origin",
+            allowed=f"up to {_FURTHEST:.0e} m",
+            hint="its scale takes the units of the file to metres",
+        )
+    hull = None if is_flat(vertices[used]) else _hull(vertices[used])
     if hull is None:
-        return [_thickened(vertices[used])]
+        return [thickened(vertices[used])]
     if hull.volume <= excess * abs(mesh.volume):
         return [hull.points[hull.vertices]]
     padded = np.column_stack((np.full(len(faces), 3), faces)).ravel().astype(np.uint32)
@@ -89,15 +103,6 @@ def _hull(points: Points) -> ConvexHull | None:
         return ConvexHull(points)
     except QhullError:
         return None
-
-
-def _thickened(points: Points) -> Points:
-    """Flat points, moved apart by `_THICKNESS` across each direction in which they are flat."""
-    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=len(points) < 3)[2]
-    for axis in axes:
-        if np.ptp(points @ axis) < _THICKNESS:
-            points = np.vstack((points - 0.5 * _THICKNESS * axis, points + 0.5 * _THICKNESS * axis))
-    return points
 
 
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Points) -> list[Points]:

@@ -247,7 +247,7 @@ def load_robot(
     Raises
     ------
     RobotError: see `read_urdf` and `read_hydraulics`; also an unknown or ambiguous tip, a tip that no joint
-        moves, and a mimic joint between the root and the tip.
+        moves, a mimic joint between the root and the tip, and one that copies a joint between them.
 
     Examples
     --------
@@ -275,6 +275,7 @@ def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
             )
     if not chain:
         raise RobotError("no joint moves the tip", file=urdf.path, key="tip", found=tip)
+    _check_followers(urdf, {joint.name for joint in chain})
     model = _chain_model(urdf, {joint.name for joint in chain})
     joint_names = tuple(str(name) for name in model.names[1:])
     return Robot(
@@ -289,6 +290,25 @@ def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
         visuals=_visuals(urdf, model),
         hydraulics=None if hydraulics is None else read_hydraulics(hydraulics, urdf, joint_names),
     )
+
+
+def _check_followers(urdf: Urdf, moving: set[str]) -> None:
+    """That no joint beside the chain copies one that moves: held still, its link would not be where it is."""
+    copies = {joint.name: joint.mimic.joint for joint in urdf.robot.joints if joint.mimic is not None}
+    for joint in urdf.robot.joints:
+        leader, met = joint.name, set[str]()
+        while leader in copies and leader not in met:
+            met.add(leader)
+            leader = copies[leader]
+        if met and leader in moving and joint.type != "fixed":
+            raise RobotError(
+                f"copies joint {leader!r}, which moves the tip: mimic joints beside the arm are supported "
+                "only where what they copy stands still",
+                file=urdf.path,
+                key=f"joint {joint.name!r}",
+                found="<mimic>",
+                hint="without the <mimic> and with the type fixed, its link stands still on its parent",
+            )
 
 
 def _checked_tip(urdf: Urdf, tip: str | None) -> str:

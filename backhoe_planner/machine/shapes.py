@@ -6,18 +6,36 @@ bound it, so that how far it can travel is computed without asking coal.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
-__all__ = ["Gauge", "Piece", "box", "capsule", "convex", "cylinder", "halfspace", "sphere", "transform"]
+__all__ = [
+    "Gauge",
+    "Piece",
+    "box",
+    "capsule",
+    "convex",
+    "cylinder",
+    "halfspace",
+    "is_flat",
+    "sphere",
+    "thickened",
+    "transform",
+]
 
 Vector = NDArray[np.float64]
 
 _SIDES = 32
+_FLAT = 1e-6  # of the largest extent, and in metres: thinner is flat to what builds hulls
+_THICKNESS = 1e-3  # m given to what is flat
+_THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is more
+_FAR = 1e3  # largest extents from the origin: beyond, digits are missing in the shape
 _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
 _CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
 _TOLERANCE = 1e-12  # of coal's iterations [m]
@@ -80,11 +98,84 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
 
 
 def convex(points: Vector, placement: pin.SE3) -> Piece:
-    """The convex hull of (k, 3) points [m] in the piece's frame."""
-    corners = coal.StdVec_Vec3s()
-    for point in np.asarray(points, dtype=float):
+    """The convex hull of (k, 3) points [m] in the piece's frame; of what is flat, see `thickened`."""
+    points = np.asarray(points, dtype=float)
+    centre = points.mean(axis=0)
+    if np.linalg.norm(centre) > _FAR * np.max(np.ptp(points, axis=0)):
+        points, placement = points - centre, placement * pin.SE3(np.eye(3), centre)
+    hull = _hull(points)
+    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for point in hull.points[hull.vertices]:
         corners.append(point)
-    return _piece(coal.Convex.convexHull(corners, True, "Qt"), placement, np.asarray(points, dtype=float))
+    numbers = np.full(len(hull.points), -1)
+    numbers[hull.vertices] = np.arange(len(hull.vertices))
+    edges = hull.points[hull.simplices[:, 1:]] - hull.points[hull.simplices[:, :1]]
+    inward = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), hull.equations[:, :3]) < 0.0
+    for a, b, c in numbers[np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)].tolist():
+        triangles.append(coal.Triangle(a, b, c))
+    # not by coal's own hull, which ends the process where Qhull has an error
+    return _piece(coal.Convex(corners, triangles), placement, hull.points)
+
+
+def is_flat(points: Vector) -> bool:
+    """Whether (k, 3) points [m] lie in one plane, line or point to within what a hull can be built of."""
+    extents = np.ptp(points @ _axes(points).T, axis=0)
+    return len(points) < 4 or bool(np.min(extents) < _FLAT * max(1.0, float(np.max(extents))))
+
+
+def thickened(points: Vector) -> Vector:
+    """Corners (k, 3) of the flat prism, or the thin box, around (k, 3) points that are flat [m].
+
+    It reaches half a millimetre beyond them across each direction in which they are flat,
+    or 5e-6 of the largest extent, where that is more.
+    """
+    axes = _axes(points)
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    thickness = max(_THICKNESS, _THICKNESS_OF_SIZE * float(np.max(high - low)))
+    thin = high - low < thickness
+    low, high = np.where(thin, low - 0.5 * thickness, low), np.where(thin, high + 0.5 * thickness, high)
+    outline = None if np.count_nonzero(thin) > 1 else _outline(along[:, ~thin])
+    if outline is None:
+        return _box_corners(low, high) @ axes
+    prism = np.empty((2 * len(outline), 3))
+    prism[:, ~thin] = np.tile(outline, (2, 1))
+    prism[:, thin] = np.repeat([low[thin], high[thin]], len(outline), axis=0)
+    return prism @ axes
+
+
+def _axes(points: Vector) -> Vector:
+    """(3, 3) the principal axes of points, one in each row."""
+    return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=len(points) < 3)[2])
+
+
+def _outline(points: Vector) -> Vector | None:
+    """The corners of the convex hull of (k, 2) points in order, None where it cannot be built."""
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:
+        return None
+
+
+def _box_corners(low: Vector, high: Vector) -> Vector:
+    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+
+
+def _hull(points: Vector) -> ConvexHull:
+    """The convex hull of points, changed as little as Qhull needs to build one."""
+    if is_flat(points):
+        points = thickened(points)
+    size = float(np.max(np.ptp(points, axis=0)))
+    centre = points.mean(axis=0)
+    for merged_within in (0.0, 1e-9 * size, 1e-7 * size):
+        apart = points
+        if merged_within:  # points that nearly coincide are what it runs into
+            apart = centre + merged_within * np.unique(np.round((points - centre) / merged_within), axis=0)
+        with contextlib.suppress(QhullError):
+            return ConvexHull(apart)
+    axes = _axes(points)
+    along = points @ axes.T
+    return ConvexHull(_box_corners(along.min(axis=0), along.max(axis=0)) @ axes)
 
 
 def halfspace(point: Vector, normal: Vector) -> Piece:

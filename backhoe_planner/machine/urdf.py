@@ -43,6 +43,9 @@ _EXAMPLE_ALIASES = {
     "kinova": "kinova_description/robots/kinova.urdf",
 }
 
+# What a shipped model may be looked for as.
+_ALSO_CALLED = {"excavator": "backhoe", "backhoe loader": "backhoe", "digger": "backhoe", "bagger": "backhoe"}
+
 
 @dataclass(frozen=True)
 class Urdf:
@@ -199,12 +202,15 @@ def _locate_example(name: str) -> Path:
         if candidate.is_file():
             return candidate
     names = example_names()
-    near = nearest_name(name, names)
+    near = nearest_name(name, (*names, *_ALSO_CALLED))
+    shipped_names = [path.stem for path in sorted(shipped("models").glob("*.urdf"))]
+    others = [known for known in names if known not in shipped_names]
     raise RobotError(
         "no such example robot",
         key=f"example:{name}",
-        allowed=", ".join(names),
-        hint=f"did you mean example:{near}?" if near else None,
+        allowed=f"{', '.join(shipped_names)}, or of example-robot-data "
+        + (f"one of {len(others)} robots" if near else ", ".join(others)),
+        hint=f"did you mean example:{_ALSO_CALLED.get(near, near)}?" if near else "the backhoe is example:backhoe",
     )
 
 

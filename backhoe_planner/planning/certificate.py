@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.reach import tip_travel_bound
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning.between import between_samples
 from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.retiming import DRIVEN_WITHIN, use_of_drive
 from backhoe_planner.planning.tracking import Detour, Tracking, track_goal, track_path
 from backhoe_planner.planning.trajectory import Trajectory
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.proximity import Proximity, obstacle_told
 from backhoe_planner.site.scene import Scene
 
 __all__ = [
@@ -35,10 +36,12 @@ __all__ = [
     "Clearance",
     "LimitUse",
     "LoadUse",
+    "SpeedUse",
     "certify",
     "certify_problem",
     "path_segment_is_clear",
     "segment_is_clear",
+    "told_part",
 ]
 
 Vector = NDArray[np.float64]
@@ -51,6 +54,7 @@ KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts a
 TOUCH = 5e-5  # m: a path at exactly its clearance is clear to within this
 _TOUCHING_DEPTH = 9
 _LIMIT_TOLERANCE = 1e-6  # relative, for rounding
+SPEED_WITHIN = 0.03  # over the asked speed of the tip that a motion may be: it is timed along the path's own arc
 _NEVER = 10.0  # m: clearances above this are not told apart
 
 
@@ -122,6 +126,28 @@ class LoadUse(LimitUse):
 
 
 @dataclass(frozen=True)
+class SpeedUse:
+    """The tip's speed on the followed parts of a path, where it is greatest.
+
+    Attributes
+    ----------
+    ratio: over the asked speed; 3 % more is allowed.
+    greatest, asked: [m/s]
+    time: when [s].
+    """
+
+    ratio: float
+    greatest: float
+    asked: float
+    time: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the tip is no faster than asked."""
+        return self.ratio <= 1.0 + SPEED_WITHIN
+
+
+@dataclass(frozen=True)
 class Certificate:
     """What was proven of a motion.
 
@@ -134,6 +160,7 @@ class Certificate:
     hydraulics: use of rod speeds, pump flow and engine power; None for a machine without
         a hydraulic description.
     tracking: how the tip keeps to its task.
+    tip_speed: use of the asked speed; None where none is asked.
     problems: what is not as it must be, in words; empty where verified.
     """
 
@@ -145,6 +172,7 @@ class Certificate:
     effort: LoadUse | None
     hydraulics: LoadUse | None
     tracking: Tracking
+    tip_speed: SpeedUse | None
     problems: tuple[str, ...]
 
     @property
@@ -197,6 +225,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     else:
         assert problem.goal is not None
         tracking = track_goal(problem.goal, trajectory, kinematics)
+    tip_speed = _speed_use(problem, tracking)
     tightest = clearances[0] if clearances else None
     return Certificate(
         min_clearance=tightest,
@@ -207,9 +236,11 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
         effort=effort,
         hydraulics=hydraulics,
         tracking=tracking,
+        tip_speed=tip_speed,
         problems=tuple(
             _problems(problem, trajectory, tightest, (position, velocity, acceleration), tracking, kinematics)
             + [_load_told(use) for use in (effort, hydraulics) if use is not None and not use.kept]
+            + ([_speed_told(tip_speed)] if tip_speed is not None and not tip_speed.kept else [])
         ),
     )
 
@@ -225,12 +256,17 @@ def _problems(
     found = []
     if tightest is not None and tightest.margin < -KEPT_WITHIN:
         found.append(
-            f"{tightest.link} comes to {tightest.value:.3f} m of {tightest.obstacle} at {tightest.time:.2f} s, "
-            f"{-tightest.margin:.3f} m closer than allowed"
+            f"{tightest.link} comes to {tightest.value:.3f} m of {obstacle_told(tightest.obstacle)} "
+            f"at {tightest.time:.2f} s, {-tightest.margin:.3f} m closer than allowed"
         )
     for kind, use in zip(("position", "velocity", "acceleration"), limits, strict=True):
         if not use.kept:
-            found.append(f"{use.joint} exceeds its {kind} limit at {use.time:.2f} s ({use.ratio:.3f} of it)")
+            if kind == "position":
+                slides = problem.robot.prismatic[problem.robot.joint_names.index(use.joint)]
+                much = f"{use.ratio - 1.0:.3g} {'m' if slides else 'rad'} outside"
+            else:
+                much = f"{told_part(use.ratio)} it"
+            found.append(f"{use.joint} exceeds its {kind} limit at {use.time:.2f} s ({much})")
     if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(trajectory.q[0]))) > 1e-5:
         found.append("the motion does not begin at the asked start")
     if not np.allclose(trajectory.v, Trajectory.from_steps(trajectory.time, trajectory.q).v, rtol=1e-6, atol=1e-6):
@@ -431,18 +467,24 @@ def _load_use(problem: Problem, trajectory: Trajectory) -> tuple[LoadUse | None,
     drive = drive_of(problem)
     if not drive.limited:
         return None, None
-    names, q, v = problem.robot.joint_names, trajectory.q, trajectory.v
+    names = problem.robot.joint_names
+    time, q, v, a = trajectory.time, trajectory.q, trajectory.v, trajectory.accelerations()
     effort, speeds = use_of_drive(trajectory, drive)
+    between = between_samples(trajectory)
+    if len(between.time):
+        time, q, v = np.append(time, between.time), np.vstack((q, between.q)), np.vstack((v, between.v))
+        a = np.vstack((a, np.zeros_like(between.q)))
+        more_effort, more_speeds = drive.use_between(between)
+        effort, speeds = np.vstack((effort, more_effort)), np.vstack((speeds, more_speeds))
     row, joint = (int(index) for index in np.unravel_index(int(np.argmax(effort)), effort.shape))
     here, still = q[row : row + 1], np.zeros((1, problem.robot.n))
-    acceleration = trajectory.accelerations()[row : row + 1]
-    torque = drive.rigid_torques(here, v[row : row + 1], acceleration) + drive.soil_torques(here, v[row : row + 1])
+    torque = drive.rigid_torques(here, v[row : row + 1], a[row : row + 1]) + drive.soil_torques(here, v[row : row + 1])
     needed = float(torque[0, joint])
     limits = drive.torque_limits(here)
     used = LoadUse(
         ratio=float(effort[row, joint]),
         joint=names[joint],
-        time=float(trajectory.time[row]),
+        time=float(time[row]),
         kind="torque",
         needed=needed,
         available=_finite((limits.positive if needed > 0.0 else limits.negative)[0, joint]),
@@ -459,7 +501,7 @@ def _load_use(problem: Problem, trajectory: Trajectory) -> tuple[LoadUse | None,
     return used, LoadUse(
         ratio=ratio,
         joint=names[column] if column < len(names) else "",
-        time=float(trajectory.time[row]),
+        time=float(time[row]),
         kind=kinds[column],
         needed=ratio * available,
         available=available,
@@ -472,13 +514,34 @@ def _finite(value: float) -> float:
     return float(value) if np.isfinite(value) else 0.0
 
 
+def _speed_use(problem: Problem, tracking: Tracking) -> SpeedUse | None:
+    path = problem.scene.task.path
+    if path is None or path.speed is None:
+        return None
+    return SpeedUse(tracking.max_speed / path.speed, tracking.max_speed, path.speed, tracking.max_speed_time)
+
+
+def _speed_told(use: SpeedUse) -> str:
+    return (
+        f"the tip moves along the path at {use.greatest:.3g} m/s at {use.time:.2f} s, "
+        f"{told_part(use.ratio)} the asked {use.asked:.3g} m/s"
+    )
+
+
+def told_part(ratio: float) -> str:
+    """How much of a limit, in words: ``149 % of``, ``12 times``, ``more than 1000 times``."""
+    if ratio < 10.0:
+        return f"{100.0 * ratio:.{2 if ratio < 1.1 else 0}f} % of"
+    return f"{ratio:.0f} times" if ratio < 1000.0 else "more than 1000 times"
+
+
 def _load_told(use: LoadUse) -> str:
     """A limit that is not kept, in words."""
     when = f"at {use.time:.2f} s"
     if use.kind == "torque":
-        figures = f"{abs(use.needed) / 1e3:.3g} kN m of {use.available / 1e3:.3g} kN m ({use.ratio:.3f} of it)"
+        figures = f"{abs(use.needed) / 1e3:.3g} kN m of {use.available / 1e3:.3g} kN m ({told_part(use.ratio)} it)"
         what = "cannot hold the load" if use.at_rest > 1.0 else "has too little torque for the motion"
         return f"{use.joint} {what} {when}: it takes {figures}"
     if use.kind == "rod speed":
-        return f"{use.joint} asks its cylinders for {use.ratio:.3f} of their greatest speed {when}"
-    return f"the motion asks for {use.ratio:.3f} of the {use.kind} {when}"
+        return f"{use.joint} asks its cylinders for {told_part(use.ratio)} their greatest speed {when}"
+    return f"the motion asks for {told_part(use.ratio)} the {use.kind} {when}"

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.dynamics import Dynamics
 from backhoe_planner.machine.hydraulics import BothWays, Hydraulics
 from backhoe_planner.machine.robot import Robot
+from backhoe_planner.planning.between import Between
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.scene import Soil
 from backhoe_planner.site.soil import SoilReaction
@@ -138,6 +139,16 @@ class Drive:
             flow=self.flow_use(q, v),
             power=self.power_use(q, v, torque),
         )
+
+    def use_between(self, between: Between) -> tuple[Array, Array]:
+        """Inside the long segments of a motion, where nothing is accelerated.
+
+        Returns
+        -------
+        (K, n) torque over limit; (K, n + 2) rod speed of each joint, flow, power: 1 at the limit.
+        """
+        use = self.use(between.q, between.v, np.zeros_like(between.q))
+        return use.effort, np.minimum(np.column_stack((use.rod_speed, use.flow, use.power)), MOST)
 
 
 def drive_of(problem: Problem) -> Drive:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
+from backhoe_planner.planning.between import between_samples
 from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.planning.retiming import use_of_drive
@@ -50,7 +51,8 @@ def limit_usage(problem: Problem, trajectory: Trajectory) -> LimitUsage:
     """What a motion uses of the limits of joints, drive and tip speed at every sample.
 
     Rates are those of the faster of the two segments beside a sample, accelerations and
-    torques those of `Trajectory.accelerations`. The tip's speed counts where the tip is
+    torques those of `Trajectory.accelerations`; what long segments take in between counts
+    at both of their ends. The tip's speed counts where the tip is
     on the asked path and the scene asks for a speed.
     """
     limits, joints = problem.limits, problem.robot.joint_names
@@ -62,6 +64,10 @@ def limit_usage(problem: Problem, trajectory: Trajectory) -> LimitUsage:
     drive = drive_of(problem)
     if drive.limited:
         effort, speeds = use_of_drive(trajectory, drive)
+        between = between_samples(trajectory)
+        for values, more in zip((effort, speeds), drive.use_between(between), strict=True):
+            for beside in (between.segment, between.segment + 1):
+                np.maximum.at(values, beside, more)
         names += [f"torque {joint}" for joint in joints]
         columns.append(effort)
         if drive.hydraulics is not None:

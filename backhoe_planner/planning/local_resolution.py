@@ -27,6 +27,7 @@ __all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
+_LEAST_SPACING = 1e-4  # m
 _SPACING = 0.02  # m between samples at most
 _TIME_PER_METRE = 3.0  # s: at which speed the law's rates are read as steps
 _APPROACH = 0.4  # part of a margin that one step may use up
@@ -91,7 +92,8 @@ def resolve_along(
     for station in stations[1:]:
         at = kinematics.at(found[-1])
         nearby = proximity.at(at.q, time=time, margin=problem.scene.influence)
-        span = _TIME_PER_METRE * float(station - stations[len(found) - 1])
+        # where a waypoint stands twice there is no way, but a step that takes some time
+        span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
         after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):
             return Resolution(stations[: len(found)], np.array(found), _blocker(problem, at, nearby, proximity))

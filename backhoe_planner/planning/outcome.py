@@ -14,6 +14,7 @@ from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.plan import Reason
 from backhoe_planner.planning.postures import Contact, Found
 from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.site.proximity import obstacle_told
 
 __all__ = ["Outcome", "bad_start", "contact_details", "no_posture", "point", "standing", "told"]
 
@@ -45,9 +46,9 @@ def standing(q: Vector) -> Trajectory:
 def told(contact: Contact) -> str:
     """A contact in words."""
     if contact.distance < 0.0:
-        return f"{contact.link} is {-contact.distance:.3f} m inside {contact.obstacle}"
+        return f"{contact.link} is {-contact.distance:.3f} m inside {obstacle_told(contact.obstacle)}"
     return (
-        f"{contact.link} is {contact.distance:.3f} m from {contact.obstacle}, "
+        f"{contact.link} is {contact.distance:.3f} m from {obstacle_told(contact.obstacle)}, "
         f"{-contact.margin:.3f} m closer than allowed"
     )
 

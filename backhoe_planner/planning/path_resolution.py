@@ -24,7 +24,7 @@ from backhoe_planner.planning.layered_graph import Edge, EdgeKind, LayeredGraph,
 from backhoe_planner.planning.path_layers import PathLayers
 from backhoe_planner.planning.problem import Problem
 from backhoe_planner.site.clearance_screen import ClearanceScreen
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.proximity import Proximity, obstacle_told
 
 __all__ = ["Blame", "Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
 
@@ -65,7 +65,7 @@ class Blame:
     def __str__(self) -> str:
         if self.link == "joint":
             return f"the limit of joint {self.obstacle}"
-        return f"{self.obstacle} (at {self.link})"
+        return f"{obstacle_told(self.obstacle)} (at {self.link})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,7 @@ __all__ = ["certificate_to_dict", "load_plan", "plan_to_dict", "save_plan"]
 
 FORMAT = "backhoe-planner/plan"
 VERSION = 1
-_LIMITS = ("position", "velocity", "acceleration", "effort", "hydraulics")
+_LIMITS = ("position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed")
 
 
 def save_plan(plan: Plan, path: str | os.PathLike[str]) -> None:

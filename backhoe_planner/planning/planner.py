@@ -141,7 +141,8 @@ def _checked_method(method: str) -> Method:
 
 def judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
     """Why a finished motion is not verified, from the certificate alone."""
-    reason: Reason = "blocked" if certificate.limits_kept else "outside_limits"
+    slow = certificate.tip_speed is None or certificate.tip_speed.kept
+    reason: Reason = "blocked" if certificate.limits_kept and slow else "outside_limits"
     return reason, "; ".join(certificate.problems)
 
 

@@ -83,7 +83,8 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         waypoints = scene.waypoints()
         for index, waypoint in enumerate(waypoints):
             _target(robot, scene, waypoint, f"task.path.waypoints[{index}]")
-        path = BucketPath(waypoints)
+        different = [b for a, b in zip((None, *waypoints), waypoints, strict=False) if a != b]
+        path = BucketPath(different if len(different) > 1 else waypoints)  # one that stands twice adds nothing
     return Problem(
         robot=robot,
         scene=scene,
@@ -126,7 +127,7 @@ def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]
     _check_joint_names(robot, scene, "start.joints", joints)
     missing = [name for name in robot.joint_names if name not in joints]
     if missing:
-        raise SceneError("joints are missing", file=scene.file, key="start.joints", found=", ".join(missing))
+        raise SceneError(f"joints are missing: {', '.join(missing)}", file=scene.file, key="start.joints")
     return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints"), None
 
 

@@ -7,6 +7,7 @@ is sampled from it is checked, and slowed by as much as it is over.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,10 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _PERIOD = PERIOD  # s between samples
+_MANY = 5000  # samples of one motion; of more, only those are kept that get on
+_MOST = 1_000_000  # of which these are chosen
+_LEAST_STEP = 2.5e-3  # rad or m of a joint from sample to sample then
+_LEAST_TIP_STEP = 5e-4  # m of the tip
 _SPARE = 0.999
 _SAME_PLACE = 1e-9
 _PER_PIECE = 12  # intervals on every leg and corner of a way
@@ -70,8 +75,12 @@ def time_along(
     if law is None:
         time, samples = _ramp(along, q, limits)
         return retimed(Trajectory.from_steps(time, samples), limits, drive=drive)
-    time = _samples(law.duration, period)
-    samples = curve(law.at(time)[0])[:, :-1]
+    time, samples = _getting_on(
+        _samples(law.duration, period),
+        lambda moments: np.asarray(curve(law.at(moments)[0])),
+        np.append(np.full(q.shape[1], _LEAST_STEP), _LEAST_TIP_STEP),
+    )
+    samples = samples[:, :-1]
     samples[0], samples[-1] = q[0], q[-1]
     # a spline may swing a little beyond a limit at which its samples stand
     return _kept(Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper)), limits, drive)
@@ -183,7 +192,23 @@ def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Ma
 
 
 def _samples(duration: float, period: float) -> Vector:
-    return np.linspace(0.0, duration, max(int(np.ceil(duration / period)) + 1, 3))
+    return np.linspace(0.0, duration, min(max(int(np.ceil(duration / period)) + 1, 3), _MOST))
+
+
+def _getting_on(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector) -> tuple[Vector, Matrix]:
+    """Samples (T,), (T, m) of a motion; of a very slow one only those by which it gets on.
+
+    Parameters
+    ----------
+    place: (K, m) the coordinates at (K,) times.
+    least_step: (m,) of each of them between two samples of a slow motion.
+    """
+    samples = place(time)
+    if len(time) <= _MANY:
+        return time, samples
+    way = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(samples, axis=0)) / least_step, axis=1))))
+    kept = np.concatenate(([True], np.floor(way[1:-1]) > np.floor(way[:-2]), [True]))
+    return time[kept], samples[kept]
 
 
 def _along_smooth(
@@ -206,7 +231,10 @@ def _along_smooth(
     law = time_path(PathShape(places, way(places), slope, bend, bend), limits, drive=drive)
     if law is None:
         return None
-    time = _samples(law.duration, _PERIOD)
-    q = way(np.clip(law.at(time)[0], begin, end))
+    time, q = _getting_on(
+        _samples(law.duration, _PERIOD),
+        lambda moments: way(np.clip(law.at(moments)[0], begin, end)),
+        np.full(way.corners.shape[1], _LEAST_STEP),
+    )
     q[0], q[-1] = way(begin), way(end)
     return time * max(_over(Trajectory.from_steps(time, q), limits) / _SPARE, 1.0), q

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.planning.between import between_samples
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.trajectory import Trajectory
 
@@ -25,6 +26,7 @@ Vector = NDArray[np.float64]
 GOAL_TOLERANCE = 1e-3  # m
 ANGLE_TOLERANCE = 1e-2  # rad
 _BEGINNING = 0.1  # of the path: while less is done, the tip may still be approaching
+_BESIDE = 10.0  # tolerances from where a detour begins or ends, in which the tip swings out or in
 _LOOK_AHEAD = 0.5  # m of path in which the tip is looked for while it follows
 
 
@@ -63,6 +65,8 @@ class Tracking:
     followed: part of it that was followed [m].
     approach_time: when the tip first is on the path [s].
     detours: where it left the path.
+    max_speed, max_speed_time: of the tip on the followed parts [m/s], and when [s];
+        10 tolerances next to a detour, where it swings out and in again, do not count.
     """
 
     done: bool
@@ -74,6 +78,8 @@ class Tracking:
     followed: float = 0.0
     approach_time: float = 0.0
     detours: tuple[Detour, ...] = ()
+    max_speed: float = 0.0
+    max_speed_time: float = 0.0
 
 
 def track_goal(goal: TipTarget, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
@@ -123,6 +129,8 @@ def track_path(
     detours += _skips(on, first, station, tips, trajectory.time, tolerance)
     detours.sort(key=lambda detour: detour.time_from)
     skipped = sum(detour.path_to - detour.path_from for detour in detours)
+    edges = np.array([edge for detour in detours for edge in (detour.path_from, detour.path_to)])
+    max_speed, max_speed_time = _max_speed(on, station, tips, trajectory, kinematics, edges, _BESIDE * tolerance)
     missing = []
     if station[first] > tolerance:
         missing.append(f"the path is joined at {station[first]:.2f} m instead of at its start")
@@ -138,7 +146,44 @@ def track_path(
         followed=float(station[last] - station[first] - skipped),
         approach_time=float(trajectory.time[first]),
         detours=tuple(detours),
+        max_speed=max_speed,
+        max_speed_time=max_speed_time,
     )
+
+
+def _max_speed(
+    on: NDArray[np.bool_],
+    station: Vector,
+    tips: NDArray[np.float64],
+    trajectory: Trajectory,
+    kinematics: Kinematics,
+    edges: Vector,
+    beside: float,
+) -> tuple[float, float]:
+    """The tip's greatest speed on the followed segments [m/s] and when [s].
+
+    On long segments it is that between many moments.
+    """
+    time = trajectory.time
+    followed = on[:-1] & on[1:]
+    for edge in edges.tolist():
+        followed &= ~((station[:-1] < edge + beside) & (station[1:] > edge - beside))
+    if not followed.any():
+        return 0.0, 0.0
+    speed = np.where(followed, np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(time), 0.0)
+    worst = int(np.argmax(speed))
+    found = (float(speed[worst]), float(time[worst]))
+    between = between_samples(trajectory)
+    for segment in np.unique(between.segment[followed[between.segment]]).tolist():
+        inside = between.segment == segment
+        moments = np.concatenate((time[segment : segment + 1], between.time[inside], time[segment + 1 : segment + 2]))
+        reached = [kinematics.at(q).tip_position for q in between.q[inside]]
+        places = np.vstack((tips[segment], *reached, tips[segment + 1]))
+        faster = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(moments)
+        worst = int(np.argmax(faster))
+        if faster[worst] > found[0]:
+            found = (float(faster[worst]), float(moments[worst]))
+    return found
 
 
 def progress(path: BucketPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:

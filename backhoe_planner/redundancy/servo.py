@@ -737,5 +737,5 @@ def _start(robot: Robot, scene: schema.Scene) -> Vector:
     joints: Mapping[str, float] = scene.start.joints or {}
     missing = [name for name in robot.joint_names if name not in joints]
     if missing:
-        raise InputError("joints are missing", key="start.joints", found=", ".join(missing))
+        raise InputError(f"joints are missing: {', '.join(missing)}", key="start.joints")
     return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints")

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import shapes
@@ -27,8 +26,6 @@ Indices = NDArray[np.intp]
 
 _FARTHEST = 1000.0  # m
 _VOXELS = (0.001, 100.0)  # m
-
-_SPEC: TypeAdapter[Any] = TypeAdapter(schema.ObstacleSpec)
 
 
 @dataclass
@@ -107,10 +104,7 @@ class Surroundings:
         InputError: the name is taken, or the record is not one of an obstacle.
         """
         if isinstance(obstacle, Mapping):
-            try:
-                spec = _SPEC.validate_python(dict(obstacle))
-            except ValidationError as error:
-                raise InputError(f"is not an obstacle: {error}", key=str(obstacle.get("name"))) from None
+            spec = schema.obstacle_from_dict(obstacle)
             for link in spec.links or ():
                 if link not in self._robot.all_link_names:
                     raise InputError("the machine has no such link", key=f"{spec.name}.links", found=link)

@@ -29,7 +29,7 @@ from backhoe_planner.machine.reach import travel_bounds
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.site.obstacles import Obstacle
 
-__all__ = ["Nearby", "Pair", "Proximity"]
+__all__ = ["Nearby", "Pair", "Proximity", "obstacle_told"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -38,6 +38,14 @@ Indices = NDArray[np.intp]
 _NONSENSE = -1e7  # m: no pair is this deep inside each other
 _CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
 _TOLERANCE = 1e-12  # of coal's iterations [m]
+
+
+_SELF = "self: "
+
+
+def obstacle_told(name: str) -> str:
+    """The name of an obstacle in a sentence; of a part of the machine, ``self: LINK``, the machine itself."""
+    return f"the machine itself ({name.removeprefix(_SELF)})" if name.startswith(_SELF) else name
 
 
 @dataclass(frozen=True)
@@ -137,7 +145,7 @@ class Proximity:
             # the one further out is the link, the other what it must not touch
             outer, inner = (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
             self._model.addCollisionPair(pin.CollisionPair(outer, inner))
-            pairs.append(Pair(robot.pieces[outer].link, f"self: {robot.pieces[inner].link}", outer, 0.0))
+            pairs.append(Pair(robot.pieces[outer].link, f"{_SELF}{robot.pieces[inner].link}", outer, 0.0))
             shared = np.array(_support(robot, robot.pieces[inner].joint) > 0.0)
             travel.append(np.where(shared, 0.0, radii[outer]))
             owner.append(-1)

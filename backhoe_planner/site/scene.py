@@ -16,9 +16,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError, field_validator, model_validator
 
-from backhoe_planner.errors import SceneError
+from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine.urdf import shipped
 from backhoe_planner.schema import Record, explain, say
 from backhoe_planner.yaml_text import KeyPath, read_yaml
@@ -50,6 +50,7 @@ __all__ = [
     "Waypoint",
     "ZoneSpec",
     "load_scene",
+    "obstacle_from_dict",
     "scene_from_dict",
     "scene_schema",
 ]
@@ -60,6 +61,10 @@ _LARGEST = 1e5
 Finite = Annotated[float, Field(strict=True, ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST, allow_inf_nan=False)]
+# thinner is rounding to what measures distances
+_SMALLEST = 1e-6
+_FLATTEST = 1e-5
+Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 PitchRange = tuple[Finite, Finite]
@@ -243,7 +248,7 @@ class Sphere(_Placed):
     """A ball."""
 
     shape: Literal["sphere"]
-    radius: Positive
+    radius: Length
     """[m]"""
 
 
@@ -251,7 +256,7 @@ class Box(_Placed):
     """A block."""
 
     shape: Literal["box"]
-    size: tuple[Positive, Positive, Positive]
+    size: tuple[Length, Length, Length]
     """Edge lengths along x, y, z [m]."""
 
 
@@ -259,10 +264,19 @@ class Cylinder(_Placed):
     """A cylinder along its z axis."""
 
     shape: Literal["cylinder"]
-    radius: Positive
+    radius: Length
     """[m]"""
-    length: Positive
-    """[m]"""
+    length: Length
+    """[m]; between 1e-5 and 1e5 times the radius."""
+
+    @model_validator(mode="after")
+    def _some_body(self) -> Cylinder:
+        if not _FLATTEST <= self.length / self.radius <= 1.0 / _FLATTEST:
+            raise ValueError(
+                f"a cylinder's length is {_FLATTEST:g} to {1.0 / _FLATTEST:g} times its radius, "
+                f"here {self.length:g} m and {self.radius:g} m ({self.length / self.radius:.3g} times)"
+            )
+        return self
 
 
 class Capsule(_Obstacle):
@@ -273,7 +287,7 @@ class Capsule(_Obstacle):
     """One end of the axis [m]."""
     end: Vector3 = Field(alias="to")
     """The other end [m]."""
-    radius: Positive
+    radius: Length
     """[m]"""
 
 
@@ -314,7 +328,7 @@ class HeightMap(_Placed):
     shape: Literal["heightmap"]
     file: str
     """CSV of heights [m] without header; rows along y, columns along x, both ascending."""
-    size: tuple[Positive, Positive]
+    size: tuple[Length, Length]
     """Extent in x and y [m], centred on `position`."""
 
 
@@ -324,7 +338,7 @@ class PointCloud(_Placed):
     shape: Literal["pointcloud"]
     file: str
     """PLY, or CSV or XYZ with x, y, z in the first three columns."""
-    resolution: Positive
+    resolution: Length
     """Edge of a voxel [m]."""
 
 
@@ -397,6 +411,16 @@ class Wall(_SolidZone):
     end: tuple[Finite, Finite] | None = Field(default=None, alias="to")
     """x, y of another point on it [m]."""
 
+    @field_validator("start", "end", mode="before")
+    @classmethod
+    def _upright(cls, point: object) -> object:
+        if isinstance(point, (list, tuple)) and len(point) == 3:
+            raise ValueError(
+                f"has three coordinates, allowed: two, x and y, of an upright wall; found {list(point)!r} "
+                "(a wall that leans is given by point and normal)"
+            )
+        return point
+
     @model_validator(mode="after")
     def _one_of_two(self) -> Wall:
         by_normal = [self.point is not None, self.normal is not None]
@@ -456,7 +480,7 @@ class Cab(_SolidZone):
     """A block around the operator's cab that nothing of the machine may enter."""
 
     kind: Literal["cab"]
-    size: tuple[Positive, Positive, Positive]
+    size: tuple[Length, Length, Length]
     """Edge lengths along x, y, z [m]."""
     position: Vector3
     """Of the centre [m]."""
@@ -488,24 +512,27 @@ class Limits(Record):
 
 
 class Soil(Record):
-    """What the bucket digs in (fundamental earthmoving equation)."""
+    """What the bucket digs in (fundamental earthmoving equation).
+
+    Every key may be left out: the defaults are those of a soil of medium strength.
+    """
 
     density: Positive = 1700.0
-    """[kg/m^3]"""
+    """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
     cohesion: NonNegative = 5000.0
-    """[Pa]"""
+    """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay."""
     friction: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.55
-    """Internal friction angle [rad]."""
+    """Internal friction angle [rad]; 0.55 by default, usual are 0.44 to 0.70 (25 to 40 degrees)."""
     adhesion: NonNegative = 0.0
-    """Between soil and blade [Pa]."""
+    """Between soil and blade [Pa]; 0 by default."""
     tool_friction: Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0)] | None = None
     """Between soil and blade [rad]; 2/3 of `friction` by default."""
     surface: Finite = 0.0
-    """Height of the ground [m]."""
+    """Height z of the ground, below which the soil resists [m], world; 0 by default."""
     surcharge: NonNegative = 0.0
-    """Load on the ground beside the blade [Pa]."""
+    """Load on the ground beside the blade [Pa]; 0 by default."""
     width: Positive | None = None
-    """Of the blade [m]; the bucket's by default."""
+    """Of the blade [m]; that of the bucket's collision shape by default."""
 
 
 class Scene(Record):
@@ -532,6 +559,7 @@ class Scene(Record):
     payload: NonNegative = 0.0
     """Mass in the bucket [kg]."""
     soil: Soil | None = None
+    """What the bucket digs in; left out, nothing resists it. Keys of it that are left out have their defaults."""
 
     _folder: Path = PrivateAttr(default=Path())
     _file: Path | None = PrivateAttr(default=None)
@@ -623,6 +651,21 @@ def scene_from_dict(
     return scene
 
 
+def obstacle_from_dict(content: Mapping[str, Any]) -> ObstacleSpec:
+    """Check one obstacle given as plain data, with keys and values as in a scene file.
+
+    Raises
+    ------
+    InputError: names the key, what was found, and what is allowed.
+    """
+    try:
+        spec: ObstacleSpec = _OBSTACLE.validate_python(dict(content))
+    except ValidationError as error:
+        what = explain(error, content, {}, root=_Obstacle, variants=_SHAPES)
+        raise InputError(f"is not an obstacle: {what}", key=str(content.get("name", "obstacle"))) from None
+    return spec
+
+
 def scene_schema() -> dict[str, Any]:
     """The scene file's JSON Schema."""
     schema = Scene.model_json_schema(by_alias=True)
@@ -649,6 +692,7 @@ _KINDS: dict[str, type[BaseModel]] = {
     "wall": Wall,
 }
 _TAGGED: dict[str, type[BaseModel]] = {**_SHAPES, **_KINDS}
+_OBSTACLE: TypeAdapter[Any] = TypeAdapter(ObstacleSpec)
 
 # --- the path file ------------------------------------------------------------
 

@@ -32,6 +32,7 @@ _Key = tuple[str, Level]
 _SLOWEST = 0.15  # part of the speed that is left at the stop distance, so that one can leave
 _KEPT_WITHIN = 1.2e-4  # m or rad: who stands at the stop distance is not beyond it
 _LEFT_AT = 0.01  # m or rad beyond a distance at which the visit is over
+_MOST_MOMENTS = 10_000
 _SAMPLED_EVERY = 0.02  # s
 
 
@@ -192,6 +193,8 @@ def _limits(zone: ZoneSpec) -> list[tuple[Level, float]]:
 def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgression, ...]:
     """Every visit of a whole motion to the scene's zones, looked at every 0.02 s or more often.
 
+    Of a motion of more than 200 s at 10,000 moments at least.
+
     Raises
     ------
     SceneError: a zone does not fit the machine.
@@ -205,7 +208,7 @@ def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgress
         raise InputError(
             "has another number of joints", key="trajectory", found=str(q.shape), allowed=f"(T, {robot.n})"
         )
-    count = max(int(np.ceil((time[-1] - time[0]) / _SAMPLED_EVERY)), 0) + 1
+    count = min(max(int(np.ceil((time[-1] - time[0]) / _SAMPLED_EVERY)), 0), _MOST_MOMENTS) + 1
     even = np.linspace(time[0], time[-1], count)
     moments = np.unique(np.concatenate((even, time))) if len(time) < 2 * count else even
     for moment, posture in zip(
