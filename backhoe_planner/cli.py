@@ -259,6 +259,8 @@ def teleop(
             webbrowser.open(station.url)
         while station.running:
             clock.sleep(0.1)
+        if station.failure:
+            _err.print(Text("error: ", style="bold red") + Text(station.failure))
     return FAILED
 
 
