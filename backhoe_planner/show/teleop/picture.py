@@ -93,7 +93,7 @@ class Picture:
             del self._anchors[name]
             self._graph.remove(name)
         self._undrawn &= there.keys()
-        for name in there.keys() - self._anchors.keys() - self._undrawn:
+        for name in [name for name in there if name not in self._anchors and name not in self._undrawn]:
             try:
                 self._anchors[name] = np.array(self._graph.add(there[name]))
             except Exception as error:  # noqa: BLE001  it is there all the same, and the rest is still to be seen

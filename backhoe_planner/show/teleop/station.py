@@ -8,6 +8,8 @@ import time as clock
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
+
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.output_file import check_writable
@@ -20,6 +22,7 @@ from backhoe_planner.site.scene import Scene
 __all__ = ["TeleopStation", "free_name"]
 
 _FRAME = 1.0 / 30.0  # s between pictures
+_AT_REST = 1e-9  # rad/s or m/s
 _LATEST = 0.1  # s behind the clock at which the loop stops catching up
 
 
@@ -113,7 +116,7 @@ class TeleopStation:
             state = session.step()
             due += dt
             now = clock.monotonic()
-            at_an_end = bool(session.failure) and not state.v.any()
+            at_an_end = bool(session.failure) and float(np.abs(state.v).max()) < _AT_REST
             if now >= frame_due or at_an_end:
                 self._draw()
                 if at_an_end:
