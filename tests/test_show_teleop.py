@@ -14,6 +14,7 @@ import sys
 import threading
 import time as clock
 from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
 from backhoe_planner.show import live_server
+from backhoe_planner.show.driven import is_driven, left_out, shown_problem
 from backhoe_planner.show.live_server import LiveServer, LiveSocket
 from backhoe_planner.show.scene_graph import SceneGraph
 from backhoe_planner.show.site_meshes import site_mesh
@@ -449,6 +451,65 @@ def test_a_recording_is_a_plan_that_is_verified(backhoe: Robot, tmp_path: Path) 
     assert again.verified
     assert again.certificate.min_clearance == plan.certificate.min_clearance
     np.testing.assert_array_equal(again.trajectory.q, recording.q)
+
+
+def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
+    backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = bp.scene_from_dict(SITE)
+    session = Session(backhoe, scene)
+    page = session.join()
+    done(session, page, type="take")
+    done(session, page, type="add", obstacle={**BALL, "name": "{0} ball", "position": [4.7, 3.0, 2.0]})
+    done(session, page, type="record", on=True)
+    for _ in range(100):
+        session.step()
+    assert session.snapshot().recording == "on"
+    begun = session.snapshot().state.time - session.snapshot().recorded
+    for content in ({"type": "remove", "name": "{0} ball"}, {"type": "remove", "name": "pole"}):
+        done(session, page, **content)
+    gone = session.snapshot().state.time - begun
+    drive(session, page, 0.5, **LEFT)
+    done(session, page, type="put_back", name="pole")
+    back = session.snapshot().state.time - begun
+    done(session, page, type="record", on=False)
+    for _ in range(300):
+        session.step()
+    recording = session.take_recording()
+    assert recording is not None
+    notes = [
+        f"{{0}} ball was taken away at {gone:.2f} s and is left out",
+        f"pole was taken away at {gone:.2f} s and is left out",
+        f"pole was put back at {back:.2f} s; where it was before is left out",
+    ]
+    assert recording.notes == notes
+    plan = recording.plan(backhoe, scene)
+    assert [obstacle.name for obstacle in plan.scene.obstacles] == ["pole"]
+    assert plan.scene.obstacles[0].appears_at == pytest.approx(back)
+    plan.save(tmp_path / "driven.json")
+    assert shown_problem(plan).goal is None
+    assert left_out(plan) == tuple(notes)
+
+    from backhoe_planner.cli import main
+
+    for words in (["check"], ["view", "--html", str(tmp_path / "driven.html")]):
+        monkeypatch.setattr(sys, "argv", ["backhoe-planner", words[0], str(tmp_path / "driven.json"), *words[1:]])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        assert caught.value.code == 0
+        said = capsys.readouterr().out
+        assert f"driven by hand, {plan.trajectory.duration:.2f} s" in said
+        assert all(note in said for note in notes)
+        assert "tip error" not in said
+
+
+def test_what_a_plan_file_says_of_a_recording_may_be_anything(backhoe: Robot) -> None:
+    plan = bp.plan(backhoe, bp.scene_from_dict(SITE))
+    assert (is_driven(plan), left_out(plan)) == (False, ())
+    assert shown_problem(plan).goal is not None
+    for details in ([], {"recorded": 3}, {"recorded": {"notes": "x"}}, {"recorded": {"notes": None}}):
+        assert left_out(replace(plan, method="teleop", details=details)) == ()  # type: ignore[arg-type]
+    assert left_out(replace(plan, method="teleop", details={"recorded": {"notes": [1, "a"]}})) == ("1", "a")
 
 
 def test_obstacles_of_their_own_motion_are_recorded_where_they_were(backhoe: Robot) -> None:
