@@ -138,6 +138,7 @@ def view_plan(
     if html is not None:
         check_writable(html)
     loaded = bp.load_plan(plan_file, urdf=urdf)
+    _tell_driven(loaded)
     if html is not None:
         _write_html(loaded, html)
         return VERIFIED
@@ -176,7 +177,8 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
         if load is not None:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
             _out.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
-    _out.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
+    if not _tell_driven(loaded):
+        _out.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
     speed = certificate.tip_speed
     if speed is not None:
         _out.print(
@@ -270,6 +272,8 @@ def teleop(
             webbrowser.open(station.url)
         while station.running:
             clock.sleep(0.1)
+        if station.failure:
+            _err.print(Text("error: ", style="bold red") + Text(station.failure))
     return FAILED
 
 
@@ -477,6 +481,18 @@ def _tell_zones(found: Plan) -> None:
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
         _out.print(f"{'zones':<13} {visits[0]}{more}")
+
+
+def _tell_driven(found: Plan) -> bool:
+    """Of a plan that was driven by hand say so, and what it leaves out; whether it is one."""
+    from backhoe_planner.show.driven import is_driven, left_out
+
+    if not is_driven(found):
+        return False
+    _out.print(f"{'recording':<13} driven by hand, {found.trajectory.duration:.2f} s")
+    for note in left_out(found):
+        _out.print(f"{'left out':<13} {note}")
+    return True
 
 
 def _asks_angle(found: Plan) -> bool:

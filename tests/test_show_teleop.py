@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import gc
 import json
 import os
 import signal
@@ -12,6 +14,7 @@ import sys
 import threading
 import time as clock
 from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +30,19 @@ from hypothesis import strategies as st
 import backhoe_planner as bp
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.redundancy.servo_state import Status
+from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
+from backhoe_planner.show import live_server
+from backhoe_planner.show.driven import is_driven, left_out, shown_problem
 from backhoe_planner.show.live_server import LiveServer, LiveSocket
+from backhoe_planner.show.scene_graph import SceneGraph
+from backhoe_planner.show.site_meshes import site_mesh
 from backhoe_planner.show.teleop.joysticks import joint_rates
-from backhoe_planner.show.teleop.messages import LARGEST, Sticks, parse
+from backhoe_planner.show.teleop.messages import LARGEST, Add, Sticks, parse
 from backhoe_planner.show.teleop.server import TeleopServer
 from backhoe_planner.show.teleop.session import Session
 from backhoe_planner.show.teleop.station import TeleopStation, free_name
-from backhoe_planner.site.obstacles import build_obstacles
+from backhoe_planner.show.teleop.wording import Telling, Wording
+from backhoe_planner.site.obstacles import build_obstacle, build_obstacles
 from backhoe_planner.site.proximity import Proximity
 
 Data = dict[str, Any]
@@ -54,8 +62,23 @@ SCREEN: Data = {"name": "screen", "shape": "box", "size": [8, 0.4, 8], "position
 LEFT: Data = {"type": "tip", "velocity": [0.0, 0.6, 0.0]}
 
 
+GROUND: Data = {"name": "ground", "shape": "halfspace", "point": [0, 0, -1.0], "normal": [0, 0, 1]}
+
+
+class Stepped(Session):
+    """A session whose clock goes by its steps."""
+
+    def __init__(self, robot: Robot, **more: Any) -> None:
+        self.passed = 0.0
+        super().__init__(robot, bp.scene_from_dict({**SITE, **more}), now=lambda: self.passed)
+
+    def step(self) -> ServoState:
+        self.passed += self.dt
+        return super().step()
+
+
 def make(backhoe: Robot, **more: Any) -> Session:
-    return Session(backhoe, bp.scene_from_dict({**SITE, **more}))
+    return Stepped(backhoe, **more)
 
 
 def say(session: Session, page: int, **content: Any) -> Data:
@@ -113,6 +136,53 @@ def test_the_machine_stops_when_its_driver_disappears(backhoe: Robot) -> None:
         previous = v
     assert np.all(previous == 0.0)
     assert "not here" in say(session, page, **LEFT)["error"]
+
+
+def test_the_watchdog_goes_by_the_clock_and_not_by_the_steps(backhoe: Robot) -> None:
+    """A machine that is stepped too slowly, as under load, stops as soon after its driver's last word."""
+    now = 100.0
+    session = Session(backhoe, bp.scene_from_dict(SITE), now=lambda: now)
+    page = session.join()
+    done(session, page, type="take")
+    for _ in range(100):
+        done(session, page, **LEFT)
+        session.step()
+        now += session.dt
+    assert session.snapshot().asked
+    going = np.abs(session.step().v).max()
+    now += 0.39
+    assert np.abs(session.step().v).max() >= 0.9 * going
+    assert session.snapshot().asked
+    now += 0.02  # 0.41 s without a word, and two steps
+    slower = [float(np.abs(session.step().v).max()) for _ in range(5)]
+    assert slower[0] < going
+    assert slower == sorted(slower, reverse=True)
+    assert not session.snapshot().asked
+
+
+def test_a_step_that_fails_brakes_the_machine_to_rest(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = make(backhoe)
+    page = session.join()
+    done(session, page, type="take")
+    drive(session, page, 1.0, **LEFT)
+    previous = session.snapshot().state.v
+    assert np.abs(previous).max() > 0.05
+
+    def broken(*_: object) -> float:
+        raise ArithmeticError("no number\nand more")
+
+    monkeypatch.setattr(session, "_share_after", broken)
+    acceleration = session.robot.limits.acceleration
+    session.step()
+    assert session.failure == "the machine was stopped, as a step failed: ArithmeticError: no number"
+    previous = session.snapshot().state.v
+    for _ in range(round(2.5 / session.dt)):
+        v = session.step().v
+        assert np.all(np.abs(v - previous) <= acceleration * session.dt * (1.0 + 1e-9))
+        previous = v
+    assert np.all(previous == 0.0)
+    assert "was stopped" in say(session, page, type="take")["error"]
+    assert session.snapshot().failure == session.failure
 
 
 # --- wishes --------------------------------------------------------------------------------
@@ -239,6 +309,104 @@ def test_zones_stay_and_names_are_unique(backhoe: Robot) -> None:
     assert session.snapshot().zones == {"power line": "warn"}
 
 
+def test_ground_stays_and_what_was_taken_away_is_put_back(backhoe: Robot, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "heights.csv", np.full((5, 5), -3.0), delimiter=",")
+    np.savetxt(tmp_path / "scan.csv", np.array([[-4.0, 0.0, 0.0], [-4.0, 0.3, 0.0]]), delimiter=",")
+    terrain = {"name": "terrain", "shape": "heightmap", "file": "heights.csv", "size": [20, 20]}
+    scan = {"name": "scan", "shape": "pointcloud", "file": "scan.csv", "resolution": 0.2}
+    content = {**SITE, "obstacles": [*SITE["obstacles"], GROUND, terrain, scan]}
+    session = Session(backhoe, bp.scene_from_dict(content, folder=tmp_path))
+    page = session.join()
+    done(session, page, type="take")
+    assert session.snapshot().movable == {"pole"}
+    for name in ("ground", "terrain", "scan"):
+        assert f"{name}: is ground or terrain" in say(session, page, type="remove", name=name)["error"]
+        assert f"{name}: is ground or terrain" in say(session, page, type="move", name=name, to=[0, 0, 1])["error"]
+    assert "no obstacle of that name was taken away" in say(session, page, type="put_back", name="pole")["error"]
+
+    done(session, page, type="move", name="pole", to=[0.0, -0.5, 0.0])
+    done(session, page, type="remove", name="pole")
+    assert session.snapshot().taken == ("pole",)
+    assert "pole" not in session.snapshot().shifts
+    assert "may be put back" in say(session, page, type="add", obstacle={**BALL, "name": "pole"})["error"]
+    done(session, page, type="put_back", name="pole")
+    snapshot = session.snapshot()
+    assert (snapshot.taken, snapshot.movable) == ((), {"pole"})
+    assert snapshot.shifts["pole"] == pytest.approx([0.0, -0.5, 0.0])
+
+    # what was dropped in is gone for good, and nothing is put back into the machine
+    done(session, page, type="add", obstacle=BALL)
+    done(session, page, type="remove", name="ball")
+    assert session.snapshot().taken == ()
+    done(session, page, type="remove", name="pole")
+    turned = make(backhoe, obstacles=[{**BALL, "name": "rock", "clearance": 0.05}])
+    page = turned.join()
+    done(turned, page, type="take")
+    done(turned, page, type="remove", name="rock")
+    drive(turned, page, 3.0, **LEFT)
+    drive(turned, page, 1.0, type="stop")
+    assert turned.snapshot().state.tip_position[1] > 1.0  # into the rock's place
+    assert "too close" in say(turned, page, type="put_back", name="rock")["error"]
+    assert turned.snapshot().taken == ("rock",)
+
+
+# --- words ---------------------------------------------------------------------------------
+
+
+def test_nobody_is_told_to_be_held_who_asks_for_nothing(backhoe: Robot) -> None:
+    session = make(backhoe, obstacles=[GROUND])
+    page = session.join()
+    done(session, page, type="take")
+    wording = Wording()
+
+    def told() -> Telling:
+        snapshot = session.snapshot()
+        return wording.next(snapshot.state, asked=snapshot.asked)
+
+    for _ in range(200):  # nobody asks: the tip is 0.24 m from the ground's clearance
+        session.step()
+        found = told()
+        assert (found.kind, found.word) == ("rest", "At rest")
+        assert found.more.startswith("near ground, 0.2")
+
+    kinds = []
+    for k in range(400):
+        if k % 20 == 0:
+            done(session, page, type="tip", velocity=[0.0, 0.0, -0.3])
+        session.step()
+        kinds.append(told().kind)
+    assert kinds[-1] == "held"
+    assert "ground" in told().word
+    first = kinds.index("held")
+    assert set(kinds[first:]) == {"held"}  # it does not flicker
+    assert kinds[0] == "free"
+
+    done(session, page, type="stop")
+    for _ in range(200):
+        session.step()
+        assert told().kind == "rest"
+    assert told() == Telling("rest", "At rest", "near ground, 0.00 m")
+
+
+def test_what_is_better_is_told_once_it_has_lasted() -> None:
+    zero = np.zeros(3)
+
+    def state(time: float, status: Status, margin: float) -> ServoState:
+        return ServoState(time, np.zeros(4), np.full(4, 0.1), status, Command.NEW, margin, "bucket", "road",
+                          zero, zero, zero, zero, True)  # fmt: skip
+
+    wording = Wording()
+    assert wording.next(state(1.0, Status.OK, 0.25), asked=True) == Telling("free", "Free", "bucket, 0.25 m")
+    assert wording.next(state(1.1, Status.SLIDING, 0.2), asked=True).word == "Slowed before road"
+    assert wording.next(state(1.2, Status.SLIDING, 0.01), asked=True).word == "Sliding along road"
+    better = wording.next(state(1.3, Status.NEAR_OBSTACLE, 0.02), asked=True)
+    assert better == Telling("held", "Sliding along road", "bucket, 0.02 m")
+    assert wording.next(state(1.75, Status.NEAR_OBSTACLE, 0.02), asked=True).word == "Near road"
+    assert wording.next(state(1.8, Status.STOPPED, 0.2), asked=True).word == "Held by a limit"
+    assert wording.next(state(1.81, Status.STOPPED, 0.004), asked=False).word == "Coming to rest"
+    assert wording.next(state(1.9, Status.EVADING, -0.01), asked=False).kind == "held"
+
+
 # --- recording -----------------------------------------------------------------------------
 
 
@@ -285,6 +453,65 @@ def test_a_recording_is_a_plan_that_is_verified(backhoe: Robot, tmp_path: Path) 
     np.testing.assert_array_equal(again.trajectory.q, recording.q)
 
 
+def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
+    backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = bp.scene_from_dict(SITE)
+    session = Session(backhoe, scene)
+    page = session.join()
+    done(session, page, type="take")
+    done(session, page, type="add", obstacle={**BALL, "name": "{0} ball", "position": [4.7, 3.0, 2.0]})
+    done(session, page, type="record", on=True)
+    for _ in range(100):
+        session.step()
+    assert session.snapshot().recording == "on"
+    begun = session.snapshot().state.time - session.snapshot().recorded
+    for content in ({"type": "remove", "name": "{0} ball"}, {"type": "remove", "name": "pole"}):
+        done(session, page, **content)
+    gone = session.snapshot().state.time - begun
+    drive(session, page, 0.5, **LEFT)
+    done(session, page, type="put_back", name="pole")
+    back = session.snapshot().state.time - begun
+    done(session, page, type="record", on=False)
+    for _ in range(300):
+        session.step()
+    recording = session.take_recording()
+    assert recording is not None
+    notes = [
+        f"{{0}} ball was taken away at {gone:.2f} s and is left out",
+        f"pole was taken away at {gone:.2f} s and is left out",
+        f"pole was put back at {back:.2f} s; where it was before is left out",
+    ]
+    assert recording.notes == notes
+    plan = recording.plan(backhoe, scene)
+    assert [obstacle.name for obstacle in plan.scene.obstacles] == ["pole"]
+    assert plan.scene.obstacles[0].appears_at == pytest.approx(back)
+    plan.save(tmp_path / "driven.json")
+    assert shown_problem(plan).goal is None
+    assert left_out(plan) == tuple(notes)
+
+    from backhoe_planner.cli import main
+
+    for words in (["check"], ["view", "--html", str(tmp_path / "driven.html")]):
+        monkeypatch.setattr(sys, "argv", ["backhoe-planner", words[0], str(tmp_path / "driven.json"), *words[1:]])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        assert caught.value.code == 0
+        said = capsys.readouterr().out
+        assert f"driven by hand, {plan.trajectory.duration:.2f} s" in said
+        assert all(note in said for note in notes)
+        assert "tip error" not in said
+
+
+def test_what_a_plan_file_says_of_a_recording_may_be_anything(backhoe: Robot) -> None:
+    plan = bp.plan(backhoe, bp.scene_from_dict(SITE))
+    assert (is_driven(plan), left_out(plan)) == (False, ())
+    assert shown_problem(plan).goal is not None
+    for details in ([], {"recorded": 3}, {"recorded": {"notes": "x"}}, {"recorded": {"notes": None}}):
+        assert left_out(replace(plan, method="teleop", details=details)) == ()  # type: ignore[arg-type]
+    assert left_out(replace(plan, method="teleop", details={"recorded": {"notes": [1, "a"]}})) == ("1", "a")
+
+
 def test_obstacles_of_their_own_motion_are_recorded_where_they_were(backhoe: Robot) -> None:
     cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -7, 0.5], "velocity": [0.5, 0, 0]}
     session = make(backhoe, obstacles=[cart, {**cart, "name": "late", "appears_at": 3.0}])
@@ -322,7 +549,8 @@ _JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
     max_leaves=8,
 )
-_TYPES = ["take", "release", "hand_over", "tip", "sticks", "stop", "add", "move", "remove", "record", "circulate"]
+_TYPES = ["take", "release", "hand_over", "tip", "sticks", "stop", "add", "move", "remove", "put_back", "record",
+          "circulate"]  # fmt: skip
 _NEARLY = st.fixed_dictionaries(
     {"type": st.sampled_from(_TYPES)},
     optional={
@@ -377,6 +605,10 @@ def test_whatever_a_page_says_is_answered(driven: tuple[Session, int], text: str
     assert np.all(np.isfinite(session.step().q))
 
 
+def dropped(shape: str, **sizes: Any) -> str:
+    return json.dumps({"type": "add", "obstacle": {"name": "t", "shape": shape, "position": [5, -3, 3], **sizes}})
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -389,6 +621,11 @@ def test_whatever_a_page_says_is_answered(driven: tuple[Session, int], text: str
         ('{"type": "record", "on": "yes"}', "on"),
         ('{"type": "add", "obstacle": {"name": "m", "shape": "mesh", "file": "/etc/passwd"}}', "'sphere'"),
         ('{"type": "take", "id": 1}' + " " * LARGEST, "too long"),
+        (dropped("sphere", radius=1e-300), "radius: is no length to be dropped in"),
+        (dropped("sphere", radius=2000.0), "allowed: 0.001 to 1000 m"),
+        (dropped("box", size=[1.0, 0.0009, 1.0]), "size"),
+        (dropped("cylinder", radius=0.1, length=1e-9), "length"),
+        (dropped("sphere", radius=0.1, position=[0.0, 2000.0, 0.0]), "too far away"),
     ],
 )
 def test_what_is_wrong_with_a_message_is_said(text: str, said: str) -> None:
@@ -443,6 +680,9 @@ def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
             {"Origin": "null"},
             {"Origin": f"http://evil.example:{port}", "Host": f"evil.example:{port}"},  # a name made to point here
             {"Host": f"evil.example:{port}"},
+            {"Host": "[::1"},
+            {"Origin": "http://[::1"},
+            {"Origin": "http://[::1", "Host": "[::1"},
         ]
         for headers in refused:
             with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
@@ -457,6 +697,8 @@ def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
         client = tornado.httpclient.AsyncHTTPClient()
         with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
             await client.fetch(request(server.url, Host="evil.example"))
+        with pytest.raises(tornado.httpclient.HTTPClientError, match="403"):
+            await client.fetch(request(server.url, Host="[::1"))
         assert b"teleop" in (await client.fetch(server.url)).body
 
     talk(server, conversation)
@@ -524,6 +766,174 @@ def test_a_page_that_goes_while_it_is_written_to_does_no_harm(
 
     talk(server, conversation)
     assert server.running
+
+
+def test_who_floods_is_shut_out_and_the_others_drive_on(server: TeleopServer, caplog: pytest.LogCaptureFixture) -> None:
+    async def conversation(url: str) -> None:
+        driver, flooder = [await tornado.websocket.websocket_connect(url) for _ in range(2)]
+        await hear(driver, "you")
+        number = (await hear(flooder, "you"))["page"]
+        heard = 0
+        try:
+            for k in range(40_000):
+                await flooder.write_message("{")
+                heard = k
+        except tornado.websocket.WebSocketClosedError:
+            pass
+        assert heard >= 999  # what a page may send at once
+        deadline = clock.monotonic() + 10.0
+        while number in server.session.snapshot().pages and clock.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+        assert number not in server.session.snapshot().pages
+        answers = 0
+        while (message := await flooder.read_message()) is not None:
+            answers += '"answer"' in str(message)
+        assert 0 < answers < 3000
+        flooder.close()
+        await driver.write_message('{"type": "take"}')
+        assert (await hear(driver, "answer"))["ok"]
+        late = await tornado.websocket.websocket_connect(url)
+        await hear(late, "you")
+        await leave(driver, late)
+
+    with caplog.at_level("ERROR"):
+        talk(server, conversation)
+        gc.collect()
+    assert caplog.text == ""
+
+
+def test_who_does_not_read_is_shut_out(
+    server: TeleopServer, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_server, "_MESSAGES_AT_ONCE", 1e9)  # so that it is the answers that count
+    largest = 0
+
+    async def conversation(url: str) -> None:
+        nonlocal largest
+        idle = await tornado.websocket.websocket_connect(url, max_message_size=1 << 24)
+        number = (await hear(idle, "you"))["page"]
+        port = int(url.split(":")[2].split("/")[0])
+        slow = socket.socket()
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.connect(("127.0.0.1", port))
+        _, writer = await asyncio.open_connection(sock=slow, limit=1024)
+        writer.write(
+            f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        deadline = clock.monotonic() + 10.0
+        while len(server.session.snapshot().pages) < 2 and clock.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+        said = b'{"type":"take","%s":1}' % (100 * b"x")  # is answered at length
+        with contextlib.suppress(ConnectionError):
+            for _ in range(600):
+                writer.write((b"\x81%c" % (128 + len(said)) + bytes(4) + said) * 100)
+                await asyncio.wait_for(writer.drain(), 10.0)
+                largest = max(largest, *(page._unread for page in list(server._pages)))
+        while len(server.session.snapshot().pages) > 1 and clock.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+        assert server.session.snapshot().pages == (number,)
+        with contextlib.suppress(ConnectionError):
+            writer.close()
+            await writer.wait_closed()
+        await leave(idle)
+
+    with caplog.at_level("ERROR"):
+        talk(server, conversation)
+        gc.collect()
+    assert caplog.text == ""
+    assert 0 < largest < 1.1 * live_server._MOST_UNREAD
+
+
+def test_there_is_room_for_so_many_pages(server: TeleopServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_server, "_MOST_PAGES", 2)
+
+    async def conversation(url: str) -> None:
+        pages = [await tornado.websocket.websocket_connect(url) for _ in range(2)]
+        for page in pages:
+            await hear(page, "you")
+        with pytest.raises(tornado.httpclient.HTTPClientError, match="503"):
+            await tornado.websocket.websocket_connect(url)
+        await leave(*pages)
+
+    talk(server, conversation)
+
+
+def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
+    backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with TeleopStation(backhoe, bp.scene_from_dict(SITE), port=0, output=tmp_path / "driven.json") as station:
+        session = station.session
+        page = session.join()
+        done(session, page, type="take")
+
+        def told(kind: str) -> list[Data]:
+            found = [json.loads(m) for _, m in station._server.recording.messages() if isinstance(m, str)]
+            return [content for content in found if content["type"] == kind]
+
+        def broken(*_: object, **__: object) -> None:
+            raise ArithmeticError("no picture")
+
+        # one obstacle that cannot be drawn: the rest is
+        with monkeypatch.context() as patch:
+            patch.setattr(SceneGraph, "add", broken)
+            done(session, page, type="add", obstacle={**BALL, "position": [4.7, 3.0, -0.6]})
+            wait(lambda: told("trouble") != [])
+        assert told("trouble")[0]["text"] == "ball cannot be drawn: ArithmeticError"
+        before = session.snapshot().state.time
+        wait(lambda: told("teleop")[0]["time"] > before + 0.1)
+        assert "ball" in told("teleop")[0]["movable"]
+        assert "ball" not in told("teleop")[0]["nodes"]
+        done(session, page, type="remove", name="ball")
+
+        # no picture at all: it is stepped on
+        with monkeypatch.context() as patch:
+            patch.setattr(SceneGraph, "move", broken)
+            wait(lambda: "picture" in told("trouble")[0]["text"])
+            before = session.snapshot().state.time
+            done(session, page, **LEFT)
+            wait(lambda: session.snapshot().state.time > before + 0.2)
+            assert station.running
+            assert session.snapshot().state.tip_position[1] > 0.001
+        before = session.snapshot().state.time
+        wait(lambda: told("teleop")[0]["time"] > before)
+
+        # a step that fails ends it, once the machine stands
+        done(session, page, **LEFT)
+        wait(lambda: bool(np.abs(session.snapshot().state.v).max() > 0.02))
+        monkeypatch.setattr(session, "_still_wished", broken)
+        wait(lambda: not station.running)
+        assert np.abs(session.snapshot().state.v).max() == 0.0
+        assert "ArithmeticError: no picture" in station.failure
+        assert told("trouble")[0]["text"] == station.failure
+        assert told("teleop")[0]["failure"] == station.failure
+
+
+@settings(max_examples=60)
+@given(
+    radius=st.sampled_from([0.001, 0.0011, 0.5, 1000.0]),
+    at=st.lists(st.sampled_from([-1000.0, -3.0, 0.1, 1000.0]), min_size=3, max_size=3),
+    length=st.sampled_from([0.001, 1.0, 1000.0]),
+    clearance=st.sampled_from([0.0, 1e-9, 0.1, 1e5]),
+)
+def test_whatever_may_be_dropped_can_be_drawn(radius: float, at: list[float], length: float, clearance: float) -> None:
+    scene = bp.scene_from_dict(SITE)
+    forms: list[Data] = [
+        {"shape": "sphere", "radius": radius, "position": at},
+        {"shape": "box", "size": [radius, length, 0.001], "position": at, "rpy": [0.3, 0.2, 0.1]},
+        {"shape": "cylinder", "radius": radius, "length": length, "position": at},
+        {"shape": "capsule", "from": at, "to": at, "radius": radius},
+        {"shape": "capsule", "from": at, "to": [at[0], at[1], at[2] * 0.5], "radius": radius},
+    ]
+    for form in forms:
+        text = json.dumps({"type": "add", "obstacle": {"name": "t", "clearance": clearance, **form}})
+        message = parse(text)
+        assert isinstance(message, Add)
+        obstacle = build_obstacle(message.obstacle, folder=scene.folder, clearance=0.1)
+        drawn = site_mesh(obstacle, scene, centre=np.zeros(3), reach=6.0)
+        assert np.all(np.isfinite(drawn.facets.vertices))
+        extent = np.ptp(drawn.facets.vertices, axis=0)
+        assert np.all(extent > 0.0)
 
 
 def test_a_station_runs_in_real_time_and_ends(backhoe: Robot, tmp_path: Path) -> None:
@@ -595,4 +1005,6 @@ def test_a_scene_without_a_start_is_bad_input(
     with pytest.raises(SystemExit) as caught:
         main()
     assert caught.value.code == 2
-    assert "start" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "scene.yaml: start: is missing" in said
+    assert "q=" not in said

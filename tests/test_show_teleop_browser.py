@@ -110,6 +110,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
         assert session.hear(other, '{"type": "record", "on": false}')["ok"]
         page.wait_for_function("document.getElementById('recorded').textContent.includes('driven.json')")
         assert "verified" in page.locator("#recorded").inner_text(), bp.load_plan(file).message
+        assert "block 1 was taken away at" in page.locator("#recorded").inner_text()
         session.leave(other)
         page.wait_for_function("backhoe.teleop.state.driver === null")
         assert page.evaluate("window.pwned") is None
@@ -129,10 +130,96 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
     replay.goto((tmp_path / "driven.html").as_uri())
     replay.wait_for_function("window.backhoe !== undefined && backhoe.plan !== null")
     assert "Verified" in replay.locator("#verdict").inner_text()
+    assert replay.locator("#subtitle").inner_text() == f"{backhoe.name}, driven by hand"
+    facts = replay.locator("#facts").inner_text()
+    assert "driven by hand" in facts
+    assert "block 1 was taken away at" in facts
+    assert "Tip error" not in facts
+    assert replay.evaluate("backhoe.viewer.scene_tree.find(['task', 'goal']).object.children.length") == 0
     swing = "backhoe.viewer.scene_tree.find(['machine', 'swing_post']).object.quaternion.toArray()"
     replay.evaluate(f"backhoe.seek({plan.trajectory.duration})")
     assert abs(replay.evaluate(swing)[2]) == pytest.approx(np.sin(abs(plan.trajectory.q[-1, 0]) / 2.0), abs=1e-3)
     replay.close()
+
+
+def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser: Any, tmp_path: Path) -> None:
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": 0.0, "boom": 0.3, "stick": -0.9, "bucket": -0.5}},  # the tip at z = -0.66
+            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+            "clearance": 0.1,
+            "obstacles": [
+                {"name": "ground", "shape": "halfspace", "point": [0, 0, -1.0], "normal": [0, 0, 1]},
+                {"name": "pole", "shape": "cylinder", "radius": 0.2, "length": 4, "position": [2, 3.5, 1]},
+            ],
+        }
+    )
+    with TeleopStation(backhoe, scene, port=0, output=tmp_path / "driven.json") as station:
+        page, complaints = open_page(browser, station.url)
+
+        # before anything is asked for: calm, with the nearest thing
+        assert page.locator("#status-word").inner_text() == "At rest"
+        assert page.locator("#status-more").inner_text().startswith("near ground, 0.2")
+        assert page.locator("#status").get_attribute("class") == "rest"
+        page.locator("#take").click()
+        page.wait_for_function("backhoe.teleop.driving")
+        page.wait_for_selector(".margin.removable")
+        assert page.locator(".margin.removable .name").all_inner_texts() == ["pole"]
+
+        # a drag on the ground turns the camera
+        eye = "backhoe.viewer.camera.getWorldPosition(new MeshCat.THREE.Vector3()).toArray()"
+        project = """(at) => { const v = new MeshCat.THREE.Vector3(at[0], at[2], -at[1]).project(backhoe.viewer.camera);
+            const box = document.getElementById('meshcat-pane').getBoundingClientRect();
+            return [box.left + (0.5 + 0.5 * v.x) * box.width, box.top + (0.5 - 0.5 * v.y) * box.height]; }"""
+        before = page.evaluate(eye)
+        x, y = page.evaluate(project, [3.0, -2.5, -1.0])
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for step in range(1, 6):
+            page.mouse.move(x + 12 * step, y)
+            page.wait_for_timeout(40)
+        page.mouse.up()
+        page.wait_for_function(f"(a) => {eye}.some((x, k) => Math.abs(x - a[k]) > 0.3)", arg=before)
+        assert station.session.snapshot().shifts["ground"] == pytest.approx([0.0, 0.0, 0.0])
+
+        # whoever asks all the same is told why not
+        page.evaluate("backhoe.send({type: 'remove', name: 'ground'})")
+        page.wait_for_function("!document.getElementById('toast').hidden")
+        assert "ground: is ground or terrain of the scene, which stays" in page.locator("#toast").inner_text()
+        assert "ground" in station.session.snapshot().shifts
+
+        # what was taken away by mistake is put back
+        page.locator(".margin", has_text="pole").locator(".remove").click()
+        page.wait_for_selector("#taken button")
+        assert "pole" not in station.session.snapshot().shifts
+        assert page.locator("#taken").inner_text().split("\n")[0] == "pole, taken away"
+        page.locator("#taken button").click()
+        page.wait_for_function("document.getElementById('taken').hidden")
+        assert "pole" in station.session.snapshot().shifts
+        page.wait_for_function("backhoe.viewer.scene_tree.find(['site', 'pole']).object.children.length > 0")
+
+        # red only while something is asked for and refused
+        page.evaluate("document.activeElement.blur()")
+        page.keyboard.down("KeyQ")
+        page.wait_for_function("document.getElementById('status').className === 'held'")
+        assert "ground" in page.locator("#status-word").inner_text()
+        page.keyboard.up("KeyQ")
+        page.wait_for_function("document.getElementById('status').className === 'rest'")
+        rest(page)
+        seen = set()
+        for _ in range(10):
+            page.wait_for_timeout(60)
+            seen.add(tuple(page.locator("#status").inner_text().split("\n")))
+        assert {words[0] for words in seen} == {"At rest"}
+        assert all(words[1].startswith("near ground") for words in seen)
+
+        # what went wrong stays to be read
+        station._server.recording.tell({"type": "trouble", "text": "a rock cannot be drawn: Error"})
+        page.wait_for_selector("#trouble")
+        assert page.locator("#trouble").inner_text() == "A rock cannot be drawn: Error"
+        page.close()
+    assert [text for text in complaints if not any(w in text for w in ("WebSocket", "has no shadow", "GPU"))] == []
 
 
 def test_obstacles_are_dropped_and_dragged_with_the_mouse(backhoe: Robot, browser: Any, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import json
 import socket
 import threading
 import time
@@ -28,6 +29,10 @@ __all__ = ["LivePage", "LiveServer", "LiveSocket"]
 _FIRST_PORT, _PORTS = 7000, 100
 _FLUSH_EVERY = 0.02  # s
 _LARGEST_MESSAGE = 4 << 20  # bytes; what is sent beyond that ends the connection
+_MOST_PAGES = 64
+_MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; a driving one needs some 60
+_MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread
+_FAREWELL = 0.5  # s within which a page that is shut out may still read why
 
 
 class LivePage(tornado.web.RequestHandler):
@@ -56,19 +61,28 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
     """The connection to one page; what is drawn and told goes out through it."""
 
     def prepare(self) -> None:
-        """Answer only to a name of this server's own."""
-        if not self.server.answers_to(self.request.host):
+        """Answer only to a name of this server's own, to its own page, and while there is room."""
+        origin = self.request.headers.get("Origin")
+        if not self.server.answers_to(self.request.host) or not (origin is None or self.check_origin(origin)):
             raise tornado.web.HTTPError(403)
+        if self.server.full:
+            raise tornado.web.HTTPError(503)
 
     def check_origin(self, origin: str) -> bool:
         """Whether a page from `origin` may connect: only this server's own."""
-        found = urlsplit(origin)
+        try:
+            found = urlsplit(origin)
+        except ValueError:  # no address at all
+            return False
         return found.scheme in ("http", "https") and found.netloc.lower() == self.request.host.lower()
 
     def initialize(self, server: LiveServer) -> None:
         """Take what the route gives."""
         self.server = server
         self.waiting: dict[Key, Message] = {}
+        self._shut_out = False
+        self._unread = 0
+        self._may_send, self._counted_at = _MESSAGES_AT_ONCE, time.monotonic()
 
     def open(self, *_args: str, **_kwargs: str) -> None:
         """A page has connected."""
@@ -77,7 +91,7 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
 
     def on_message(self, message: str | bytes) -> None:
         """A page says that it has drawn the picture; there is nothing else that it may say."""
-        if message == "drawn":
+        if self.heeds() and message == "drawn":
             self.server.somebody_watches.set()
 
     def on_close(self) -> None:
@@ -93,11 +107,57 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
         if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
             return
         messages, self.waiting = self.waiting, {}
+        for message in messages.values():
+            if not self.hand_out(message):
+                return
+
+    def heeds(self) -> bool:
+        """Whether a message that came is to be heeded; a page that floods is shut out."""
+        if self._shut_out:
+            return False
+        now = time.monotonic()
+        more = _MESSAGES_PER_SECOND * (now - self._counted_at)
+        self._may_send, self._counted_at = min(self._may_send + more, _MESSAGES_AT_ONCE) - 1.0, now
+        if self._may_send < 0.0:
+            self.shut_out("too many messages")
+            return False
+        return True
+
+    def answer(self, content: dict[str, Any]) -> None:
+        """Write what this page alone is to know; one that does not read its answers is shut out."""
+        if self._shut_out:
+            return
+        if self._unread > _MOST_UNREAD:
+            self.shut_out("answers are not read")
+        else:
+            self.hand_out(json.dumps(content, allow_nan=False), answer=True)
+
+    def shut_out(self, reason: str) -> None:
+        """End the connection: at once for what comes in, soon for what goes out."""
+        self._shut_out = True
+        connection = self.ws_connection
+        self.close(1008, reason)
+        stream = None if connection is None else connection.stream
+        if stream is not None:
+            asyncio.get_running_loop().call_later(_FAREWELL, stream.close)
+        self.on_close()
+
+    def hand_out(self, message: Message, *, answer: bool = False) -> bool:
+        """Write a message; False where the page has gone, and `on_close` follows."""
+        size = len(message) if answer else 0
         try:
-            for message in messages.values():
-                self.write_message(message, binary=isinstance(message, bytes))
+            written = asyncio.ensure_future(self.write_message(message, binary=isinstance(message, bytes)))
         except tornado.websocket.WebSocketClosedError:
-            return  # it has gone; on_close follows
+            return False
+        self._unread += size
+
+        def read(done: asyncio.Future[None]) -> None:
+            self._unread -= size
+            if not done.cancelled():
+                done.exception()  # that the page has gone meanwhile is told by on_close
+
+        written.add_done_callback(read)
+        return True
 
 
 class LiveServer:
@@ -161,7 +221,10 @@ class LiveServer:
         Other names may be made to point to this machine by whoever owns them, so that
         a page from elsewhere would count as ours.
         """
-        name = urlsplit(f"//{host}").hostname or ""
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:  # no address at all
+            return False
         if name in ("localhost", self._host, socket.gethostname().lower()):
             return True
         try:
@@ -173,6 +236,11 @@ class LiveServer:
     def routes(self) -> list[Any]:
         """What is served; tornado's rules."""
         return [("/", LivePage, {"page": live_page(), "server": self}), ("/socket", LiveSocket, {"server": self})]
+
+    @property
+    def full(self) -> bool:
+        """Whether there are as many pages as there may be."""
+        return len(self._pages) >= _MOST_PAGES
 
     @property
     def running(self) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 
 from backhoe_planner.output_file import check_writable, whole_file
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import build_problem
+from backhoe_planner.show.driven import shown_problem
 from backhoe_planner.show.page_content import plan_content, problem_content
 from backhoe_planner.show.recording import Recording
 from backhoe_planner.show.scene_graph import SceneGraph
@@ -51,7 +51,7 @@ def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
     """The page as text, and what could not be drawn as the URDF asks."""
-    problem = build_problem(plan.robot, plan.scene)
+    problem = shown_problem(plan)
     frames = timeline(problem, plan.trajectory)
     recording = Recording()
     visualizer = recording.visualizer()

@@ -8,6 +8,7 @@ import numpy as np
 
 from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.problem import Problem
+from backhoe_planner.show.driven import is_driven, left_out
 from backhoe_planner.show.framing import View
 from backhoe_planner.show.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.scene_graph import SceneGraph
@@ -45,7 +46,7 @@ def problem_content(problem: Problem, graph: SceneGraph, view: View, obstacles: 
                 "upper": high if bounded else None,
             }
         )
-    task = "to a goal" if problem.goal is not None else "along a path"
+    task = "to a goal" if problem.goal is not None else "along a path" if problem.path is not None else "driven by hand"
     return {
         "type": "problem",
         "title": scene.name or "untitled scene",
@@ -110,7 +111,8 @@ def _facts(plan: Plan) -> list[list[str]]:
         )
     tracking = certificate.tracking
     mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
-    facts.append(["Tip error", _length(tracking.max_error), mean])
+    if not is_driven(plan):
+        facts.append(["Tip error", _length(tracking.max_error), mean])
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)
         facts.append(["Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"])
@@ -120,11 +122,10 @@ def _facts(plan: Plan) -> list[list[str]]:
     if isinstance(work, (int, float)):
         facts.append(["Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", ""])
     taken = metrics.get("planning_time")
-    if isinstance(taken, (int, float)):
-        if plan.method == "teleop":
-            facts.append(["Driven by hand", "", ""])
-        else:
-            facts.append(["Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"])
+    if is_driven(plan):
+        facts.append(["Recording", "driven by hand", "; ".join(left_out(plan))])
+    elif isinstance(taken, (int, float)):
+        facts.append(["Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"])
     return facts
 
 

@@ -15,6 +15,7 @@ from backhoe_planner.planning.plan import Plan
 from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.trajectory import Trajectory
 from backhoe_planner.planning.yardstick import compare_with_law
+from backhoe_planner.show.driven import is_driven
 from backhoe_planner.show.envelope_plot import plot_envelope
 from backhoe_planner.show.figure_file import check_suffix, plain_text, save_figure
 from backhoe_planner.show.palette import PLOT_CYCLE
@@ -69,9 +70,14 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
     figure = Figure(figsize=(_WIDTH, _PANEL * sum(heights) + 0.9))
     figure.set_layout_engine("constrained", hspace=0.06)
+    driven = "driven by hand, " if is_driven(plan) else ""
     verdict = "verified" if plan.verified else f"failed ({plan.reason.replace('_', ' ')})"
     figure.suptitle(
-        f"{plain_text(plan.scene.name or plan.robot.name)}: {verdict}", x=0.01, ha="left", fontsize=12, weight="bold"
+        f"{plain_text(plan.scene.name or plan.robot.name)}: {driven}{verdict}",
+        x=0.01,
+        ha="left",
+        fontsize=12,
+        weight="bold",
     )
     all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axes, panel in zip(all_axes, panels, strict=True):

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.problem import Problem
+from backhoe_planner.show.driven import shown_problem
 from backhoe_planner.show.live_server import LiveServer
 from backhoe_planner.show.page_content import plan_content, problem_content, step_content
 from backhoe_planner.show.scene_graph import GROUPS, SceneGraph
@@ -143,7 +144,7 @@ class Viewer:
         """
         self._check_thread()
         recording = self._server.recording
-        problem = build_problem(plan.robot, plan.scene)
+        problem = shown_problem(plan)
         for kind in ("problem", "plan", "step"):
             recording.forget(kind)
         graph = self._draw(problem, plan.trajectory.q[0])

@@ -2,6 +2,8 @@
 
 An obstacle is let in only where the machine keeps its clearance on the whole way that
 it needs to brake; so what a person drops or drags never ends up inside the machine.
+
+What the site itself is made of stays: zones, planes, terrain and scans.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ Vector = NDArray[np.float64]
 _MOST = 40
 _BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more
 _SPARE = 0.004  # m beyond the clearance
+_LAND = (schema.HalfSpace, schema.HeightMap, schema.PointCloud)  # what the site itself is made of
 
 
 @dataclass
@@ -39,12 +42,21 @@ class Standing:
     ----------
     obstacle: as it was put there first.
     since: when it came to where it is now; 0 where it was there from the beginning [s].
+    gauge, gauged_at: measures distances to it, where it has moved so far (3,) [m].
     """
 
     obstacle: Obstacle
     since: float
     gauge: Proximity
     gauged_at: Vector
+
+
+@dataclass(frozen=True)
+class _Taken:
+    """An obstacle of the scene that was taken away, and how far it had moved (3,) [m]."""
+
+    obstacle: Obstacle
+    shift: Vector
 
 
 class LiveSite:
@@ -60,6 +72,8 @@ class LiveSite:
         for obstacle in build_obstacles(servo.scene, servo.robot):
             self._standing[obstacle.name] = self._stand(obstacle, 0.0)
         self._zones = frozenset(zone.name for zone in servo.scene.zones)
+        self._of_scene = frozenset(self._standing)
+        self._taken: dict[str, _Taken] = {}
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
@@ -71,14 +85,14 @@ class LiveSite:
         return self._servo.shift_of(name) if name in self._servo.obstacles else None
 
     def may_be_moved(self, name: str) -> bool:
-        """Whether it is no zone, does not move by itself, and has appeared."""
+        """Whether it is no part of the site itself, does not move by itself, and has appeared."""
         standing = self._standing.get(name)
-        return (
-            standing is not None
-            and name not in self._zones
-            and not standing.obstacle.moves
-            and name in self._servo.obstacles
-        )
+        return standing is not None and not self._stays(standing) and not standing.obstacle.moves and self._there(name)
+
+    @property
+    def taken(self) -> tuple[str, ...]:
+        """Names of the scene's obstacles that were taken away and may be put back."""
+        return tuple(self._taken)
 
     def add(self, spec: schema.ObstacleSpec) -> None:
         """Put an obstacle there.
@@ -88,10 +102,9 @@ class LiveSite:
         InputError: its name is taken, a link is not the machine's, there are too many,
             or it leaves the machine no room.
         """
-        if len(self._standing) >= _MOST:
-            raise InputError("there are enough obstacles", key="add", allowed=f"up to {_MOST}")
-        if spec.name in self._standing or spec.name == ITSELF:
-            raise InputError("there is an obstacle of that name", key="add", found=spec.name)
+        self._check_new(spec.name, "add")
+        if spec.name in self._taken:
+            raise InputError("is the name of an obstacle that may be put back", key="add", found=spec.name)
         for link in spec.links or ():
             if link not in self._servo.robot.all_link_names:
                 raise InputError("the machine has no such link", key="add", found=link)
@@ -118,18 +131,39 @@ class LiveSite:
         self._standing[name] = moved
 
     def remove(self, name: str) -> None:
-        """Take an obstacle away.
+        """Take an obstacle away; one of the scene may be put back.
 
         Raises
         ------
-        InputError: there is none of that name, or it is a zone.
+        InputError: there is none of that name, or it is a part of the site itself.
         """
-        if name in self._zones:
-            raise InputError("is a zone of the scene, which stays", key="remove", found=name)
-        if name not in self._servo.obstacles:
-            raise InputError("there is no obstacle of that name", key="remove", found=name)
+        self._check_there(name, "remove")
+        standing = self._standing[name]
+        self._check_stays_not(standing)
+        shift = self._servo.shift_of(name)
         self._servo.remove(name)
         del self._standing[name]
+        if name in self._of_scene:
+            self._taken[name] = _Taken(standing.obstacle, shift)
+
+    def put_back(self, name: str) -> None:
+        """Put an obstacle of the scene back where it was when it was taken away.
+
+        Raises
+        ------
+        InputError: none of that name was taken away, there are too many, or it would
+            leave the machine no room.
+        """
+        if name not in self._taken:
+            raise InputError("no obstacle of that name was taken away", key="put_back", found=name)
+        self._check_new(name, "put_back")
+        taken = self._taken[name]
+        standing = self._stand(taken.obstacle, self._servo.time, taken.shift)
+        self._check_room(standing)
+        self._servo.add(replace(taken.obstacle, appears_at=0.0))
+        self._servo.move(name, taken.shift)
+        self._standing[name] = standing
+        del self._taken[name]
 
     def nearest(self, q: Vector) -> dict[str, Nearest | None]:
         """The tightest spot to every obstacle and to the machine itself; None where nothing is within sight."""
@@ -198,11 +232,35 @@ class LiveSite:
                 allowed=f"{standing.obstacle.clearance:.2f} m of clearance",
             )
 
+    def _there(self, name: str) -> bool:
+        return name in self._servo.obstacles
+
+    def _stays(self, standing: Standing) -> bool:
+        return standing.obstacle.name in self._zones or isinstance(standing.obstacle.spec, _LAND)
+
+    def _check_new(self, name: str, key: str) -> None:
+        if len(self._standing) >= _MOST:
+            raise InputError("there are enough obstacles", key=key, allowed=f"up to {_MOST}")
+        if name in self._standing or name == ITSELF:
+            raise InputError("there is an obstacle of that name", key=key, found=name)
+
+    def _check_there(self, name: str, key: str) -> None:
+        if not self._there(name):
+            raise InputError("there is no obstacle of that name", key=key, found=name)
+
+    def _check_stays_not(self, standing: Standing) -> None:
+        name = standing.obstacle.name
+        if name in self._zones:
+            raise InputError("is a zone of the scene, which stays where it is", key=name)
+        if self._stays(standing):
+            raise InputError("is ground or terrain of the scene, which stays where it is", key=name)
+
     def _check_movable(self, name: str) -> None:
-        if name not in self._servo.obstacles:
-            raise InputError("there is no obstacle of that name", key="move", found=name)
-        if not self.may_be_moved(name):
-            raise InputError("is a zone, or moves by itself", key="move", found=name)
+        self._check_there(name, "move")
+        standing = self._standing[name]
+        self._check_stays_not(standing)
+        if standing.obstacle.moves:
+            raise InputError("moves by itself", key=name)
 
 
 def _moved(obstacle: Obstacle, shift: Vector) -> Iterable[Any]:

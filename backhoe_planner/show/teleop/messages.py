@@ -21,6 +21,7 @@ __all__ = [
     "HandOver",
     "Message",
     "Move",
+    "PutBack",
     "Record",
     "Release",
     "Remove",
@@ -33,6 +34,8 @@ __all__ = [
 
 LARGEST = 16_384  # characters or bytes of a message
 _LONGEST_NAME = 60
+_SMALLEST, _LARGEST_SIZE = 0.001, 1000.0  # m: of what is dropped in
+_FARTHEST = 1000.0  # m from the world's origin
 
 _Part = Annotated[float, Field(strict=True, ge=-1.0, le=1.0, allow_inf_nan=False)]
 _Rate = Annotated[float, Field(strict=True, ge=-10.0, le=10.0, allow_inf_nan=False)]
@@ -125,6 +128,13 @@ class Remove(_Message):
     name: _Name
 
 
+class PutBack(_Message):
+    """Put an obstacle of the scene back that was taken away."""
+
+    type: Literal["put_back"]
+    name: Annotated[str, Field(strict=True, min_length=1)]
+
+
 class Record(_Message):
     """Begin a recording, or bring the machine to rest and write it."""
 
@@ -139,7 +149,7 @@ class Circulate(_Message):
     on: Annotated[bool, Field(strict=True)]
 
 
-Message = Take | Release | HandOver | Tip | Sticks | Stop | Add | Move | Remove | Record | Circulate
+Message = Take | Release | HandOver | Tip | Sticks | Stop | Add | Move | Remove | PutBack | Record | Circulate
 _MESSAGE: TypeAdapter[Message] = TypeAdapter(Annotated[Message, Field(discriminator="type")])
 
 
@@ -163,11 +173,27 @@ def parse(text: str | bytes) -> Message:
     return message
 
 
-def _check(spec: schema.ObstacleSpec) -> None:
+def _check(spec: Droppable) -> None:
     if len(spec.name) > _LONGEST_NAME:
         raise InputError("is too long", key="obstacle.name", allowed=f"up to {_LONGEST_NAME} characters")
     if any(spec.velocity) or spec.appears_at > 0.0:
         raise InputError("what is dropped in stands still, and is there at once", key="obstacle")
+    for key, value in _lengths(spec):
+        if not _SMALLEST <= value <= _LARGEST_SIZE:
+            raise InputError(
+                "is no length to be dropped in", key=f"obstacle.{key}", found=value,
+                allowed=f"{_SMALLEST:g} to {_LARGEST_SIZE:g} m",
+            )  # fmt: skip
+    at = (*spec.start, *spec.end) if isinstance(spec, schema.Capsule) else spec.position
+    if max(map(abs, at)) > _FARTHEST:
+        raise InputError("is too far away", key="obstacle", allowed=f"up to {_FARTHEST:g} m")
+
+
+def _lengths(spec: Droppable) -> list[tuple[str, float]]:
+    if isinstance(spec, schema.Box):
+        return [("size", edge) for edge in spec.size]
+    lengths = [("radius", spec.radius)]
+    return [*lengths, ("length", spec.length)] if isinstance(spec, schema.Cylinder) else lengths
 
 
 def _first(error: ValidationError) -> str:

@@ -18,6 +18,7 @@ from backhoe_planner.show.recording import Recording
 from backhoe_planner.show.scene_graph import SceneGraph
 from backhoe_planner.show.solids import facets
 from backhoe_planner.show.teleop.session import LARGEST_FORCE, Session, Snapshot
+from backhoe_planner.show.teleop.wording import Wording
 from backhoe_planner.site.obstacles import Obstacle
 
 __all__ = ["Picture"]
@@ -43,6 +44,8 @@ class Picture:
     Attributes
     ----------
     warnings: what could not be drawn as the URDF asks, in words.
+
+    An obstacle that cannot be drawn is left out of the picture, and the pages are told.
     """
 
     def __init__(self, session: Session, recording: Recording) -> None:
@@ -57,7 +60,9 @@ class Picture:
         around = [first.state.q + 0.5 * (session.robot.random_q(rng) - first.state.q) for _ in range(_POSTURES)]
         self._view = self._graph.look_at_postures([first.state.q, *around])
         self._anchors = {drawn.name: np.array(drawn.anchor) for drawn in self._graph.site}
-        self._drawn = tuple(obstacle.name for obstacle in self._problem.obstacles)
+        self._taken_up = tuple(obstacle.name for obstacle in self._problem.obstacles)
+        self._undrawn: frozenset[str] = frozenset()
+        self._wording = Wording()
         self._draw_arrow()
         self._tell_problem(first)
         self.show(first)
@@ -65,14 +70,16 @@ class Picture:
     def show(self, snapshot: Snapshot) -> None:
         """Bring the picture and its numbers up to date."""
         names = tuple(obstacle.name for obstacle in snapshot.obstacles)
-        if names != self._drawn:
+        if names != self._taken_up:
             self._take_up(snapshot.obstacles)
             self._tell_problem(snapshot)
         self._graph.move(snapshot.state.q)
         for name in names:
-            self._graph.place(name, snapshot.shifts[name])
+            if name not in self._undrawn:
+                self._graph.place(name, snapshot.shifts[name])
         for name, spot in snapshot.nearest.items():
-            self._graph.point(name, spot)
+            if name not in self._undrawn:
+                self._graph.point(name, spot)
         self._place_arrow(snapshot)
         state = snapshot.state
         self._recording.tell(
@@ -82,14 +89,17 @@ class Picture:
 
     def _take_up(self, obstacles: tuple[Obstacle, ...]) -> None:
         there = {obstacle.name: obstacle for obstacle in obstacles}
-        for name in self._drawn:
-            if name not in there:
-                self._graph.remove(name)
-                del self._anchors[name]
-        for name, obstacle in there.items():
-            if name not in self._anchors:
-                self._anchors[name] = np.array(self._graph.add(obstacle))
-        self._drawn = tuple(there)
+        for name in [name for name in self._anchors if name not in there]:
+            del self._anchors[name]
+            self._graph.remove(name)
+        self._undrawn &= there.keys()
+        for name in [name for name in there if name not in self._anchors and name not in self._undrawn]:
+            try:
+                self._anchors[name] = np.array(self._graph.add(there[name]))
+            except Exception as error:  # noqa: BLE001  it is there all the same, and the rest is still to be seen
+                self._undrawn |= {name}
+                self._recording.tell({"type": "trouble", "text": f"{name} cannot be drawn: {type(error).__name__}"})
+        self._taken_up = tuple(there)
 
     def _tell_problem(self, snapshot: Snapshot) -> None:
         problem = replace(self._problem, obstacles=snapshot.obstacles)
@@ -105,14 +115,16 @@ class Picture:
         state = snapshot.state
         anchors = {}
         for name, shift in snapshot.shifts.items():
-            if shift is not None:
+            if shift is not None and name in self._anchors:
                 anchors[name] = [round(float(x), 3) for x in self._anchors[name] + shift]
         speed = float(np.linalg.norm(state.tip_velocity))
+        told = self._wording.next(state, asked=snapshot.asked)
         return {
             "type": "teleop",
             "time": round(state.time, 3),
             "status": state.status.value,
-            "command": state.command.value,
+            "asked": snapshot.asked,
+            "told": {"kind": told.kind, "word": told.word, "more": told.more},
             "pace": round(state.pace, 3),
             "margin": round(state.margin, 4) if math.isfinite(state.margin) else None,
             "link": state.link,
@@ -125,13 +137,16 @@ class Picture:
             "zones": dict(snapshot.zones),
             "anchors": anchors,
             "shifts": {n: [round(float(x), 4) for x in s] for n, s in snapshot.shifts.items() if s is not None},
-            "nodes": {name: self._graph.node_of(name) for name in sorted(snapshot.movable)},
+            "nodes": {n: self._graph.node_of(n) for n in sorted(snapshot.movable - self._undrawn)},
+            "movable": sorted(snapshot.movable),
+            "taken": list(snapshot.taken),
             "driver": snapshot.driver,
             "pages": list(snapshot.pages),
             "asking": list(snapshot.asking),
             "recording": snapshot.recording,
             "recorded": round(snapshot.recorded, 2),
             "circulate": snapshot.circulate,
+            "failure": snapshot.failure,
         }
 
     # --- the force on the hand --------------------------------------------------------

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
-
-from tornado.websocket import WebSocketClosedError
 
 from backhoe_planner.show.live_server import LivePage, LiveServer, LiveSocket
 from backhoe_planner.show.teleop.page import teleop_page
@@ -21,23 +18,17 @@ class _Socket(LiveSocket):
     def open(self, *args: str, **kwargs: str) -> None:
         super().open(*args, **kwargs)
         self.page = self.server.session.join()
-        self._say({"type": "you", "page": self.page})
+        self.answer({"type": "you", "page": self.page})
 
     def on_message(self, message: str | bytes) -> None:
         if message == "drawn":
             super().on_message(message)
-        else:
-            self._say(self.server.session.hear(self.page, message))
+        elif self.heeds():
+            self.answer(self.server.session.hear(self.page, message))
 
     def on_close(self) -> None:
         self.server.session.leave(self.page)
         super().on_close()
-
-    def _say(self, content: dict[str, Any]) -> None:
-        try:
-            self.write_message(json.dumps(content, allow_nan=False))
-        except WebSocketClosedError:
-            return  # it left before it was answered
 
 
 class TeleopServer(LiveServer):

@@ -1,9 +1,11 @@
 """A machine that is driven live by one of several pages: the state machine, without any network.
 
 pages     join, leave; one of them drives: the first that takes, until it releases,
-          hands over or leaves. A machine without a driver is stopped by the watchdog.
+          hands over or leaves. A machine without a driver stops, and so does one whose
+          driver says nothing: the watchdog goes by the clock, not by the machine's steps.
 wishes    go to the servo, which does the nearest safe thing
 site      obstacles come, move and go, as far as the machine keeps its clearance
+trouble   a step that fails makes the machine brake to rest, and it stays there
 recording idle -> arming (to rest) -> on -> ending (to rest) -> idle
 """
 
@@ -11,6 +13,8 @@ from __future__ import annotations
 
 import math
 import threading
+import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -18,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import InputError
+from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.drive import Drive
 from backhoe_planner.redundancy.feedback import Feedback
@@ -32,6 +36,7 @@ from backhoe_planner.show.teleop.messages import (
     HandOver,
     Message,
     Move,
+    PutBack,
     Record,
     Release,
     Remove,
@@ -57,7 +62,6 @@ _LONGEST_RECORDING = 600.0  # s
 _FULL = 0.65  # of the oil and the power, above which the wish is cut back: a step may ask for more than the last
 _AT_REST = 1e-9  # rad/s or m/s
 _PATIENCE = 5.0  # s to come to rest in, after which a recording ends all the same
-_STILL = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -67,20 +71,25 @@ class Snapshot:
     Attributes
     ----------
     state: of the servo.
+    asked: whether somebody asks for a motion now.
     obstacles: all there are, as they were put there.
     shifts: of each, how far it has moved (3,) [m]; None where it has not appeared yet.
-    movable: names of those that a page may move.
+    movable: names of those that a page may move and take away.
+    taken: names of those of the scene that were taken away and may be put back.
     nearest: tightest spot to each and to the machine itself.
     zones: distances of zones that are passed.
     driver, pages, asking: numbers of pages: who drives, who is there, who wants to drive.
     recording, recorded: phase, and how long it is so far [s].
     circulate: whether a blocked tip goes round.
+    failure: why the machine was stopped for good; empty where it was not.
     """
 
     state: ServoState
+    asked: bool
     obstacles: tuple[Obstacle, ...]
     shifts: dict[str, Vector | None]
     movable: frozenset[str]
+    taken: tuple[str, ...]
     nearest: dict[str, Nearest | None]
     zones: dict[str, Level]
     driver: int | None
@@ -89,6 +98,7 @@ class Snapshot:
     recording: Phase
     recorded: float
     circulate: bool
+    failure: str
 
 
 class Session:
@@ -99,13 +109,27 @@ class Session:
     robot, scene: the machine, and the site. Of the scene's task only the start is used.
     dt: length of a step [s].
     watchdog: without a wish for this long the machine stops [s].
+    now: the clock by which it goes [s].
 
     Raises
     ------
     InputError, SceneError, RobotError: the scene does not fit the machine, or has no start.
     """
 
-    def __init__(self, robot: Robot, scene: Scene, *, dt: float = 0.005, watchdog: float = 0.4) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene,
+        *,
+        dt: float = 0.005,
+        watchdog: float = 0.4,
+        now: Callable[[], float] = clock.monotonic,
+    ) -> None:
+        if scene.start is None:
+            raise SceneError(
+                "is missing: it says where the machine stands at first", file=scene.file, key="start",
+                allowed="start: {joints: {...}} or start: {tip: {...}}",
+            )  # fmt: skip
         self._lock = threading.Lock()
         feedback = Feedback(dt, largest=LARGEST_FORCE)
         self._servo = Servo(robot, scene, dt, watchdog=watchdog, feedback=feedback)
@@ -118,7 +142,9 @@ class Session:
         self._next_page = 1
         self._wish: Tip | Sticks | Stop | None = None
         self._held: Tip | Sticks | Stop | None = None
-        self._held_for, self._watchdog = 0.0, watchdog
+        self._now, self._watchdog = now, watchdog
+        self._wished_at = now()
+        self._failure = ""
         self._drive = Drive(self.robot, payload=scene.payload)
         self._share = 1.0  # of the wish, so that all cylinders together get their oil
         self._upright, self._axis_at = _first_axis(self.robot)
@@ -126,7 +152,7 @@ class Session:
         self._waited = 0.0
         self._recorder: Recorder | None = None
         self._recordings: list[Recording] = []
-        self._removed: list[tuple[float, str]] = []
+        self._changes: list[tuple[float, str, str, str]] = []
         self._state = self._servo.step()
 
     # --- pages -----------------------------------------------------------------------
@@ -140,7 +166,7 @@ class Session:
             return page
 
     def leave(self, page: int) -> None:
-        """A page has gone. If it drove, nobody does; the watchdog stops the machine."""
+        """A page has gone. If it drove, nobody does, and the machine stops."""
         with self._lock:
             if page in self._pages:
                 self._pages.remove(page)
@@ -148,6 +174,7 @@ class Session:
                 self._asking.remove(page)
             if self._driver == page:
                 self._driver = None
+                self._wish = Stop(type="stop")
 
     def hear(self, page: int, text: str | bytes) -> dict[str, Any]:
         """Do what a page says; the answer to it, as plain data. Nothing is raised about what it says."""
@@ -158,11 +185,15 @@ class Session:
                 said = self._obey(page, message)
         except InputError as error:
             return _answer(message, error=str(error))
+        except Exception as error:  # noqa: BLE001  whoever said it is told; the machine is driven on
+            return _answer(message, error=f"could not be done: {_said(error)}")
         return _answer(message, said=said)
 
     def _obey(self, page: int, message: Message) -> str:
         if page not in self._pages:
             raise InputError("is not here any more", key="page", found=page)
+        if self._failure:
+            raise InputError(self._failure)
         if isinstance(message, Take):
             return self._take(page)
         if self._driver is None:
@@ -172,7 +203,7 @@ class Session:
         if isinstance(message, (Tip, Sticks, Stop)):
             if isinstance(message, Tip) and message.pitch_rate is not None and not self.robot.has_pitch:
                 raise InputError("is not defined for this machine", key="pitch_rate")
-            self._wish = message
+            self._wish, self._wished_at = message, self._now()
         elif isinstance(message, Release):
             self._driver = None
             self._wish = Stop(type="stop")
@@ -184,7 +215,10 @@ class Session:
             self._site.move(message.name, message.to)
         elif isinstance(message, Remove):
             self._site.remove(message.name)
-            self._removed.append((self._servo.time, message.name))
+            self._changes.append((self._servo.time, message.name, "taken away at", " and is left out"))
+        elif isinstance(message, PutBack):
+            self._site.put_back(message.name)
+            self._changes.append((self._servo.time, message.name, "put back at", "; where it was before is left out"))
         elif isinstance(message, Circulate):
             self._servo.circulate = message.on
         else:
@@ -221,23 +255,41 @@ class Session:
     # --- the loop --------------------------------------------------------------------
 
     def step(self) -> ServoState:
-        """Move on by dt."""
+        """Move on by dt. Where that fails the machine brakes to rest from here on, and `failure` says why."""
         with self._lock:
-            wish, self._wish = self._wish, None
-            if self._phase in ("arming", "ending"):
-                wish = Stop(type="stop")
-            state = self._state = self._wished(self._still_wished(wish))
-            self._share = self._share_after(state)
-            if self._phase != "idle":
-                self._keep(state)
-            return state
+            if not self._failure:
+                try:
+                    return self._stepped()
+                except Exception as error:  # noqa: BLE001  whatever it was, the machine must not be left moving
+                    self._fail(error)
+            self._state = self._servo.step(joint_velocity=np.zeros(self.robot.n))
+            return self._state
+
+    @property
+    def failure(self) -> str:
+        """Why the machine was stopped for good; empty where it was not."""
+        return self._failure
+
+    def _stepped(self) -> ServoState:
+        wish, self._wish = self._wish, None
+        if self._phase in ("arming", "ending"):
+            wish = Stop(type="stop")
+        state = self._state = self._wished(self._still_wished(wish))
+        self._share = self._share_after(state)
+        if self._phase != "idle":
+            self._keep(state)
+        return state
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = f"the machine was stopped, as a step failed: {_said(error)}"
+        self._driver, self._wish, self._held = None, None, None
+        self._recorder, self._phase = None, "idle"
 
     def _still_wished(self, wish: Tip | Sticks | Stop | None) -> Tip | Sticks | Stop | None:
-        """The wish, or the last one as long as the watchdog lets it count."""
-        self._held_for = 0.0 if wish is not None else self._held_for + self.dt
+        """The wish, or the last one as long as the watchdog lets it count, and then to stop."""
         self._held = wish or self._held
-        if self._held_for >= self._watchdog:
-            self._held = None
+        if self._held is not None and self._now() - self._wished_at >= self._watchdog:
+            self._held = Stop(type="stop")
         return self._held
 
     def _share_after(self, state: ServoState) -> float:
@@ -284,12 +336,12 @@ class Session:
         at_rest = float(np.abs(state.v).max()) < _AT_REST
         if self._phase == "arming" and at_rest:
             self._recorder = Recorder(state.time, state.q, self.dt, longest=_LONGEST_RECORDING)
-            self._removed.clear()
+            self._changes.clear()
             self._phase = "on"
         elif self._phase == "ending" and (at_rest or self._waited > _PATIENCE) and self._recorder is not None:
             begun = self._recorder.begun
             obstacles, notes = self._site.records(begun)
-            notes += [f"{name} was taken away at {at - begun:.2f} s and is left out" for at, name in self._removed]
+            notes += [f"{name} was {what} {at - begun:.2f} s{so}" for at, name, what, so in self._changes]
             self._recordings.append(self._recorder.finish(obstacles, notes))
             self._recorder = None
             self._phase = "idle"
@@ -306,9 +358,11 @@ class Session:
             obstacles = site.obstacles
             return Snapshot(
                 state=state,
+                asked=_asks(self._held),
                 obstacles=obstacles,
                 shifts={obstacle.name: site.shift_of(obstacle.name) for obstacle in obstacles},
                 movable=frozenset(o.name for o in obstacles if site.may_be_moved(o.name)),
+                taken=site.taken,
                 nearest=site.nearest(state.q),
                 zones=self._zones.note(state.time, state.q),
                 driver=self._driver,
@@ -317,7 +371,21 @@ class Session:
                 recording=self._phase,
                 recorded=0.0 if self._recorder is None else self._recorder.duration,
                 circulate=self._servo.circulate,
+                failure=self._failure,
             )
+
+
+def _asks(wish: Tip | Sticks | Stop | None) -> bool:
+    """Whether a wish is one for a motion."""
+    if isinstance(wish, Tip):
+        return any(wish.velocity) or bool(wish.pitch_rate)
+    return isinstance(wish, Sticks) and wish.speed > 0.0 and any((*wish.left, *wish.right))
+
+
+def _said(error: Exception) -> str:
+    """An error in one short line; some say a page full."""
+    lines = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__
 
 
 def _answer(message: Message | None, *, said: str = "", error: str | None = None) -> dict[str, Any]:

@@ -8,6 +8,8 @@ import time as clock
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
+
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.output_file import check_writable
@@ -20,6 +22,7 @@ from backhoe_planner.site.scene import Scene
 __all__ = ["TeleopStation", "free_name"]
 
 _FRAME = 1.0 / 30.0  # s between pictures
+_AT_REST = 1e-9  # rad/s or m/s
 _LATEST = 0.1  # s behind the clock at which the loop stops catching up
 
 
@@ -65,6 +68,7 @@ class TeleopStation:
             self._server.close()
             raise
         self.warnings = self._picture.warnings
+        self._told_failure = self._told_unshown = False
         self._ending = threading.Event()
         self._writing = threading.Lock()
         self._recordings: queue.SimpleQueue[Recording | None] = queue.SimpleQueue()
@@ -82,6 +86,11 @@ class TeleopStation:
     def running(self) -> bool:
         """Whether the machine is still being stepped and served."""
         return self._loop.is_alive() and self._server.running
+
+    @property
+    def failure(self) -> str:
+        """Why the machine was stopped for good; empty where it was not."""
+        return self.session.failure
 
     def close(self) -> None:
         """End everything; what is being written is finished, nothing else is begun. May be called again."""
@@ -104,11 +113,14 @@ class TeleopStation:
         session, dt = self.session, self.session.dt
         due = frame_due = clock.monotonic()
         while not self._ending.is_set():
-            session.step()
+            state = session.step()
             due += dt
             now = clock.monotonic()
-            if now >= frame_due:
-                self._picture.show(session.snapshot())
+            at_an_end = bool(session.failure) and float(np.abs(state.v).max()) < _AT_REST
+            if now >= frame_due or at_an_end:
+                self._draw()
+                if at_an_end:
+                    return
                 recording = session.take_recording()
                 if recording is not None:
                     self._recordings.put(recording)
@@ -118,6 +130,19 @@ class TeleopStation:
                 self._ending.wait(due - now)
             elif now - due > _LATEST:  # the computer is too slow or was asleep: time is lost, not made up
                 due = now
+
+    def _draw(self) -> None:
+        """Show what is; a picture that fails is told once, and the machine is driven on."""
+        if self.session.failure and not self._told_failure:
+            self._told_failure = True
+            self._server.recording.tell({"type": "trouble", "text": self.session.failure})
+        try:
+            self._picture.show(self.session.snapshot())
+        except Exception as error:  # noqa: BLE001  whatever it was, the machine must be stepped on
+            if not self._told_unshown:
+                self._told_unshown = True
+                text = f"the picture cannot be drawn ({type(error).__name__}) and may be out of date"
+                self._server.recording.tell({"type": "trouble", "text": text})
 
     def _write(self) -> None:
         while (recording := self._recordings.get()) is not None:
@@ -132,8 +157,14 @@ class TeleopStation:
             except InputError as error:
                 self._tell(error=str(error))
                 continue
+            except Exception as error:  # noqa: BLE001  the next recording is written all the same
+                self._tell(error=f"the recording could not be written: {type(error).__name__}")
+                continue
             visits = len(plan.details.get("zones", ()))
-            self._tell(file=str(file), verdict=plan.verdict, seconds=round(recording.duration, 2), zones=visits)
+            self._tell(
+                file=str(file), verdict=plan.verdict, seconds=round(recording.duration, 2), zones=visits,
+                left_out=list(recording.notes),
+            )  # fmt: skip
 
     def _tell(self, **content: object) -> None:
         self._server.recording.tell({"type": "recorded", **content})

@@ -7,7 +7,8 @@
 
   // ---- where things stand on the page --------------------------------------------
   get("app").append(get("drive"));
-  stage.append(get("keys"), get("toast"));
+  stage.append(get("keys"), get("trouble"), get("toast"));
+  get("margins").after(get("taken"));
   get("panel").insertBefore(get("hand-section"), get("facts-section"));
   get("panel").insertBefore(get("site-section"), get("switches").parentElement);
   for (const id of ["drive", "hand-section", "site-section"]) get(id).hidden = false;
@@ -206,7 +207,7 @@
   function dressRows() {
     const rows = document.querySelectorAll("#margins .margin");
     backhoe.problem.obstacles.forEach((obstacle, k) => {
-      const may = driving() && told.nodes[obstacle.name] !== undefined, row = rows[k];
+      const may = driving() && told.movable.includes(obstacle.name), row = rows[k];
       if (!row || row.classList.contains("removable") === may) return;
       row.classList.toggle("removable", may);
       if (!may) { row.querySelector(".remove").remove(); return; }
@@ -220,19 +221,35 @@
     });
   }
 
-  // ---- what is told ------------------------------------------------------------------
+  let listed = "";
+  function listTaken() {
+    const key = JSON.stringify([driving(), told.taken]);
+    if (key === listed) return;
+    listed = key;
+    const list = get("taken");
+    list.hidden = told.taken.length === 0;
+    list.replaceChildren();
+    for (const name of told.taken) {
+      const row = document.createElement("div"), text = document.createElement("span"), button = document.createElement("button");
+      text.textContent = `${name}, taken away`;
+      text.title = text.textContent;
+      button.type = "button";
+      button.textContent = "Put back";
+      button.disabled = !driving();
+      button.addEventListener("click", () => send({ type: "put_back", name }));
+      row.append(text, button);
+      list.append(row);
+    }
+  }
 
-  const WORDS = { ok: ["Free", ""], near_singularity: ["Stretched out", "near"], near_limit: ["At a joint limit", "near"],
-    near_obstacle: ["Near", "near"], sliding: ["Sliding along", "held"], stopped: ["Held by", "held"], evading: ["Evading", "held"] };
+  // ---- what is told ------------------------------------------------------------------
 
   function showState(content) {
     told = content;
-    const [word, kind] = WORDS[content.status], about = ["near_obstacle", "sliding", "stopped", "evading"].includes(content.status);
-    const idle = content.command === "timed_out" && kind !== "held" ? "idle" : kind;
-    get("status").className = content.status === "stopped" && content.obstacle === null ? "idle" : idle;
-    const resting = content.status === "stopped" && content.obstacle === null || content.status === "ok" && idle === "idle";
-    get("status-word").textContent = resting ? "At rest" : about && content.obstacle ? `${word} ${content.obstacle}` : word;
-    get("status-more").textContent = content.margin === null || !content.obstacle ? "" : `${content.link}, ${signed(content.margin, 2)} m`;
+    get("status").className = content.told.kind;
+    get("status-word").textContent = content.told.word;
+    get("status-more").textContent = content.told.more;
+    get("status").title = [content.told.word, content.told.more].filter(Boolean).join(", ");
     get("force-value").textContent = `${content.force.toFixed(0)} N`;
     get("force-fill").style.transform = `scaleX(${Math.min(content.force / content.largest_force, 1)})`;
     get("pace-value").textContent = `${Math.round(100 * content.pace)} %`;
@@ -255,6 +272,7 @@
       }
       dressRows();
     }
+    listTaken();
     const mine = driving(), take = get("take");
     take.textContent = mine ? "Let go" : content.driver === null ? "Take the controls" : `Ask page ${content.driver}`;
     take.className = mine ? "driving" : "";
@@ -271,16 +289,24 @@
   }
 
   function showRecorded(content) {
+    const out = content.left_out || [];
     get("recorded").textContent = content.writing ? "Writing the recording…" : content.error ? content.error
       : `${content.file.split("/").pop()}: ${content.seconds.toFixed(1)} s, ${content.verdict}`
-        + (content.zones ? `, ${content.zones} zone visits` : "");
-    get("recorded").title = content.file || "";
+        + (content.zones ? `, ${content.zones} zone visit${content.zones > 1 ? "s" : ""}` : "")
+        + (out.length === 1 ? `; ${out[0]}` : out.length ? `; ${out.length} changes of the site are left out` : "");
+    get("recorded").title = content.file ? [get("recorded").textContent, content.file, ...out].join("\n") : "";
+  }
+
+  function showTrouble(text) {
+    get("trouble").textContent = text[0].toUpperCase() + text.slice(1);
+    get("trouble").hidden = false;
   }
 
   addEventListener("told", ({ detail: content }) => {
     if (content.type === "you") page = content.page;
     else if (content.type === "teleop") showState(content);
     else if (content.type === "recorded") showRecorded(content);
+    else if (content.type === "trouble") showTrouble(content.text);
     else if (content.type === "answer") {
       backhoe.teleop.answers = (backhoe.teleop.answers + 1) % 1e9;
       if (!content.ok) toast(content.error);
