@@ -230,8 +230,20 @@ class Objective:
         dt = np.maximum(dt, _SHORTEST)
         cost = self._of_step(a, b, dq, squared, dt) / self.unit
         if smoothing > 0.0:
-            cost = cost + smoothing / self._rate * squared / dt
+            cost = cost + smoothing / self._rate * squared / dt + self._friction(a, b, dq)
         return cost
+
+    def _friction(self, a, b, dq):
+        import os
+        F=float(os.environ.get("FR","0.0")); M=float(os.environ.get("MA","0"))
+        total = F*sum(np.abs(c) for c in dq)
+        if self.name == "hydraulic" and M:
+            oil = 0.0
+            for c, cylinder in enumerate(self._hydraulics.cylinders):
+                change = b.lengths[..., c] - a.lengths[..., c]
+                oil = oil + np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area) * np.abs(change)
+            total = total + M*1e6*oil/self.unit
+        return total
 
     def _of_step(self, a: Nodes, b: Nodes, dq: list[Array], squared: Array, dt: Array) -> Array:
         if self.name == "velocity_norm":
