@@ -52,6 +52,9 @@ UNITS = {
 
 WIDEST_STEP = 0.7  # rad or m that one joint may move in a step
 _SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added
+# of the typical load at the typical rate: what a second costs that is lost
+_TIME_SHARE = {"effort": 0.1, "work": 0.1, "hydraulic": 1.0, "time": 1.0}
+_MARGIN_PRESSURE = 2e6  # Pa by which a load-sensing pump exceeds the highest load
 _TYPICAL = 64  # seeded postures over which loads are averaged
 _SHORTEST = 1e-9  # s
 
@@ -126,6 +129,8 @@ class Objective:
         self._kinematics = BatchKinematics(robot)
         self._hydraulics = robot.hydraulics
         self._velocity = np.where(np.isfinite(problem.limits.velocity), problem.limits.velocity, 1e6)
+        acceleration = problem.limits.acceleration
+        self._acceleration = np.where(np.isfinite(acceleration), acceleration, 1e6)
         task = problem.scene.task.path
         asked = None if task is None else task.speed
         nominal, rate, load, inertia = self._typical()
@@ -139,7 +144,9 @@ class Objective:
             "hydraulic": load,
             "time": 1.0 / rate,
         }[self.name]
-        self._smoothing = 0.0 if self.name in ("velocity_norm", "kinetic") else _SMOOTHING
+        quiet = self.name in ("velocity_norm", "kinetic")
+        self._smoothing = 0.0 if quiet else _SMOOTHING
+        self._time_price = 0.0 if quiet else rate * _TIME_SHARE[self.name]
         if not self.unit > 0.0:  # a machine without mass costs nothing, whatever it does
             self.unit, self._smoothing = 1.0, 1.0
 
@@ -166,6 +173,19 @@ class Objective:
     def along(self, stations: Array, q: Array) -> float:
         """Of a resolved stretch, q (K, n) at `stations` (K,) [m], in rad."""
         return self._sum(stations, q, smoothing=self._smoothing)
+
+    def driven(self, stations: Array, q: Array) -> float:
+        """The same, and what the changes of the joints' rates take, which hang on three samples."""
+        cost = self.along(stations, q)
+        if len(q) < 3 or not self.holds_rates:
+            return cost
+        rates = self.rates(q[:-1], q[1:], np.diff(stations))
+        return cost + float(np.sum(self.turning(rates[:-1], rates[1:])))
+
+    @property
+    def holds_rates(self) -> bool:
+        """Whether changes of the joints' rates count."""
+        return self._time_price > 0.0
 
     def value(self, stations: Array, q: Array) -> float:
         """The same in the objective's own unit, without what is added to keep the joints quiet."""
@@ -228,22 +248,32 @@ class Objective:
         if self.name == "time" and self._hydraulics is not None:
             np.maximum(dt, self._oil_time(a, b), out=dt)
         dt = np.maximum(dt, _SHORTEST)
-        cost = self._of_step(a, b, dq, squared, dt) / self.unit
-        if smoothing > 0.0:
-            cost = cost + smoothing / self._rate * squared / dt + self._friction(a, b, dq)
-        return cost
+        if not smoothing > 0.0:
+            return self._of_step(a, b, dq, squared, dt) / self.unit
+        held = smoothing / self._rate * squared / dt + self._held_back(a, b, dt, span)
+        if self.name == "time":  # of which only what is lost can be had
+            return np.asarray(held)
+        return self._of_step(a, b, dq, squared, dt) / self.unit + held
 
-    def _friction(self, a, b, dq):
-        import os
-        F=float(os.environ.get("FR","0.0")); M=float(os.environ.get("MA","0"))
-        total = F*sum(np.abs(c) for c in dq)
-        if self.name == "hydraulic" and M:
-            oil = 0.0
-            for c, cylinder in enumerate(self._hydraulics.cylinders):
-                change = b.lengths[..., c] - a.lengths[..., c]
-                oil = oil + np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area) * np.abs(change)
-            total = total + M*1e6*oil/self.unit
-        return total
+    def _held_back(self, a: Nodes, b: Nodes, dt: Array, span: Array) -> Array:
+        """(...) of the margin pressure, and of the time that is lost, in rad."""
+        lost = dt if np.isinf(self.speed) else np.maximum(dt - span / self.speed, 0.0)
+        cost = self._time_price * lost
+        if self.name == "hydraulic":
+            cost = cost + (_MARGIN_PRESSURE / self.unit) * self._oil(a, b)
+        return np.asarray(cost)
+
+    def rates(self, a: Array, b: Array, span: Array) -> Array:
+        """(..., n) of the joints on the steps from a to b (..., n) over `span` (...) [m]; [rad/s or m/s]."""
+        dq = b - a
+        dt = np.max(np.abs(dq) / self._velocity, axis=-1)
+        if np.isfinite(self.speed):
+            dt = np.maximum(dt, span / self.speed)
+        return np.asarray(dq / np.maximum(dt, _SHORTEST)[..., None])
+
+    def turning(self, before: Array, after: Array) -> Array:
+        """(...) of a change of the joints' rates from one step to the next, (..., n), in rad: the time that it takes."""
+        return np.asarray(self._time_price * np.max(np.abs(after - before) / self._acceleration, axis=-1))
 
     def _of_step(self, a: Nodes, b: Nodes, dq: list[Array], squared: Array, dt: Array) -> Array:
         if self.name == "velocity_norm":
@@ -275,15 +305,24 @@ class Objective:
         assert b.lengths is not None
         assert a.forces_after is not None
         assert b.forces_before is not None
-        oil = np.zeros_like(highest)
         for c, cylinder in enumerate(hydraulics.cylinders):
             change = b.lengths[..., c] - a.lengths[..., c]
             area = np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area)
-            oil += area * np.abs(change)
             force = 0.5 * (a.forces_after[..., c] + b.forces_before[..., c])
             # against its load a rod pushes where it extends, and pulls where it retracts
             np.maximum(highest, np.where(force * change > 0.0, np.abs(force) / area, 0.0), out=highest)
-        return np.asarray(highest * oil)
+        return np.asarray(highest * self._oil(a, b))
+
+    def _oil(self, a: Nodes, b: Nodes) -> Array:
+        """(...) that all cylinders take on a step [m^3]."""
+        assert self._hydraulics is not None
+        assert a.lengths is not None
+        assert b.lengths is not None
+        oil = np.zeros(1)
+        for c, cylinder in enumerate(self._hydraulics.cylinders):
+            change = b.lengths[..., c] - a.lengths[..., c]
+            oil = oil + np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area) * np.abs(change)
+        return oil
 
     def _oil_time(self, a: Nodes, b: Nodes) -> Array:
         """(...) how long valves and pump take to feed a step [s]."""

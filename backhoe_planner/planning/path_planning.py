@@ -241,7 +241,7 @@ class _Along:
         if not law.complete or context.out_of_time:
             return piece
         other = self._cheapened(Stretch(law.stations, law.q), free_start=free_start, free_end=True)
-        return min((piece, other), key=lambda way: self._objective.along(way.stations, way.q))
+        return min((piece, other), key=lambda way: self._objective.driven(way.stations, way.q))
 
     @property
     def _time(self) -> float:
