@@ -163,6 +163,8 @@ class _Descent:
         if self._objective.holds_rates and len(here) > 2:
             rates = self._objective.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
             turns = self._objective.turning(rates[:-1, :, :, None], rates[1:, None])
+            for end in (0, -1):  # from rest, and to rest
+                steps[end] += self._objective.turning(np.zeros_like(rates[end]), rates[end])
         for _ in range(_TRIES):
             chosen = _cheapest(steps, usable) if turns is None else _cheapest_driven(steps, turns, usable)
             if np.all(chosen == _WIDTH):
@@ -299,9 +301,7 @@ def _cheapest(steps: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
     return np.array(chosen[::-1])
 
 
-def _cheapest_driven(
-    steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask
-) -> NDArray[np.intp]:
+def _cheapest_driven(steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
     """The same with `turns` (M - 2, C, C, C) that hang on three knots in a row: Bellman's recursion over pairs."""
     closed = np.where(usable, 0.0, np.inf)
     value = closed[0][:, None] + steps[0] + closed[1][None, :]

@@ -175,12 +175,13 @@ class Objective:
         return self._sum(stations, q, smoothing=self._smoothing)
 
     def driven(self, stations: Array, q: Array) -> float:
-        """The same, and what the changes of the joints' rates take, which hang on three samples."""
+        """The same, from rest to rest, and what the changes of the joints' rates take, which hang on three samples."""
         cost = self.along(stations, q)
         if len(q) < 3 or not self.holds_rates:
             return cost
         rates = self.rates(q[:-1], q[1:], np.diff(stations))
-        return cost + float(np.sum(self.turning(rates[:-1], rates[1:])))
+        rest = np.zeros((1, q.shape[1]))
+        return cost + float(np.sum(self.turning(np.vstack((rest, rates)), np.vstack((rates, rest)))))
 
     @property
     def holds_rates(self) -> bool:
@@ -272,7 +273,7 @@ class Objective:
         return np.asarray(dq / np.maximum(dt, _SHORTEST)[..., None])
 
     def turning(self, before: Array, after: Array) -> Array:
-        """(...) of a change of the joints' rates from one step to the next, (..., n), in rad: the time that it takes."""
+        """(...) the time that a change of the joints' rates (..., n) from step to step takes, in rad."""
         return np.asarray(self._time_price * np.max(np.abs(after - before) / self._acceleration, axis=-1))
 
     def _of_step(self, a: Nodes, b: Nodes, dq: list[Array], squared: Array, dt: Array) -> Array:
