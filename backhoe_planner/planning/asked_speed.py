@@ -21,7 +21,6 @@ __all__ = ["AskedSpeed", "Slower", "asked_speed"]
 Vector = NDArray[np.float64]
 
 KEPT = 0.9  # of the asked speed, from which on it counts as kept
-_OWN = "tip speed"
 
 
 @dataclass(frozen=True)
@@ -91,22 +90,20 @@ def asked_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> As
     if not whole > 0.0:
         return None
     slow = counted & (speed < KEPT * task.speed)
-    usage = limit_usage(problem, motion)
-    own = [index for index, name in enumerate(usage.names) if name != _OWN]
-    names, ratio = [usage.names[index] for index in own], usage.ratio[:, own]
+    usage = limit_usage(problem, motion, tip_speed=False)
     slower = []
     for is_slow, rows in groupby(range(len(slow)), key=lambda row: bool(slow[row])):
         if not is_slow:
             continue
         part = list(rows)
         # the samples of these segments, where it has to slow down among them
-        most = np.max(ratio[part[0] : part[-1] + 2], axis=0)
+        most = np.max(usage.ratio[part[0] : part[-1] + 2], axis=0)
         slower.append(
             Slower(
                 float(places[part[0]]),
                 float(places[part[-1] + 1]),
                 float(np.min(speed[part])),
-                names[int(np.argmax(most))],
+                usage.names[int(np.argmax(most))],
             )
         )
     kept = float(np.sum(length[counted & ~slow]))

@@ -162,9 +162,9 @@ class _Descent:
         turns = None
         if self._objective.holds_rates and len(here) > 2:
             rates = self._objective.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
-            turns = self._objective.turning(rates[:-1, :, :, None], rates[1:, None])
+            turns = self._objective.turning(rates[:, :-1, :, :, None], rates[:, 1:, None])
             for end in (0, -1):  # from rest, and to rest
-                steps[end] += self._objective.turning(np.zeros_like(rates[end]), rates[end])
+                steps[end] += self._objective.turning(np.zeros_like(rates[:, end]), rates[:, end])
         for _ in range(_TRIES):
             chosen = _cheapest(steps, usable) if turns is None else _cheapest_driven(steps, turns, usable)
             if np.all(chosen == _WIDTH):

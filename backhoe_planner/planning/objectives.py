@@ -20,9 +20,22 @@ for one thing: torques of inertia are left out, for they hang on three neighbour
 samples and on how the motion gathers speed. `work` and `hydraulic` do not depend on u.
 
 All costs come in one unit, that of the turning of a joint [rad], so that they can be
-weighed against the turning of the joints on a detour. A small part of |dq|^2 / dt is
-added to those that do not hold every motion back by themselves: where loads drive the
-joints, work is 0 whatever they do.
+weighed against the turning of the joints on a detour.
+
+What the search makes small holds the joints back in more ways, none of which is in what is
+told of a motion. Objectives that do not hold every motion back by themselves (where loads
+drive the joints, work is 0 whatever they do) get
+
+    a small part of |dq|^2 / dt,
+    the time that is lost, at a part of the typical load times the typical rate: where a
+    joint cannot follow u, and where rates change, max_j |v_j' - v_j| / a_j from step to step,
+    of `hydraulic`, the margin by which a load-sensing pump's pressure is above the highest
+    load, on all of the oil.
+
+Without the last two `hydraulic` has the joints go to and fro. Its pressure is that of the
+rods that move, so that two rods one after the other cost less than both at once, and the
+search does not see what the changes between them cost. `time` is the time that is lost and
+nothing else.
 """
 
 from __future__ import annotations
@@ -180,8 +193,8 @@ class Objective:
         if len(q) < 3 or not self.holds_rates:
             return cost
         rates = self.rates(q[:-1], q[1:], np.diff(stations))
-        rest = np.zeros((1, q.shape[1]))
-        return cost + float(np.sum(self.turning(np.vstack((rest, rates)), np.vstack((rates, rest)))))
+        rest = np.zeros((q.shape[1], 1))
+        return cost + float(np.sum(self.turning(np.hstack((rest, rates)), np.hstack((rates, rest)))))
 
     @property
     def holds_rates(self) -> bool:
@@ -265,16 +278,25 @@ class Objective:
         return np.asarray(cost)
 
     def rates(self, a: Array, b: Array, span: Array) -> Array:
-        """(..., n) of the joints on the steps from a to b (..., n) over `span` (...) [m]; [rad/s or m/s]."""
-        dq = b - a
-        dt = np.max(np.abs(dq) / self._velocity, axis=-1)
+        """(n, ...) of the joints on the steps from a to b (..., n) over `span` (...) [m], in seconds of
+        their acceleration limits: how long each takes to gather its rate.
+        """
+        dq = [b[..., joint] - a[..., joint] for joint in range(a.shape[-1])]
+        dt = np.full(dq[0].shape, _SHORTEST)
         if np.isfinite(self.speed):
-            dt = np.maximum(dt, span / self.speed)
-        return np.asarray(dq / np.maximum(dt, _SHORTEST)[..., None])
+            np.maximum(dt, span / self.speed, out=dt)
+        for joint, change in enumerate(dq):
+            np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
+        return np.array([change / (dt * limit) for change, limit in zip(dq, self._acceleration, strict=True)])
 
     def turning(self, before: Array, after: Array) -> Array:
-        """(...) the time that a change of the joints' rates (..., n) from step to step takes, in rad."""
-        return np.asarray(self._time_price * np.max(np.abs(after - before) / self._acceleration, axis=-1))
+        """(...) the time that a change of `rates` (n, ...) from step to step takes, in rad."""
+        longest = np.zeros(np.broadcast_shapes(before.shape[1:], after.shape[1:]))
+        for one, other in zip(before, after, strict=True):
+            change = other - one
+            np.maximum(longest, np.abs(change, out=change), out=longest)
+        longest *= self._time_price
+        return longest
 
     def _of_step(self, a: Nodes, b: Nodes, dq: list[Array], squared: Array, dt: Array) -> Array:
         if self.name == "velocity_norm":
