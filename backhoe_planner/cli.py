@@ -35,6 +35,7 @@ __all__ = ["app", "main"]
 
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 _DEGREES = 180.0 / math.pi
+_MOST_PARTS = 3  # of a path that are told one by one
 
 app = typer.Typer(
     help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
@@ -397,6 +398,7 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
     _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
     _out.print(f"work          {_quantity(metrics['energy']['work'], 'J')} ({_loads(found)})")
     _tell_saving(metrics.get("objective"))
+    _tell_speed(metrics.get("asked_speed"))
     _out.print(f"planned in    {metrics['planning_time']:.2f} s")
     _out.print(f"plan          {output}")
 
@@ -444,6 +446,27 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     elif breaks is not None:
         told += f"; the local law does not get along it ({breaks})"
     _out.print(f"objective     {told}")
+    if compared["whole"] > compared["value"] * (1.0 + 1e-3):
+        told = f"{compared['whole']:.4g} {unit} with the approach to it"
+        if compared["saving_percent_whole"] is not None:
+            told += f"; the local law after the same approach {compared['law_whole']:.4g} {unit}"
+            told += f" (saves {compared['saving_percent_whole']:.0f} %)"
+        _out.print(f"              {told}")
+
+
+def _tell_speed(asked: dict[str, Any] | None) -> None:
+    """One line: on how much of the path the asked speed is kept, and what it waits for elsewhere."""
+    if asked is None:
+        return
+    told = f"{asked['asked']:g} m/s kept on {asked['kept_percent']:.0f} % of the path"
+    slower = asked["slower"]
+    if slower:
+        parts = [
+            f"{part['path_from']:.2f} to {part['path_to']:.2f} m ({part['limit']})" for part in slower[:_MOST_PARTS]
+        ]
+        more = f" and {len(slower) - _MOST_PARTS} more" if len(slower) > _MOST_PARTS else ""
+        told += f"; slower from {', '.join(parts)}{more}"
+    _out.print(f"asked speed   {told}")
 
 
 def _quantity(value: float, unit: str) -> str:

@@ -140,6 +140,19 @@ def test_plan_check_export(run: Run, tmp_path: Path) -> None:
     assert "allowed: .csv, .npz, .yaml" in told
 
 
+def test_a_path_tells_its_speed_and_its_approach(run: Run, tmp_path: Path) -> None:
+    points = [{"position": [2.0, -0.6, 0.0]}, {"position": [2.0, 0.6, 0.0]}]
+    scene = {"version": 1, "start": {"joints": JOINTS}, "task": {"path": {"waypoints": points, "speed": 0.4}}}
+    file = scene_file(tmp_path, scene | {"objective": "velocity_norm"})
+    status, said, _ = run("plan", PLANAR4, file, "-o", "out.json")
+    assert status == 0
+    metrics = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["metrics"]
+    kept = metrics["asked_speed"]["kept_percent"]
+    assert re.search(rf"^asked speed   0\.4 m/s kept on {kept:.0f} % of the path; slower from 0\.00 to ", said, re.M)
+    whole = metrics["objective"]["whole"]
+    assert f"{whole:.4g} rad^2/s with the approach to it; the local law after the same approach" in said
+
+
 def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
     run("plan", PLANAR4, scene_file(tmp_path))
     content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))

@@ -112,6 +112,41 @@ def test_every_objective_of_a_pendulum_step_by_hand(tmp_path: Path) -> None:
     assert Objective(problem, "time").value(np.array([0.0, 0.04]), fast) == pytest.approx(0.5)
 
 
+def test_a_change_of_rate_costs_the_time_that_it_takes(tmp_path: Path) -> None:
+    """0.1 rad and then 0.2 rad over 0.4 m each, at 0.4 m/s: 0 to 0.1 to 0.2 rad/s and back to 0, at 2 rad/s^2."""
+    robot = machine(tmp_path, PENDULUM, "end")
+    problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
+    assert problem.limits.acceleration.tolist() == [2.0]
+    q, stations = np.array([[0.0], [0.1], [0.3]]), np.array([0.0, 0.4, 0.8])
+    objective = Objective(problem, "time")
+    taken = (0.1 + 0.1 + 0.2) / 2.0
+    assert objective.unit * (objective.driven(stations, q) - objective.along(stations, q)) == pytest.approx(taken)
+    # what is told of it is the time of the steps alone
+    assert objective.value(stations, q) == pytest.approx(2.0)
+    for name in ("velocity_norm", "kinetic"):
+        quiet = Objective(problem, name)
+        assert quiet.driven(stations, q) == quiet.along(stations, q)
+
+
+def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging: Problem) -> None:
+    """The same tip path, the bucket swinging by a hand's breadth or not: the margin is on all the oil."""
+    s = np.linspace(0.0, 1.0, 41)[:, None]
+    still = np.array([0.1, 0.3, -1.4, -0.8]) + s * np.array([0.2, 0.25, -0.5, 0.0])
+    swinging = still + np.array([0.0, 0.0, 0.0, 0.1]) * np.sin(6.0 * np.pi * s)
+    objective = Objective(digging, "hydraulic")
+    stations = 1.2 * s[:, 0]
+    hydraulics = digging.robot.hydraulics
+    assert hydraulics is not None
+    (bucket,) = [c for c, joint in enumerate(hydraulics.joint_of) if joint == 3]
+    cylinder = hydraulics.cylinders[bucket]
+    change = np.diff(hydraulics.lengths(swinging)[:, bucket])
+    oil = float(np.sum(np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area) * np.abs(change)))
+    more = objective.along(stations, swinging) - objective.along(stations, still)
+    told = objective.value(stations, swinging) - objective.value(stations, still)
+    assert objective.unit * more - told >= 2e6 * oil * (1.0 - 1e-9)
+    assert objective.driven(stations, swinging) - objective.driven(stations, still) > more
+
+
 # --- against full inverse dynamics ------------------------------------------------
 
 

@@ -3,34 +3,43 @@
 from __future__ import annotations
 
 import json
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
-from backhoe_planner.planning.descent import cheapen_stretch
+from backhoe_planner.planning.descent import _cheapest_driven, cheapen_stretch
 from backhoe_planner.planning.layered_graph import LayeredGraph
 from backhoe_planner.planning.local_resolution import resolve_along
 from backhoe_planner.planning.objectives import OBJECTIVES, Objective, trajectory_costs
 from backhoe_planner.planning.path_layers import PathLayers
 from backhoe_planner.planning.path_resolution import PathResolver, Stretch
 from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.yardstick import law_motion, least_norm_resolution, stations_of
+from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.yardstick import joined, law_motion, least_norm_resolution, part_on_path, stations_of
 
 Array = NDArray[np.float64]
 
+SCENES = Path(__file__).resolve().parents[1] / "scenes"
 CUT = [[4.4, 0.0, -0.4], [2.6, 0.4, 0.8]]
 
 
 def along(points: list[list[float]], **keys: Any) -> bp.Scene:
     task = {"waypoints": [{"position": point} for point in points], "speed": 0.4}
     return bp.scene_from_dict({"version": 1, "task": {"path": task}, "clearance": 0.02} | keys)
+
+
+def trench_cut(**keys: Any) -> bp.Scene:
+    """The shipped cut through the ground, otherwise asked for."""
+    content = yaml.safe_load((SCENES / "trench_cut.yaml").read_text(encoding="utf-8"))
+    return bp.scene_from_dict(content | keys)
 
 
 def posed(robot: bp.Robot, q: Array) -> dict[str, Any]:
@@ -63,8 +72,8 @@ def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) 
             problem, problem.path, piece.stations, piece.q,
             objective=objective, proximity=proximity, free_start=True, free_end=True,
         )  # fmt: skip
-        graph.append(objective.along(piece.stations, piece.q))
-        refined.append(objective.along(piece.stations, q))
+        graph.append(objective.driven(piece.stations, piece.q))
+        refined.append(objective.driven(piece.stations, q))
     assert graph[2] < 1.01 * graph[0]
     assert all(after <= before for before, after in zip(graph, refined, strict=True))
     assert refined[2] == pytest.approx(refined[1], rel=0.01)
@@ -95,7 +104,7 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
         if not reached.all() or any(np.any(proximity.distances(row) < proximity.clearance + 0.01) for row in q):
             continue
         cheap = cheapen_stretch(problem, problem.path, piece.stations, q, objective=objective, proximity=proximity)
-        before, after = objective.along(piece.stations, q), objective.along(piece.stations, cheap)
+        before, after = objective.driven(piece.stations, q), objective.driven(piece.stations, cheap)
         assert after <= before
         fell += after < 0.9995 * before
         np.testing.assert_array_equal(cheap[[0, -1]], q[[0, -1]])
@@ -141,6 +150,24 @@ def test_the_routes_cost_falls_where_a_finer_grid_holds_the_coarser_one(backhoe:
         costs.append(route.cost)
     assert all(after <= before + 1e-9 for before, after in pairwise(costs))
     assert costs[3] < 0.98 * costs[0]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_cheapest_way_over_three_knots_in_a_row_equals_an_exhaustive_search(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    knots, width = 5, 3
+    steps = rng.uniform(0.0, 1.0, (knots - 1, width, width))
+    turns = rng.uniform(0.0, 1.0, (knots - 2, width, width, width))
+    usable = rng.uniform(size=(knots, width)) < 0.7
+    usable[:, 1] = True
+
+    def cost(way: tuple[int, ...]) -> float:
+        pairs, triples = enumerate(pairwise(way)), enumerate(zip(way, way[1:], way[2:], strict=False))
+        return sum(float(steps[(k, *pair)]) for k, pair in pairs) + sum(float(turns[(k, *t)]) for k, t in triples)
+
+    open_ways = [way for way in product(range(width), repeat=knots) if all(usable[k, c] for k, c in enumerate(way))]
+    best = min(open_ways, key=cost)
+    assert tuple(_cheapest_driven(steps, turns, usable).tolist()) == best
 
 
 # --- whole plans --------------------------------------------------------------------
@@ -197,6 +224,73 @@ def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot) -> None:
     told = plan.metrics["objective"]
     assert told["law"] == pytest.approx(work, rel=1e-9)
     assert told["saving_percent"] == pytest.approx(100.0 * (1.0 - plan.metrics["energy"]["work"] / work), rel=1e-9)
+
+
+def test_time_is_held_against_the_laws_own_timing(backhoe: bp.Robot) -> None:
+    """And no other objective is faster than the one that asks for it, but for a hair."""
+    plans = {name: bp.plan(backhoe, trench_cut(objective=name), method="optimal") for name in ("time", "work")}
+    told = plans["time"].metrics["objective"]
+    assert told["value"] == pytest.approx(plans["time"].trajectory.duration)  # it begins on the path
+    assert told["law"] >= told["value"] * 0.999
+    assert told["law"] != told["value"]
+    assert plans["time"].trajectory.duration <= 1.002 * plans["work"].trajectory.duration
+    # at 0.3 m/s from end to end it would be
+    problem = build_problem(backhoe, plans["time"].scene)
+    assert problem.path is not None
+    assert plans["time"].trajectory.duration > problem.path.length / 0.3
+
+
+@pytest.mark.parametrize("name", ["work", "hydraulic"])
+def test_a_cut_without_needless_reversals(backhoe: bp.Robot, name: str) -> None:
+    """Three legs: a joint has a reason to turn round at the two corners, and seldom another."""
+    plan = bp.plan(backhoe, trench_cut(objective=name), method="optimal")
+    assert plan.verified, plan.message
+    for rate in plan.trajectory.segment_velocities().T:
+        moving = np.sign(rate[np.abs(rate) > 0.02])
+        assert np.count_nonzero(np.diff(moving)) <= 2
+    assert plan.metrics["asked_speed"]["kept_percent"] > 90.0
+
+
+@pytest.mark.parametrize("name", ["work", "hydraulic", "time"])
+@pytest.mark.parametrize("length", [1e-2, 1e-3, 1e-6])
+def test_a_very_short_path_is_no_worse_than_the_laws(backhoe: bp.Robot, name: str, length: float) -> None:
+    """It is all speeding up and slowing down, which the search does not see."""
+    for start in (None, {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}):
+        keys = {} if start is None else {"start": start}
+        plan = bp.plan(backhoe, along([[4.0, 0.0, 0.3], [4.0 - length, 0.0, 0.3]], objective=name, **keys))
+        assert plan.verified, plan.message
+        told = plan.metrics["objective"]
+        assert told["value"] <= told["law"] * (1.0 + 1e-4)
+
+
+def test_the_approach_counts_where_all_of_the_motion_is_told(backhoe: bp.Robot) -> None:
+    start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+    plan = bp.plan(backhoe, along(CUT, start=start))
+    assert plan.verified, plan.message
+    told = plan.metrics["objective"]
+    assert told["whole"] == pytest.approx(plan.metrics["energy"]["work"], rel=1e-12)
+    problem = build_problem(backhoe, plan.scene)
+    assert problem.path is not None
+    motion, begun = part_on_path(
+        problem.path, plan.trajectory, plan.certificate.tracking.approach_time, kinematics=bp.Kinematics(backhoe)
+    )
+    assert begun > plan.certificate.tracking.approach_time
+    tip = bp.Kinematics(backhoe).at(motion.q[0]).tip_position
+    np.testing.assert_allclose(tip, CUT[0], atol=1e-6)  # not just within the tolerance
+    assert told["whole"] > told["value"]
+    assert told["law_whole"] - told["law"] == pytest.approx(told["whole"] - told["value"])
+    assert told["saving_percent_whole"] == pytest.approx(100.0 * (1.0 - told["whole"] / told["law_whole"]))
+    assert told["saving_percent_whole"] < told["saving_percent"]
+    free = bp.plan(backhoe, along(CUT)).metrics["objective"]
+    assert free["whole"] == free["value"]
+
+
+def test_motions_are_joined_by_a_step_of_rest() -> None:
+    one = Trajectory.from_steps(np.array([0.0, 0.1, 0.2]), np.array([[0.0], [0.1], [0.2]]))
+    two = Trajectory.from_steps(np.array([0.0, 0.1, 0.3]), np.array([[0.2], [0.3], [0.4]]))
+    both = joined([one, two])
+    np.testing.assert_allclose(both.time, [0.0, 0.1, 0.2, 0.3, 0.4, 0.6])
+    np.testing.assert_allclose(both.q[:, 0], [0.0, 0.1, 0.2, 0.2, 0.3, 0.4])
 
 
 def test_the_least_norm_law_is_the_pseudo_inverse(backhoe: bp.Robot) -> None:

@@ -126,7 +126,7 @@ class _Descent:
         self._measure = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-9))))
         self._in_soil = problem.scene.soil is not None
         self.q = q
-        self.cost = objective.along(stations, q)
+        self.cost = objective.driven(stations, q)
         asked = proximity.clearance + _AHEAD
         self._lower = np.array([self._measured(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
@@ -159,14 +159,20 @@ class _Descent:
         nodes = self._nodes(neighbours)
         spans = np.diff(self._stations[self._knots])[:, None, None]
         steps = self._objective.between(nodes[:-1, :, None], nodes[1:, None, :], spans)
+        turns = None
+        if self._objective.holds_rates and len(here) > 2:
+            rates = self._objective.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
+            turns = self._objective.turning(rates[:, :-1, :, :, None], rates[:, 1:, None])
+            for end in (0, -1):  # from rest, and to rest
+                steps[end] += self._objective.turning(np.zeros_like(rates[:, end]), rates[:, end])
         for _ in range(_TRIES):
-            chosen = _cheapest(steps, usable)
+            chosen = _cheapest(steps, usable) if turns is None else _cheapest_driven(steps, turns, usable)
             if np.all(chosen == _WIDTH):
                 return 0.0
             moved = self._between_knots(neighbours[np.arange(len(here)), chosen])
             if moved is None:
                 return 0.0
-            cost = self._objective.along(self._stations, moved)
+            cost = self._objective.driven(self._stations, moved)
             if not cost < self.cost:
                 return 0.0
             bad, lower = self._bad_knots(moved)
@@ -292,4 +298,21 @@ def _cheapest(steps: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
     chosen = [int(np.argmin(value))]
     for source in reversed(sources):
         chosen.append(int(source[chosen[-1]]))
+    return np.array(chosen[::-1])
+
+
+def _cheapest_driven(steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
+    """The same with `turns` (M - 2, C, C, C) that hang on three knots in a row: Bellman's recursion over pairs."""
+    closed = np.where(usable, 0.0, np.inf)
+    value = closed[0][:, None] + steps[0] + closed[1][None, :]
+    sources = []
+    for row, turn in enumerate(turns):
+        total = value[:, :, None] + turn
+        source = np.argmin(total, axis=0)
+        value = np.min(total, axis=0) + steps[row + 1] + closed[row + 2][None, :]
+        sources.append(source)
+    a, b = np.unravel_index(int(np.argmin(value)), value.shape)
+    chosen = [int(b), int(a)]
+    for source in reversed(sources):
+        chosen.append(int(source[chosen[-1], chosen[-2]]))
     return np.array(chosen[::-1])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.law_planning import reach_with_law, stuck
+from backhoe_planner.planning.law_timing import as_fast_as_allowed, shortest_time
 from backhoe_planner.planning.outcome import Outcome, no_posture
 from backhoe_planner.planning.postures import Found
 from backhoe_planner.planning.reactive import Attempt, approach_goal
@@ -16,7 +19,6 @@ from backhoe_planner.planning.transit import find_transit
 __all__ = ["find_goal_postures", "plan_to_goal", "swerve_to_goal"]
 
 _SEARCH = 48  # starting points of the inverse kinematics for a goal
-_FASTER = 0.85  # of the time, below which the joints' straight way is preferred
 _LONG_SEARCH = 400  # before a goal is said to be in collision
 
 
@@ -53,16 +55,18 @@ def plan_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome
 
 
 def _faster(context: Context, stepper: Stepper, straight: Attempt, found: Found) -> Outcome:
-    """The tip's straight way, or the joints' where that is open and much faster."""
-    motion = straight.stepper.trajectory()
+    """The tip's straight way or, where that is open and faster, the joints'."""
+    limits, drive = context.problem.limits, drive_of(context.problem)
     direct = find_transit(context, stepper, found.clear, straight=True)
-    if direct.stepper is not None:
-        joints = direct.stepper.trajectory()
-        limits, drive = context.problem.limits, drive_of(context.problem)
-        # the law runs the joints at rates that all of them together may not have
-        longer = retimed(motion, limits, drive=drive).duration
-        if joints.duration - stepper.time < _FASTER * (longer - stepper.time):
-            return Outcome(joints, details={"way": "straight for the joints"})
+    joints = None if direct.stepper is None else direct.stepper.trajectory()
+    after = np.inf if joints is None else joints.duration - stepper.time
+    way = straight.stepper.trajectory()
+    if joints is not None and after <= shortest_time(way.q[way.time >= stepper.time - 1e-9], limits):
+        return Outcome(joints, details={"way": "straight for the joints"})
+    motion = as_fast_as_allowed(context, stepper, straight.stepper).trajectory()
+    # the law runs the joints at rates that all of them together may not have
+    if joints is not None and joints.duration < retimed(motion, limits, drive=drive).duration:
+        return Outcome(joints, details={"way": "straight for the joints"})
     return Outcome(motion, details={"way": straight.way})
 
 

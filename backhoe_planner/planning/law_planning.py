@@ -12,6 +12,7 @@ from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.following import Followed, Follower
+from backhoe_planner.planning.law_timing import as_fast_as_allowed
 from backhoe_planner.planning.outcome import Outcome, no_posture
 from backhoe_planner.planning.plan import Reason
 from backhoe_planner.planning.reactive import Attempt, approach_goal
@@ -35,7 +36,8 @@ def reach_with_law(context: Context, stepper: Stepper, goal: TipTarget, postures
     """
     attempts = list(approach_goal(stepper, goal, postures[:_MOST_POSTURES], deadline=context.deadline))
     if attempts[-1].arrived:
-        return Outcome(attempts[-1].stepper.trajectory(), details=_details(attempts))
+        arrived = as_fast_as_allowed(context, stepper, attempts[-1].stepper)
+        return Outcome(arrived.trajectory(), details=_details(attempts))
     return stuck(context, attempts)
 
 
@@ -76,7 +78,7 @@ def follow_with_law(context: Context, stepper: Stepper, path: BucketPath) -> Out
         attempts.append(attempt)
         if not attempt.arrived:
             continue
-        reached = _along(context, follower, path, attempt.stepper)
+        reached = _along(context, follower, path, as_fast_as_allowed(context, stepper, attempt.stepper))
         if not reached.reason:
             return reached
         outcome = outcome or reached

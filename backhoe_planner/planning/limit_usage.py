@@ -47,13 +47,17 @@ class LimitUsage:
         return np.asarray(np.max(self.ratio, axis=1))
 
 
-def limit_usage(problem: Problem, trajectory: Trajectory) -> LimitUsage:
+def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = True) -> LimitUsage:
     """What a motion uses of the limits of joints, drive and tip speed at every sample.
 
     Rates are those of the faster of the two segments beside a sample, accelerations and
     torques those of `Trajectory.accelerations`; what long segments take in between counts
     at both of their ends. The tip's speed counts where the tip is
     on the asked path and the scene asks for a speed.
+
+    Parameters
+    ----------
+    tip_speed: whether it counts at all.
     """
     limits, joints = problem.limits, problem.robot.joint_names
     velocity = _beside(np.abs(trajectory.segment_velocities()), len(trajectory)) if len(trajectory) > 1 else None
@@ -74,7 +78,7 @@ def limit_usage(problem: Problem, trajectory: Trajectory) -> LimitUsage:
             names += [*(f"rod speed {joint}" for joint in joints), "pump flow", "engine power"]
             columns.append(speeds)
     task = problem.scene.task.path
-    if task is not None and task.speed is not None and problem.path is not None:
+    if tip_speed and task is not None and task.speed is not None and problem.path is not None:
         names.append("tip speed")
         kinematics = Kinematics(problem.robot)
         tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])

@@ -20,9 +20,22 @@ for one thing: torques of inertia are left out, for they hang on three neighbour
 samples and on how the motion gathers speed. `work` and `hydraulic` do not depend on u.
 
 All costs come in one unit, that of the turning of a joint [rad], so that they can be
-weighed against the turning of the joints on a detour. A small part of |dq|^2 / dt is
-added to those that do not hold every motion back by themselves: where loads drive the
-joints, work is 0 whatever they do.
+weighed against the turning of the joints on a detour.
+
+What the search makes small holds the joints back in more ways, none of which is in what is
+told of a motion. Objectives that do not hold every motion back by themselves (where loads
+drive the joints, work is 0 whatever they do) get
+
+    a small part of |dq|^2 / dt,
+    the time that is lost, at a part of the typical load times the typical rate: where a
+    joint cannot follow u, and where rates change, max_j |v_j' - v_j| / a_j from step to step,
+    of `hydraulic`, the margin by which a load-sensing pump's pressure is above the highest
+    load, on all of the oil.
+
+Without the last two `hydraulic` has the joints go to and fro. Its pressure is that of the
+rods that move, so that two rods one after the other cost less than both at once, and the
+search does not see what the changes between them cost. `time` is the time that is lost and
+nothing else.
 """
 
 from __future__ import annotations
@@ -52,6 +65,9 @@ UNITS = {
 
 WIDEST_STEP = 0.7  # rad or m that one joint may move in a step
 _SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added
+# of the typical load at the typical rate: what a second costs that is lost
+_TIME_SHARE = {"effort": 0.1, "work": 0.1, "hydraulic": 1.0, "time": 1.0}
+_MARGIN_PRESSURE = 2e6  # Pa by which a load-sensing pump exceeds the highest load
 _TYPICAL = 64  # seeded postures over which loads are averaged
 _SHORTEST = 1e-9  # s
 
@@ -126,6 +142,8 @@ class Objective:
         self._kinematics = BatchKinematics(robot)
         self._hydraulics = robot.hydraulics
         self._velocity = np.where(np.isfinite(problem.limits.velocity), problem.limits.velocity, 1e6)
+        acceleration = problem.limits.acceleration
+        self._acceleration = np.where(np.isfinite(acceleration), acceleration, 1e6)
         task = problem.scene.task.path
         asked = None if task is None else task.speed
         nominal, rate, load, inertia = self._typical()
@@ -139,7 +157,9 @@ class Objective:
             "hydraulic": load,
             "time": 1.0 / rate,
         }[self.name]
-        self._smoothing = 0.0 if self.name in ("velocity_norm", "kinetic") else _SMOOTHING
+        quiet = self.name in ("velocity_norm", "kinetic")
+        self._smoothing = 0.0 if quiet else _SMOOTHING
+        self._time_price = 0.0 if quiet else rate * _TIME_SHARE[self.name]
         if not self.unit > 0.0:  # a machine without mass costs nothing, whatever it does
             self.unit, self._smoothing = 1.0, 1.0
 
@@ -166,6 +186,20 @@ class Objective:
     def along(self, stations: Array, q: Array) -> float:
         """Of a resolved stretch, q (K, n) at `stations` (K,) [m], in rad."""
         return self._sum(stations, q, smoothing=self._smoothing)
+
+    def driven(self, stations: Array, q: Array) -> float:
+        """The same, from rest to rest, and what the changes of the joints' rates take, which hang on three samples."""
+        cost = self.along(stations, q)
+        if len(q) < 3 or not self.holds_rates:
+            return cost
+        rates = self.rates(q[:-1], q[1:], np.diff(stations))
+        rest = np.zeros((q.shape[1], 1))
+        return cost + float(np.sum(self.turning(np.hstack((rest, rates)), np.hstack((rates, rest)))))
+
+    @property
+    def holds_rates(self) -> bool:
+        """Whether changes of the joints' rates count."""
+        return self._time_price > 0.0
 
     def value(self, stations: Array, q: Array) -> float:
         """The same in the objective's own unit, without what is added to keep the joints quiet."""
@@ -228,10 +262,41 @@ class Objective:
         if self.name == "time" and self._hydraulics is not None:
             np.maximum(dt, self._oil_time(a, b), out=dt)
         dt = np.maximum(dt, _SHORTEST)
-        cost = self._of_step(a, b, dq, squared, dt) / self.unit
-        if smoothing > 0.0:
-            cost = cost + smoothing / self._rate * squared / dt
-        return cost
+        if not smoothing > 0.0:
+            return self._of_step(a, b, dq, squared, dt) / self.unit
+        held = smoothing / self._rate * squared / dt + self._held_back(a, b, dt, span)
+        if self.name == "time":  # of which only what is lost can be had
+            return np.asarray(held)
+        return self._of_step(a, b, dq, squared, dt) / self.unit + held
+
+    def _held_back(self, a: Nodes, b: Nodes, dt: Array, span: Array) -> Array:
+        """(...) of the margin pressure, and of the time that is lost, in rad."""
+        lost = dt if np.isinf(self.speed) else np.maximum(dt - span / self.speed, 0.0)
+        cost = self._time_price * lost
+        if self.name == "hydraulic":
+            cost = cost + (_MARGIN_PRESSURE / self.unit) * self._oil(a, b)
+        return np.asarray(cost)
+
+    def rates(self, a: Array, b: Array, span: Array) -> Array:
+        """(n, ...) of the joints on the steps from a to b (..., n) over `span` (...) [m], in seconds of
+        their acceleration limits: how long each takes to gather its rate.
+        """
+        dq = [b[..., joint] - a[..., joint] for joint in range(a.shape[-1])]
+        dt = np.full(dq[0].shape, _SHORTEST)
+        if np.isfinite(self.speed):
+            np.maximum(dt, span / self.speed, out=dt)
+        for joint, change in enumerate(dq):
+            np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
+        return np.array([change / (dt * limit) for change, limit in zip(dq, self._acceleration, strict=True)])
+
+    def turning(self, before: Array, after: Array) -> Array:
+        """(...) the time that a change of `rates` (n, ...) from step to step takes, in rad."""
+        longest = np.zeros(np.broadcast_shapes(before.shape[1:], after.shape[1:]))
+        for one, other in zip(before, after, strict=True):
+            change = other - one
+            np.maximum(longest, np.abs(change, out=change), out=longest)
+        longest *= self._time_price
+        return longest
 
     def _of_step(self, a: Nodes, b: Nodes, dq: list[Array], squared: Array, dt: Array) -> Array:
         if self.name == "velocity_norm":
@@ -263,15 +328,24 @@ class Objective:
         assert b.lengths is not None
         assert a.forces_after is not None
         assert b.forces_before is not None
-        oil = np.zeros_like(highest)
         for c, cylinder in enumerate(hydraulics.cylinders):
             change = b.lengths[..., c] - a.lengths[..., c]
             area = np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area)
-            oil += area * np.abs(change)
             force = 0.5 * (a.forces_after[..., c] + b.forces_before[..., c])
             # against its load a rod pushes where it extends, and pulls where it retracts
             np.maximum(highest, np.where(force * change > 0.0, np.abs(force) / area, 0.0), out=highest)
-        return np.asarray(highest * oil)
+        return np.asarray(highest * self._oil(a, b))
+
+    def _oil(self, a: Nodes, b: Nodes) -> Array:
+        """(...) that all cylinders take on a step [m^3]."""
+        assert self._hydraulics is not None
+        assert a.lengths is not None
+        assert b.lengths is not None
+        oil = np.zeros(1)
+        for c, cylinder in enumerate(self._hydraulics.cylinders):
+            change = b.lengths[..., c] - a.lengths[..., c]
+            oil = oil + np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area) * np.abs(change)
+        return oil
 
     def _oil_time(self, a: Nodes, b: Nodes) -> Array:
         """(...) how long valves and pump take to feed a step [s]."""

@@ -18,8 +18,8 @@ from backhoe_planner.planning.corners import round_corners
 from backhoe_planner.planning.deadline import OutOfTime
 from backhoe_planner.planning.descent import cheapen_stretch
 from backhoe_planner.planning.drive import drive_of
-from backhoe_planner.planning.local_resolution import resolve_along
-from backhoe_planner.planning.objectives import Objective
+from backhoe_planner.planning.local_resolution import Resolution, resolve_along
+from backhoe_planner.planning.objectives import Objective, trajectory_costs
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.path_layers import redundancy_of
 from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
@@ -29,6 +29,7 @@ from backhoe_planner.planning.postures import Found
 from backhoe_planner.planning.refinement import smooth_stretch
 from backhoe_planner.planning.stepping import Stepper
 from backhoe_planner.planning.transit import find_transit, find_way_near, play_way
+from backhoe_planner.planning.yardstick import law_motion, timed_alone
 
 __all__ = ["out_of_reach", "plan_along_path"]
 
@@ -43,6 +44,7 @@ _FINE_PERIOD = 0.004  # s between them then
 _GRID = np.radians(2.5)  # of the free parameter, where there is one
 _LAYER = 0.1  # m of path between layers there
 _ON_PATH = 1e-4  # m and rad
+_SHORT = 0.3  # m of path on which inertia may decide
 
 
 def out_of_reach(context: Context, path: BucketPath) -> Outcome | None:
@@ -203,7 +205,7 @@ class _Along:
         found: list[Stretch | Detouring] = []
         last = len(resolved.pieces) - 1
         for index, piece in enumerate(resolved.pieces):
-            if isinstance(piece, Stretch) and len(piece.q) > 2:
+            if isinstance(piece, Stretch) and len(piece.q) > 1:
                 free_start = index == 0 and begin is None and self._stepper is None
                 cheap = self._cheapened(piece, free_start=free_start, free_end=index == last)
                 if last == 0 and resolved.complete:
@@ -241,7 +243,33 @@ class _Along:
         if not law.complete or context.out_of_time:
             return piece
         other = self._cheapened(Stretch(law.stations, law.q), free_start=free_start, free_end=True)
-        return min((piece, other), key=lambda way: self._objective.along(way.stations, way.q))
+        cheap = min((piece, other), key=lambda way: self._objective.driven(way.stations, way.q))
+        return self._with_inertia(cheap) if low == 0.0 else cheap
+
+    def _with_inertia(self, piece: Stretch) -> Stretch:
+        """On a short path the law's way from the same joints, where inertia makes it the cheaper one.
+
+        The search leaves torques of inertia out, and a short path is all speeding up and
+        slowing down.
+        """
+        context, problem, path = self._context, self._context.problem, self._path
+        if path.length > _SHORT or context.out_of_time:
+            return piece
+        proximity, kinematics, name = context.world, context.kinematics, self._objective.name
+        law = resolve_along(
+            problem, path, 0.0, piece.q[0], proximity=proximity, kinematics=kinematics, time=self._time
+        )  # fmt: skip
+        if not law.complete:
+            return piece
+        motion = timed_alone(
+            problem, path, Resolution(piece.stations, piece.q, None), proximity=proximity, time=self._time
+        )  # fmt: skip
+        if name == "time":
+            beside = timed_alone(problem, path, law, proximity=proximity, time=self._time)
+        else:
+            beside = law_motion(path, law, motion, kinematics=kinematics)
+        cheaper = trajectory_costs(problem, beside)[name] < trajectory_costs(problem, motion)[name]
+        return Stretch(law.stations, law.q) if cheaper else piece
 
     @property
     def _time(self) -> float:

@@ -20,6 +20,7 @@ from backhoe_planner.errors import InputError, nearest_name
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.as_printed import run_iteration
+from backhoe_planner.planning.asked_speed import asked_speed
 from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.certificate import Certificate, certify_problem
 from backhoe_planner.planning.context import Context
@@ -269,6 +270,11 @@ def motion_metrics(
     tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
     detours = certificate.detours
     compared = compare_with_law(problem, trajectory, certificate) if method in ("auto", "optimal") else None
+    speed = None
+    if problem.path is not None and certificate.tracking.done:
+        speed = asked_speed(problem, trajectory, begun=certificate.tracking.approach_time)
+    more: dict[str, Any] = {} if compared is None else {"objective": compared.metrics()}
+    more |= {} if speed is None else {"asked_speed": speed.metrics()}
     return {
         "duration": trajectory.duration,
         "planning_time": planning_time,
@@ -280,4 +286,4 @@ def motion_metrics(
             "length": float(sum(detour.length for detour in detours)),
             "max_deviation": float(max((detour.max_deviation for detour in detours), default=0.0)),
         },
-    } | ({} if compared is None else {"objective": compared.metrics()})
+    } | more

@@ -47,6 +47,7 @@ def time_along(
     speed: float | None = None,
     period: float = _PERIOD,
     drive: Drive | None = None,
+    intervals: int = _LEAST_GRID,
 ) -> Trajectory:
     """The fastest motion through samples of a joint path, from rest to rest.
 
@@ -59,6 +60,7 @@ def time_along(
     speed: of the tip along the path at most [m/s], None for no such limit.
     period: between the samples of the result [s].
     drive: what moves the joints, None for no limits but those of the joints.
+    intervals: at whose ends limits are looked at, at least about.
     """
     if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
         return Trajectory.from_steps(np.zeros(1), q[:1])
@@ -68,7 +70,7 @@ def time_along(
     curve = CubicSpline(
         along, np.column_stack((q, stations)), bc_type="not-a-knot" if len(along) > 3 else "natural", axis=0
     )
-    grid = _denser_at_ends(_refined(along, max(2 * (len(along) - 1), _LEAST_GRID)))
+    grid = _denser_at_ends(_refined(along, max(2 * (len(along) - 1), intervals)))
     slope, bend = curve(grid, 1), curve(grid, 2)[:, :-1]
     shape = PathShape(grid, curve(grid)[:, :-1], slope[:, :-1], bend[:-1], bend[1:], tip_slope=slope[:, -1])
     law = time_path(shape, limits, drive=drive, tip_speed=speed)

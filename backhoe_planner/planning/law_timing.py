@@ -1,0 +1,92 @@
+"""A motion of the law made as fast as the machine allows, along its own way.
+
+The law goes step by step and asks for no more speed than it can brake from at any moment.
+Its way is a curve in joint space all the same: here a smooth one is laid through places on
+it, timed anew within all limits, and taken where every segment of it is proven clear.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.planning.certificate import segment_is_clear
+from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.drive import drive_of
+from backhoe_planner.planning.over_time import changes
+from backhoe_planner.planning.retiming import retimed
+from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.timing import time_along
+from backhoe_planner.planning.trajectory import Trajectory
+
+__all__ = ["as_fast_as_allowed", "places_on", "shortest_time"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_SPACINGS = (0.1, 0.05, 0.02)  # s of the slowest joint between places; the closer, the nearer to the law's way
+_FEWEST = 4  # intervals between them
+_INTERVALS = 300  # on a way, at whose ends limits are looked at
+_GAIN = 0.01  # of the time, below which a motion is left as it is
+
+
+def as_fast_as_allowed(context: Context, begun: Stepper, arrived: Stepper) -> Stepper:
+    """The same way from rest to rest in less time; `arrived` itself where none is proven clear.
+
+    Where anything moves or appears the times belong to the proof, and are left.
+
+    Parameters
+    ----------
+    begun: the motion before, at rest.
+    arrived: the same with the law's way after it, at rest.
+    """
+    motion = arrived.trajectory()
+    first = int(np.searchsorted(motion.time, begun.time - 1e-9))
+    if changes(context.problem) or len(motion) - first < 3:
+        return arrived
+    limits, drive = context.problem.limits, drive_of(context.problem)
+    q, took = motion.q[first:], motion.time[-1] - motion.time[first]
+    for spacing in _SPACINGS:
+        along, places = places_on(q, limits.velocity, spacing)
+        if len(along) < 2:
+            return arrived
+        quick = time_along(along, places, limits, drive=drive, intervals=_INTERVALS)
+        if quick.duration > (1.0 - _GAIN) * took:
+            # the law runs the joints at rates that all of them together may not have
+            own = Trajectory.from_steps(motion.time[first:] - motion.time[first], q)
+            took = retimed(own, limits, drive=drive).duration
+            if quick.duration > (1.0 - _GAIN) * took:
+                continue
+        if all(segment_is_clear(context.proximity, a, b, time=begun.time) for a, b in pairwise(quick.q)):
+            branch = begun.branch(attempt=arrived.attempt)
+            branch.play(quick)
+            return branch
+    return arrived
+
+
+def shortest_time(q: Matrix, limits: JointLimits) -> float:
+    """[s] below which no motion along the polyline q (T, n) is, by the rates of its joints alone."""
+    return float(np.sum(np.max(np.abs(np.diff(q, axis=0)) / limits.velocity, axis=1)))
+
+
+def places_on(q: Matrix, rate: Vector, spacing: float) -> tuple[Vector, Matrix]:
+    """(K,) and (K, n) places on the polyline through q (T, n), evenly along it, both ends among them.
+
+    Parameters
+    ----------
+    rate: (n,) of the joints at most [rad/s or m/s]: a segment is as long as the slowest of them takes [s].
+    spacing: between them at most [s].
+    """
+    finite = np.where(np.isfinite(rate), rate, 1.0)
+    steps = np.max(np.abs(np.diff(q, axis=0)) / finite, axis=1)
+    moving = np.concatenate(([True], steps > 1e-9))
+    along = np.concatenate(([0.0], np.cumsum(steps)))[moving]
+    corners = np.array(q[moving])
+    corners[-1] = q[-1]
+    if len(along) < 2:
+        return np.zeros(1), q[-1:]
+    places = np.linspace(0.0, along[-1], max(int(np.ceil(along[-1] / spacing)), _FEWEST) + 1)
+    return places, np.column_stack([np.interp(places, along, column) for column in corners.T])
