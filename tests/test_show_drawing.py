@@ -21,7 +21,7 @@ from backhoe_planner.show.names import node_name, node_names
 from backhoe_planner.show.palette import FAR, TIGHT, margin_rgb
 from backhoe_planner.show.recording import Recording
 from backhoe_planner.show.scene_graph import SceneGraph
-from backhoe_planner.show.solids import facets, fattened, solid, tube
+from backhoe_planner.show.solids import facets, fattened, grid, solid, together, tube
 from backhoe_planner.show.timeline import ITSELF, timeline
 from backhoe_planner.site.scene import scene_from_dict
 
@@ -191,3 +191,22 @@ def test_mesh_colours_come_from_their_files(panda: Robot) -> None:
     assert {drawn.link for drawn in meshes} >= {"panda_link0", "panda_link7", "panda_hand"}
     assert any(max(drawn.rgba[:3]) < 0.3 for drawn in meshes)  # its black parts
     assert any(min(drawn.rgba[:3]) > 0.95 for drawn in meshes)  # its white ones
+
+
+def test_the_lines_of_a_grid_lie_in_their_plane_on_round_numbers() -> None:
+    """A wall through (3, 2.25, 1) across y: lines at whole metres of x and z, none beyond the rim."""
+    lines = grid(np.array([3.0, 2.25, 1.0]), np.array([0.0, 1.0, 0.0]), 2.5, (1.0, 0.5, 0.0, 0.8))
+    np.testing.assert_allclose(lines.vertices[:, 1], 2.25, atol=1e-12)
+    away = np.linalg.norm(lines.vertices - [3.0, 2.25, 1.0], axis=1)
+    assert away.max() < 2.5 + 0.02
+    # every strip is 3 cm wide around its line
+    pairs = lines.vertices.reshape(-1, 2, 3)
+    np.testing.assert_allclose(np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1), 0.03, atol=1e-12)
+    middles = pairs.mean(axis=1).reshape(-1, 33, 3)
+    constant = [line[0, axis] for line in middles for axis in (0, 2) if np.ptp(line[:, axis]) < 1e-9]
+    assert sorted(round(value, 9) for value in constant) == [-1.0, 0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 5.0]
+    assert lines.rgba is not None
+    assert lines.rgba[:, 3].max() <= 0.8
+    both = together(lines, lines)
+    assert len(both.vertices) == 2 * len(lines.vertices)
+    np.testing.assert_array_equal(both.faces[len(lines.faces) :], lines.faces + len(lines.vertices))

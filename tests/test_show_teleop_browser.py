@@ -269,3 +269,36 @@ def test_obstacles_are_dropped_and_dragged_with_the_mouse(backhoe: Robot, browse
         assert moved[1] > 0.02
         assert np.abs(moved[[0, 2, 3]]).max() < 1e-3
         page.close()
+
+
+PAD = "window.axes = [0, 0, -1]; navigator.getGamepads = () => [null, {connected: true, axes: window.axes}];"
+
+
+def test_a_gamepad_drives_and_an_axis_that_rests_at_its_end_does_not(backhoe: Robot, browser: Any) -> None:
+    """Three axes: the left stick, and a trigger that rests at -1, as some pads have it."""
+    joints = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    scene = bp.scene_from_dict(
+        {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [4.0, 0.0, 0.0]}}}
+    )
+    with TeleopStation(backhoe, scene, port=0, output=Path("not_written.json")) as station:
+        page, complaints = open_page(browser, station.url)
+        page.evaluate(PAD)
+        page.wait_for_function("!document.getElementById('gamepad').hidden")
+        tip = "backhoe.teleop.state.tip"
+        start = page.evaluate(tip)
+        page.wait_for_timeout(400)
+        np.testing.assert_array_equal(page.evaluate(tip), start)
+        assert not page.evaluate("backhoe.teleop.driving")
+
+        page.evaluate("window.axes[1] = -1")  # the stick forward: out
+        page.wait_for_function(f"{tip}[0] > {start[0]} + 0.2")
+        page.evaluate("window.axes[1] = 0.05")  # within what a worn stick shows at rest
+        rest(page)
+        reached = page.evaluate(tip)
+        assert abs(reached[1] - start[1]) < 0.01
+        page.evaluate("window.axes[0] = 1")  # to the right
+        page.wait_for_function(f"{tip}[1] < {reached[1]} - 0.2")
+        page.evaluate("window.axes[0] = 0")
+        rest(page)
+        assert [text for text in complaints if not any(w in text for w in ("WebSocket", "has no shadow", "GPU"))] == []
+        page.close()

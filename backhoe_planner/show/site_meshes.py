@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.convex import load_mesh
 from backhoe_planner.show.palette import SOIL, Rgba
-from backhoe_planner.show.solids import Facets, disc, facets, fattened, solid
+from backhoe_planner.show.solids import Facets, disc, facets, fattened, grid, solid, together
 from backhoe_planner.site import scene as schema
 from backhoe_planner.site.obstacles import Obstacle, read_heights
 from backhoe_planner.site.scene import Scene
@@ -150,7 +150,7 @@ def _plane(obstacle: Obstacle, spec: schema.HalfSpace, centre: Vector, reach: fl
         rgba: Rgba = (*SOIL, 0.95 if obstacle.links is None else 0.6)
         fade = 0.6
     elif obstacle.zone is not None:
-        rgba, fade = (*_ZONE, 0.14), 0.5
+        rgba, fade = (*_ZONE, 0.05), 0.5
     else:
         overhead = normal[2] < -0.5
         rgba, fade = ((*_DANGER, 0.3), 0.35) if overhead else ((*_SLATE, 0.35), 0.8)
@@ -158,11 +158,15 @@ def _plane(obstacle: Obstacle, spec: schema.HalfSpace, centre: Vector, reach: fl
     shell = None
     if obstacle.clearance > 0.0:
         shell = disc(middle + normal * obstacle.clearance, normal, reach, shell_rgba, fade_from=0.35)
-    # a name in the middle would hide the machine
+    # a name in the middle would hide the machine, and one behind it too
     aside = np.cross(normal, [0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([0.6, 0.8, 0.0])
+    aside = -aside if aside[0] < 0.0 else aside
+    sheet = disc(middle, normal, reach, rgba, fade_from=fade)
+    if obstacle.zone is not None:  # several that overlap would be one haze; lines say where each stands
+        sheet = together(sheet, grid(middle, normal, 0.85 * reach, (*_ZONE, 0.75)))
     return SiteMesh(
         name=obstacle.name,
-        facets=disc(middle, normal, reach, rgba, fade_from=fade),
+        facets=sheet,
         rgba=rgba,
         shell=shell,
         shell_rgba=shell_rgba,

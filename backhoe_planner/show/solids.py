@@ -17,11 +17,12 @@ from scipy.spatial import ConvexHull, QhullError
 
 from backhoe_planner.machine.shapes import Piece
 
-__all__ = ["Facets", "disc", "facets", "fattened", "solid", "tube"]
+__all__ = ["Facets", "disc", "facets", "fattened", "grid", "solid", "together", "tube"]
 
 Points = NDArray[np.float64]
 
 _CREASE = np.cos(np.radians(40.0))  # a sharper edge is drawn as an edge
+_LINE = 0.03  # m: width of a line
 _ROUND = 2  # subdivisions of the ball that fattens
 _FLAT = 1e-4  # m given to a hull that has no volume
 
@@ -163,6 +164,52 @@ def _simplified(points: Points, tolerance: float) -> Points:
     line = points[keep]
     distinct = np.concatenate(([True], np.linalg.norm(np.diff(line, axis=0), axis=1) > 1e-6))
     return np.asarray(line[distinct])
+
+
+def grid(
+    centre: Points, normal: Points, radius: float, rgba: tuple[float, float, float, float], *, spacing: float = 1.0
+) -> Facets:
+    """Lines across `normal` every `spacing` [m], level and upright where the plane is upright, fading to the rim."""
+    along = np.cross([0.0, 0.0, 1.0], normal) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    along = along / np.linalg.norm(along)
+    across = np.cross(normal, along)
+    stations = np.linspace(-1.0, 1.0, 33)
+    vertices, strengths = [], []
+    for first, second in ((along, across), (across, along)):
+        # on round numbers of the site, so that the lines of parallel planes meet
+        middle = float(second @ centre)
+        for at in np.arange(np.ceil((middle - radius) / spacing), (middle + radius) / spacing) * spacing - middle:
+            half = np.sqrt(max(radius * radius - at * at, 0.0))
+            line = centre + at * second + half * stations[:, None] * first
+            vertices.append(np.stack((line - 0.5 * _LINE * second, line + 0.5 * _LINE * second), axis=1).reshape(-1, 3))
+            away = np.hypot(at, half * stations) / radius
+            strengths.append(np.repeat((1.0 - np.clip(away, 0.0, 1.0)) ** 0.8, 2))
+    count = 2 * len(stations)
+    a = 2 * np.arange(len(stations) - 1)
+    strip = np.concatenate((np.column_stack((a, a + 1, a + 3)), np.column_stack((a, a + 3, a + 2))))
+    faces = np.concatenate([strip + line * count for line in range(len(vertices))])
+    strength = np.concatenate(strengths)
+    corners = np.concatenate(vertices)
+    return Facets(
+        vertices=corners,
+        normals=np.broadcast_to(np.asarray(normal, dtype=float), corners.shape).copy(),
+        faces=faces.astype(np.uint32),
+        rgba=np.column_stack((np.tile(rgba[:3], (len(strength), 1)), rgba[3] * strength)),
+    )
+
+
+def together(*parts: Facets) -> Facets:
+    """Several coloured sets of triangles as one."""
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    colours = [part.rgba for part in parts if part.rgba is not None]
+    return Facets(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        normals=np.concatenate([part.normals for part in parts]),
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]).astype(
+            np.uint32
+        ),
+        rgba=np.concatenate(colours),
+    )
 
 
 def disc(

@@ -39,10 +39,17 @@
   const free = (value) => Math.abs(value || 0) < 0.12 ? 0 : Math.sign(value) * (Math.abs(value) - 0.12) / 0.88;
   const clamp = (value) => Math.min(Math.max(value, -1), 1);
 
+  const centred = new Set();
   function pad() {
     const found = navigator.getGamepads ? [...navigator.getGamepads()].find((one) => one && one.connected) : null;
     get("gamepad").hidden = !found;
-    return found ? found.axes.map(free) : [0, 0, 0, 0];
+    if (!found) { centred.clear(); return [0, 0, 0, 0]; }
+    // a trigger that rests at its end would drive: an axis counts once it was seen at its middle
+    return [0, 1, 2, 3].map((axis) => {
+      const value = free(found.axes[axis]);
+      if (value === 0) centred.add(axis);
+      return centred.has(axis) ? value : 0;
+    });
   }
 
   function wish() {
