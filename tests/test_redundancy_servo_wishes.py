@@ -126,3 +126,22 @@ def test_the_work_of_a_step_is_bounded_however_much_is_near(backhoe: Robot, monk
         slow.step([0.1, 0.5, 0.0])
     assert slow.last_error is None
     assert 100 < most < 4000
+
+
+def test_joints_that_share_a_pump_are_cut_back_together(backhoe: Robot) -> None:
+    """The rates of all joints may come to 0.4 rad/s: also where a post holds the swing and the others go on."""
+
+    def load(_: np.ndarray, v: np.ndarray) -> float:
+        return float(np.abs(v).sum()) / 0.4
+
+    post = {"name": "post", "shape": "capsule", "radius": 0.15, "from": [4.2, 1.5, -2.0], "to": [4.2, 1.5, 3.0]}
+    alone = standing(backhoe, [0.0, 0.3, -0.9, -0.5], obstacles=[post])
+    servo = Servo(backhoe, alone.scene, dt=0.004, load=load)
+    free, shared = driven(alone, [0.1, 0.8, 0.0], 4.0), driven(servo, [0.1, 0.8, 0.0], 4.0)
+    assert max(float(np.abs(state.v).sum()) for state in free) > 0.5
+    assert max(float(np.abs(state.v).sum()) for state in shared) < 0.42
+    assert min(state.margin for state in shared) >= 0.0
+    # the same way, only slower
+    along = np.array([state.tip_velocity for state in shared[200:400]])
+    np.testing.assert_allclose(along[:, 2], 0.0, atol=0.02)
+    assert np.all(along[:, 1] > 0.1)

@@ -171,7 +171,7 @@ def test_a_step_that_fails_brakes_the_machine_to_rest(backhoe: Robot, monkeypatc
     def broken(*_: object) -> float:
         raise ArithmeticError("no number\nand more")
 
-    monkeypatch.setattr(session, "_share_after", broken)
+    monkeypatch.setattr(session, "_still_wished", broken)
     acceleration = session.robot.limits.acceleration
     session.step()
     assert session.failure == "the machine was stopped, as a step failed: ArithmeticError: no number"
@@ -623,7 +623,8 @@ def dropped(shape: str, **sizes: Any) -> str:
         ('{"type": "record", "on": "yes"}', "on"),
         ('{"type": "add", "obstacle": {"name": "m", "shape": "mesh", "file": "/etc/passwd"}}', "'sphere'"),
         ('{"type": "take", "id": 1}' + " " * LARGEST, "too long"),
-        (dropped("sphere", radius=1e-300), "radius: is no length to be dropped in"),
+        (dropped("sphere", radius=1e-300), "sphere.radius"),
+        (dropped("sphere", radius=1e-5), "radius: is no length to be dropped in"),
         (dropped("sphere", radius=2000.0), "allowed: 0.001 to 1000 m"),
         (dropped("box", size=[1.0, 0.0009, 1.0]), "size"),
         (dropped("cylinder", radius=0.1, length=1e-9), "length"),
@@ -923,7 +924,12 @@ def test_whatever_may_be_dropped_can_be_drawn(radius: float, at: list[float], le
     forms: list[Data] = [
         {"shape": "sphere", "radius": radius, "position": at},
         {"shape": "box", "size": [radius, length, 0.001], "position": at, "rpy": [0.3, 0.2, 0.1]},
-        {"shape": "cylinder", "radius": radius, "length": length, "position": at},
+        {
+            "shape": "cylinder",
+            "radius": radius,
+            "length": min(max(length, 1e-5 * radius), 1e5 * radius),
+            "position": at,
+        },
         {"shape": "capsule", "from": at, "to": at, "radius": radius},
         {"shape": "capsule", "from": at, "to": [at[0], at[1], at[2] * 0.5], "radius": radius},
     ]

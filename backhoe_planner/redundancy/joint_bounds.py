@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits
 
-__all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds"]
+__all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds", "Load"]
 
 Vector = NDArray[np.float64]
 
@@ -19,8 +20,17 @@ SLOWEST_RECOVERY, FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
 _TOLERANCE = 1e-9  # rad or m
 
 
+Load = Callable[[Vector, Vector], float]
+
+
 class JointBounds:
     """What one step can do to the joints' velocity.
+
+    Parameters
+    ----------
+    dt: length of a step [s].
+    load: which part of what drives all joints together joint velocities v (n,) at q (n,) take; no
+        more than 1 is asked for. None where each joint is limited by itself alone.
 
     Attributes
     ----------
@@ -32,8 +42,8 @@ class JointBounds:
         is worth at its first velocity [s].
     """
 
-    def __init__(self, limits: JointLimits, dt: float) -> None:
-        self._dt = dt
+    def __init__(self, limits: JointLimits, dt: float, load: Load | None = None) -> None:
+        self._dt, self._load = dt, load
         self.acceleration = BRAKING * limits.acceleration
         self.braking: list[float] = self.acceleration.tolist()
         self.change = limits.acceleration * dt * (1.0 - 1e-9)
@@ -96,10 +106,12 @@ class JointBounds:
         high_bounds = [min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]
         return np.array(low_bounds), np.array(high_bounds), cut
 
-    def over_rates(self, v: Vector) -> float:
-        """By how much joint velocities (n,) go beyond the joints' rates, 1 where they do not."""
+    def over_rates(self, q: Vector, v: Vector) -> float:
+        """By how much joint velocities (n,) at q (n,) go beyond the joints' rates and the load, 1 where they do not."""
         ranges = self._ranges
         over: float = max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), ranges, strict=True))
+        if self._load is not None:
+            over = max(over, self._load(q, v))
         return max(over, 1.0)
 
     def room_for(self, more: Vector, v: Vector) -> float:

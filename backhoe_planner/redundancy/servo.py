@@ -48,6 +48,7 @@ from backhoe_planner.redundancy.joint_bounds import (
     RECOVERY,
     SLOWEST_RECOVERY,
     JointBounds,
+    Load,
 )
 from backhoe_planner.redundancy.pair_bounds import BUFFER, TOLERANCE, Near, PairBounds
 from backhoe_planner.redundancy.proof import Proof
@@ -107,6 +108,9 @@ class Servo:
     circulate: whether a tip that is pushed straight into an obstacle goes round it.
     self_collision: whether the machine is also kept clear of itself.
     feedback: how the force on the hand is made; `Feedback(dt)` by default.
+    load: load(q, v) is the part of what drives all joints together, as the oil of one pump, that
+        joint velocities v (n,) at q (n,) take; wishes are cut back so that it is at most 1. To get
+        away from what comes nearer, or out of what is violated, more may be asked for.
 
     Raises
     ------
@@ -132,6 +136,7 @@ class Servo:
         circulate: bool = False,
         self_collision: bool = True,
         feedback: Feedback | None = None,
+        load: Load | None = None,
     ) -> None:
         dt = number_within("dt", dt, *_STEPS)
         watchdog = number_within("watchdog", watchdog, 0.0, math.inf)
@@ -146,7 +151,7 @@ class Servo:
         self._end = self._q.copy()
         self._steps = 0
         self.last_error: Exception | None = None
-        self._joints = JointBounds(self.limits, dt)
+        self._joints = JointBounds(self.limits, dt, load)
         self._holds = max(math.ceil(_REMEMBERED / dt), 1)
         self._held_back_for = 0
         self._forgets = 1.0 - math.exp(-dt / _REMEMBERED)
@@ -460,7 +465,7 @@ class Servo:
         # the other joints alone would lead the tip elsewhere
         none, nothing = np.zeros((0, len(target))), np.zeros(0)
         self._beside = np.zeros(len(target))
-        target = self._joints.towards(self._solve(wish, self._joints.least, self._joints.most, none, nothing), self._v)
+        target = self._joints.towards(self._steady(wish, none, nothing), self._v)
         v = np.minimum(np.maximum(target, low), high)
         return self._solve(target, low, high, none, nothing) if np.count_nonzero(v != target) else v
 
@@ -470,11 +475,17 @@ class Servo:
         What would be left in the end is asked for first: from step to step alone, each
         within the joints' accelerations, the nearest need not lead there.
         """
-        target = self._joints.towards(self._solve(wish, self._joints.least, self._joints.most, rows, bounds), self._v)
+        target = self._joints.towards(self._steady(wish, rows, bounds), self._v)
         v = np.minimum(np.maximum(target, low), high)
         if np.count_nonzero(v != target) or np.count_nonzero(rows @ v > bounds):
             return self._solve(target, low, high, rows, bounds)
         return v
+
+    def _steady(self, wish: Vector, rows: Matrix, bounds: Vector) -> Vector:
+        """(n,) what rows and limits leave of the wish in the end, however long it takes to get there."""
+        found = self._solve(wish, self._joints.least, self._joints.most, rows, bounds)
+        less = found / self._joints.over_rates(self._q, found)
+        return found if np.count_nonzero(rows @ less > bounds + TOLERANCE) else less
 
     def _path(self, v: Vector, *, step: bool = True) -> BrakingPath:
         return BrakingPath(

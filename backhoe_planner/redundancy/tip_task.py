@@ -117,7 +117,7 @@ class TipTask:
         n = self._robot.n
         if command.joints is not None:
             joints = command.joints
-            return Wished(joints / self._bounds.over_rates(joints), self.jacobian[:3] @ joints, None, joints, False)
+            return Wished(joints / self._bounds.over_rates(q, joints), self.jacobian[:3] @ joints, None, joints, False)
         if command.tip is None:
             return Wished(np.zeros(n), np.zeros(3), self.jacobian[:3], np.zeros(n), False)
         J, xdot = self.jacobian[:3], self._around(command.tip)
@@ -135,13 +135,14 @@ class TipTask:
             v, beside, damped = wish.v, wish.null, wish.resolved.damping > 0.0
         else:
             v, beside = quick
-        over = self._bounds.over_rates(v)
+        over = self._bounds.over_rates(q, v)
         if over > 1.0 and np.count_nonzero(beside):
             # the tip comes first here too: what is beside it has the rates that are left
             first = v - beside
-            first /= self._bounds.over_rates(first)
+            first /= self._bounds.over_rates(q, first)
             beside = self._bounds.room_for(beside, first) * beside
-            return Wished(first + beside, command.tip, J, beside, damped)
+            over = self._bounds.over_rates(q, first + beside)
+            return Wished((first + beside) / over, command.tip, J, beside / over, damped)
         return Wished(v / over, command.tip, J, beside / over, damped)
 
     def _nearby(self, near: Near) -> Nearby:

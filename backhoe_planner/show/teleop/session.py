@@ -59,7 +59,7 @@ Phase = Literal["idle", "arming", "on", "ending"]
 
 LARGEST_FORCE = 30.0  # N
 _LONGEST_RECORDING = 600.0  # s
-_FULL = 0.65  # of the oil and the power, above which the wish is cut back: a step may ask for more than the last
+_FULL = 0.8  # of the oil and the power that is asked for: cylinders change their arms on the way
 _AT_REST = 1e-9  # rad/s or m/s
 _PATIENCE = 5.0  # s to come to rest in, after which a recording ends all the same
 
@@ -132,7 +132,8 @@ class Session:
             )  # fmt: skip
         self._lock = threading.Lock()
         feedback = Feedback(dt, largest=LARGEST_FORCE)
-        self._servo = Servo(robot, scene, dt, watchdog=watchdog, feedback=feedback)
+        self._drive = Drive(robot.with_tip(scene.tip), payload=scene.payload)
+        self._servo = Servo(robot, scene, dt, watchdog=watchdog, feedback=feedback, load=self._load)
         self.robot, self.scene, self.dt = self._servo.robot, scene, dt
         self._site = LiveSite(self._servo)
         self._zones = ZoneLog(self.robot, scene)
@@ -145,8 +146,6 @@ class Session:
         self._now, self._watchdog = now, watchdog
         self._wished_at = now()
         self._failure = ""
-        self._drive = Drive(self.robot, payload=scene.payload)
-        self._share = 1.0  # of the wish, so that all cylinders together get their oil
         self._upright, self._axis_at = _first_axis(self.robot)
         self._phase: Phase = "idle"
         self._waited = 0.0
@@ -275,7 +274,6 @@ class Session:
         if self._phase in ("arming", "ending"):
             wish = Stop(type="stop")
         state = self._state = self._wished(self._still_wished(wish))
-        self._share = self._share_after(state)
         if self._phase != "idle":
             self._keep(state)
         return state
@@ -292,16 +290,12 @@ class Session:
             self._held = Stop(type="stop")
         return self._held
 
-    def _share_after(self, state: ServoState) -> float:
-        """The part of the next wish that is asked for, from the flow, the rod speeds and the power of this step."""
-        if self._drive.hydraulics is None or not state.v.any():
-            return 1.0
-        q, v = state.q[None], state.v[None]
-        used = self._drive.use(q, v, np.zeros_like(v))
-        most = max(float(used.flow[0]), float(used.power[0]), float(used.rod_speed[0].max()))
-        if most > _FULL:
-            return self._share * max(_FULL / most, 0.8)
-        return min(1.02 * self._share, 1.0)
+    def _load(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> float:
+        """The part of what may be asked of pump, rods and engine that joint velocities v (n,) at q (n,) take."""
+        if self._drive.hydraulics is None:
+            return 0.0
+        used = self._drive.use(q[None], v[None], np.zeros((1, len(v))))
+        return max(float(used.flow[0]), float(used.power[0]), float(used.rod_speed[0].max())) / _FULL
 
     def _wished(self, wish: Tip | Sticks | Stop | None) -> ServoState:
         if wish is None:
@@ -309,12 +303,11 @@ class Session:
         if isinstance(wish, Stop):
             return self._servo.step(joint_velocity=np.zeros(self.robot.n))
         if isinstance(wish, Sticks):
-            return self._servo.step(joint_velocity=self._share * joint_rates(wish, self._servo.limits.velocity))
+            return self._servo.step(joint_velocity=joint_rates(wish, self._servo.limits.velocity))
         velocity = np.array(wish.velocity)
         if wish.frame == "arm":
             velocity = self._arm_frame() @ velocity
-        pitch_rate = None if wish.pitch_rate is None else self._share * wish.pitch_rate
-        return self._servo.step(self._share * velocity, pitch_rate=pitch_rate)
+        return self._servo.step(velocity, pitch_rate=wish.pitch_rate)
 
     def _arm_frame(self) -> NDArray[np.float64]:
         """(3, 3) outward, left and up as columns; the world's own where the first joint is not upright."""
