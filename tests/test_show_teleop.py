@@ -927,7 +927,7 @@ def test_whatever_may_be_dropped_can_be_drawn(radius: float, at: list[float], le
         {
             "shape": "cylinder",
             "radius": radius,
-            "length": min(max(length, 1e-5 * radius), 1e5 * radius),
+            "length": min(max(length, 2e-5 * radius), 5e4 * radius),
             "position": at,
         },
         {"shape": "capsule", "from": at, "to": at, "radius": radius},

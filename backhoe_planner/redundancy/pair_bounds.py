@@ -28,8 +28,8 @@ Flags = NDArray[np.bool_]
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
 TOLERANCE = 1e-9  # m
 _FAR = 1e3  # m
-_FAR_RENEWED_EVERY = 4  # steps, where nothing is within `_CLOSE`
-_NEAR_RENEWED_EVERY = 2  # and where something is
+_NEAR_RENEWED_EVERY = 2  # steps, where something is within `_CLOSE`
+_FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # and where nothing is
 _CLOSE = 0.10  # m of margin
 
 
@@ -40,11 +40,13 @@ class Near(NamedTuple):
     ----------
     pairs: (K,) indices.
     gaps: (K, V) of the corners [m].
+    least: (K,) of these [m].
     distance, margin: (K,) proven lower bounds of the distance, and of it minus clearance [m].
     """
 
     pairs: Indices
     gaps: Matrix
+    least: Vector
     distance: Vector
     margin: Vector
 
@@ -155,12 +157,13 @@ class PairBounds:
         lower = self._distance + self._distance_at - odometer
         pairs = (lower < self._within).nonzero()[0]
         if len(pairs) == 0:
-            return Near(pairs, np.zeros((0, 1)), np.zeros(0), np.zeros(0))
+            return Near(pairs, np.zeros((0, 1)), np.zeros(0), np.zeros(0), np.zeros(0))
         gaps = separation.gaps(pairs, at, 1)[0]
-        distance = np.maximum(gaps.min(axis=1), lower.take(pairs))
+        least = gaps.min(axis=1)
+        distance = np.maximum(least, lower.take(pairs))
         self._distance[pairs] = distance
         self._distance_at[pairs] = odometer.take(pairs)
-        return Near(pairs, gaps, distance, distance - separation.clearance.take(pairs))
+        return Near(pairs, gaps, least, distance, distance - separation.clearance.take(pairs))
 
     def pace(self, near: Near) -> float:
         """Part of the wished speed that the zones leave."""
@@ -212,13 +215,13 @@ class PairBounds:
 
     def renew(self, near: Near, at: Placements, step: int) -> None:
         """Measure the planes that are oldest anew, a few at a time, by the placements' row 0."""
-        if len(near.pairs) == 0:
+        if len(near.pairs) == 0 or step % _NEAR_RENEWED_EVERY:
             return
         # once more: what was measured since the beginning of the step counts too
         margin = self._distance[near.pairs] - self._separation.clearance[near.pairs]
         nearest = int(margin.argmin())
         close = margin[nearest] <= _CLOSE
-        if step % (_NEAR_RENEWED_EVERY if close else _FAR_RENEWED_EVERY):
+        if not close and step % _FAR_RENEWED_EVERY:
             return
         # the nearer, the sooner; and every other time the nearest of all
         value = (step - self._renewed_at[near.pairs]) / (0.02 + np.maximum(margin, 0.0))

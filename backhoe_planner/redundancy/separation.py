@@ -38,6 +38,7 @@ _FAR = 1e3  # m: where nothing is
 _PLANES = 4
 _AS_NEAR = 0.1  # m: further behind the nearest, a corner has no part in the nearest point
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+_NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, _NEXT))
 
 
 @dataclass(frozen=True)
@@ -188,6 +189,8 @@ class Separation:
         self.mask = self._support[self.joint] - self._support[self.other]
         self.itself = self.owner == MACHINE
         self.some_relative = bool(self.other.any())
+        self._corners_of = self._corners4[self.piece]
+        self._fat_of = self._fat[self.piece]
 
     # --- measuring -------------------------------------------------------------------
 
@@ -241,19 +244,21 @@ class Separation:
 
     def gaps(self, pairs: Indices, at: Placements, samples: int) -> Matrix:
         """(samples, K, V) gap of every corner of the links to the planes kept for `pairs` [m]."""
-        return self._gaps(pairs, self.normal[pairs], self.offset[pairs], at.T[:samples])
+        return self._gaps(pairs, self.normal.take(pairs, axis=0), self.offset.take(pairs), at.T[:samples])
 
     def _gaps(self, pairs: Indices, n: Matrix, offset: Vector, T: Matrix) -> Matrix:
         """The same for planes n (K, 3), offset (K,) in the other bodies' frames, at poses T (S, joints, 3, 4)."""
-        pieces = self.piece[pairs]
         n = n[:, None, :]
-        if self.some_relative and np.count_nonzero(self.other[pairs]):
-            moved = np.matmul(n, T[:, self.other[pairs]].transpose(0, 1, 3, 2)[:, :, :3])
-            offset = offset + np.matmul(moved, T[:, self.other[pairs]][..., 3:])[:, :, 0, 0]
+        offset = offset - self._fat_of.take(pairs)
+        other = self.other.take(pairs) if self.some_relative else pairs[:0]
+        if np.count_nonzero(other):
+            frames = T.take(other, axis=1)
+            moved = np.matmul(n, frames.transpose(0, 1, 3, 2)[:, :, :3])
+            offset = offset + np.matmul(moved, frames[..., 3:])[:, :, 0, 0]
             n = moved
-        local = np.matmul(n, T[:, self.joint[pairs]])  # (S, K, 1, 4): n R, and n t
-        along = np.matmul(self._corners4[pieces], local.transpose(0, 1, 3, 2))[..., 0]
-        return np.asarray((offset - self._fat[pieces])[..., None] - along)
+        local = np.matmul(n, T.take(self.joint.take(pairs), axis=1))  # (S, K, 1, 4): n R, and n t
+        along = np.matmul(self._corners_of.take(pairs, axis=0), local.transpose(0, 1, 3, 2))[..., 0]
+        return np.asarray(offset[..., None] - along)
 
     def least_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> tuple[Vector, Matrix]:
         """(K,) proven lower bound of the distance over the whole path, and all gaps (samples, K, V).
@@ -263,10 +268,11 @@ class Separation:
         """
         gaps = self.gaps(pairs, at, path.parts + 1)
         if drift_time > 0.0:
-            drift = np.minimum(self.drift[pairs], 0.0)
-            if drift.any():
+            drift = np.minimum(self.drift.take(pairs), 0.0)
+            if np.count_nonzero(drift):
                 gaps += (drift_time * np.linspace(0.0, 1.0, path.parts + 1))[:, None, None] * drift[None, :, None]
-        return gaps.min(axis=(0, 2)) - path.off_chord(self.travel[self.classes[pairs]]), gaps
+        off = path.off_chord(self.travel).take(self.classes.take(pairs))
+        return gaps.min(axis=(0, 2)) - off, gaps
 
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
         """Lower bound of one pair's distance over the path, with a plane of its own for each part [m].
@@ -324,29 +330,32 @@ class Separation:
         """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
         return self._rows_of(pairs, samples, self._corners4[self.piece[pairs], corners], at)
 
-    def nearest_rows(self, pairs: Indices, gaps: Matrix, at: Placements) -> Matrix:
-        """(K, n) the same at the first sample for the nearest point of each pair, by its corners' gaps (K, V).
+    def nearest_rows(self, pairs: Indices, gaps: Matrix, least: Vector, at: Placements) -> Matrix:
+        """(K, n) the same at the first sample for the nearest point of each pair.
+
+        By its corners' gaps (K, V) and their least (K,) [m].
 
         Corners that are almost as near have a part in the point, so that it does not jump
         from edge to edge where a flat end passes a wall.
         """
-        part = np.maximum(1.0 - (gaps - gaps.min(axis=1)[:, None]) / _AS_NEAR, 0.0)
+        part = np.maximum((least + _AS_NEAR)[:, None] - gaps, 0.0)
         part *= part
-        part /= part.sum(axis=1)[:, None]
-        points = np.matmul(part[:, None, :], self._corners4[self.piece[pairs]])[:, 0]
+        points = np.matmul(part[:, None, :], self._corners_of.take(pairs, axis=0))[:, 0]
+        points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
         return self._rows_of(pairs, 0, points, at)
 
     def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
         """The same for points (R, 4) in the links' frames, with a 1 behind each."""
-        n = self.normal[pairs]
-        if self.some_relative and np.count_nonzero(self.other[pairs]):
-            n = np.matmul(at.R[samples, self.other[pairs]], n[:, :, None])[..., 0]
-        x = np.matmul(at.T[samples, self.joint[pairs]], corner[:, :, None])[..., 0]
-        turn = x[:, _NEXT] * n[:, _LAST] - x[:, _LAST] * n[:, _NEXT]  # x cross n
-        both = np.concatenate((n, turn), axis=1)
-        if isinstance(samples, int):
-            return np.asarray((both @ at.J[samples]) * self.mask[pairs])
-        return np.asarray(np.matmul(both[:, None, :], at.J[samples])[:, 0] * self.mask[pairs])
+        n = self.normal.take(pairs, axis=0)
+        other = self.other.take(pairs) if self.some_relative else pairs[:0]
+        if np.count_nonzero(other):
+            n = np.matmul(at.R[samples, other], n[:, :, None])[..., 0]
+        x = np.matmul(at.T[samples, self.joint.take(pairs)], corner[:, :, None])[..., 0]
+        products = x.take(_NEXT_LAST, axis=1) * n.take(_LAST_NEXT, axis=1)
+        both = np.concatenate((n, products[:, :3] - products[:, 3:]), axis=1)  # n, and x cross n
+        rows: Matrix = self.mask.take(pairs, axis=0)
+        rows *= both @ at.J[samples] if isinstance(samples, int) else np.matmul(both[:, None, :], at.J[samples])[:, 0]
+        return rows
 
     def world_normals(self, pairs: Indices, at: Placements) -> Matrix:
         """(K, 3) the normals at the first sample, in the world."""

@@ -516,6 +516,8 @@ class Servo:
         drift_time = path.time if self._site.anything_moves else 0.0
         bound, gaps = separation.least_on(awake, path, self._at, drift_time)
         closely = np.zeros(len(awake), dtype=bool)
+        if (bound - required).min() >= BUFFER:
+            return Proof(True, True, True, bound, gaps, closely)
         short = (bound < required - TOLERANCE).nonzero()[0]
         if len(short):
             # first with a plane measured where it is tightest, then with several
@@ -690,8 +692,7 @@ class Servo:
             for free, aim, rate, asked, most in joints
         ]
         held = [free - rate - aim for free, rate, aim in zip(self._free_v, rates, aims, strict=True)]
-        tip_velocity, refused = np.array((rates, held)) @ J.T
-        refused += wished.tip
+        tip_velocity, refused = J @ self._v, J @ held + wished.tip
         self._tip.blocking = normal if chosen.held_back else _ZERO
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / _WARN, 0.0), 1.0)))
         hand = wished.tip if self._commands.tip is None else self._commands.tip

@@ -92,7 +92,7 @@ class TipTask:
         self.law = CompletedLaw(robot, influence=min(influence, _INFLUENCE))
         frame = robot.model.frames[robot.tip_frame]
         self._joint = int(frame.parentJoint)
-        self._t = np.array(frame.placement.translation)
+        self._t = np.append(frame.placement.translation, 1.0)
         self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
         self.jacobian = np.zeros((6, robot.n))
         self.position = np.zeros(3)
@@ -105,12 +105,11 @@ class TipTask:
         """Forward kinematics at q (n,), and the tip's Jacobian."""
         at = self._at
         at.place(0, q)
-        R, t, J = at.R[0, self._joint], at.t[0, self._joint], at.J[0]
-        self.position = R @ self._t + t
+        self.position = at.T[0, self._joint] @ self._t
         x, y, z = self.position.tolist()
         to = self._to_tip  # its upper right part is omega -> omega x tip
         to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
-        np.matmul(to, J, out=self.jacobian)
+        np.matmul(to, at.J[0], out=self.jacobian)
 
     def wished(self, q: Vector, command: Commands, near: Near) -> Wished:
         """What is wished of the joints at q (n,), where the machine was placed."""
@@ -158,8 +157,8 @@ class TipTask:
             normal=_NOTHING,
             point_link=_NOTHING,
             point_obstacle=_NOTHING,
-            gradient=-self._separation.nearest_rows(pairs, near.gaps[acts], self._at),
-            drift=self._separation.drift[pairs],
+            gradient=-self._separation.nearest_rows(pairs, near.gaps[acts], near.least[acts], self._at),
+            drift=self._separation.drift.take(pairs),
             moves=_NONE,
         )
 
