@@ -12,16 +12,16 @@ from .machine.inverse_kinematics import InverseKinematics, solve_inverse_kinemat
 from .machine.kinematics import Configuration, Kinematics
 from .machine.robot import JointLimits, Robot, load_robot
 from .machine.target import TipTarget
-from .planning.certificate import Certificate, certify
+from .planning.live.streaming import Followed, PlanFollower
 from .planning.plan import Plan
 from .planning.plan_file import load_plan
 from .planning.planner import plan
+from .planning.proof.certificate import Certificate, certify
 from .planning.stepping import Step
-from .planning.streaming import Followed, PlanFollower
-from .planning.trajectory import Trajectory
-from .redundancy.feedback import Feedback
-from .redundancy.servo import Servo
-from .redundancy.servo_state import Command, ServoState, Status
+from .planning.task.trajectory import Trajectory
+from .redundancy.live.feedback import Feedback
+from .redundancy.live.servo import Servo
+from .redundancy.live.servo_state import Command, ServoState, Status
 from .site.obstacles import build_obstacles
 from .site.proximity import Proximity
 from .site.scene import Scene, load_scene, scene_from_dict, scene_schema

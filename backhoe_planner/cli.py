@@ -25,11 +25,11 @@ from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner.output_file import check_writable
-from backhoe_planner.planning.deadline import DEFAULT_BUDGET
+from backhoe_planner.planning.task.deadline import DEFAULT_BUDGET
 
 if TYPE_CHECKING:
     from backhoe_planner.planning.plan import Plan
-    from backhoe_planner.planning.tracking import Detour
+    from backhoe_planner.planning.task.tracking import Detour
 
 __all__ = ["app", "main"]
 
@@ -304,7 +304,7 @@ def _working(shown: bool) -> Iterator[None]:
 def _plan_in_viewer(
     robot: bp.Robot, scene: bp.Scene, method: str, seed: int, budget: float, output: Path, as_json: bool
 ) -> Plan:
-    from backhoe_planner.planning.problem import build_problem
+    from backhoe_planner.planning.task.problem import build_problem
     from backhoe_planner.show.viewer import Viewer
 
     with Viewer() as viewer:
@@ -430,7 +430,7 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     """One line: the objective along the path, and what the local law needs."""
     if compared is None:
         return
-    from backhoe_planner.planning.objectives import UNITS
+    from backhoe_planner.planning.task.objectives import UNITS
 
     unit = UNITS[compared["name"]]
     breaks = compared["law_breaks"]

@@ -22,8 +22,8 @@ import numpy as np
 import pinocchio as pin
 
 import backhoe_planner as bp
-from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.task.problem import Problem, build_problem
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.site.proximity import Proximity
 

@@ -34,9 +34,9 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.planning.as_printed import ITERATIONS, Push, paper_step
-from backhoe_planner.planning.problem import Problem, build_problem
 from backhoe_planner.planning.reactive import approach_goal
 from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.task.problem import Problem, build_problem
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.redundancy.directionality import Magnification, Reference
 from backhoe_planner.site.scene import Gains

@@ -43,8 +43,8 @@ from scipy.interpolate import CubicSpline
 
 import backhoe_planner as bp
 from backhoe_planner.machine.reach import tip_travel_bound
-from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.problem import build_problem
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.problem import build_problem
 from backhoe_planner.site.scene import Waypoint
 
 __all__ = [

@@ -29,13 +29,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.descent import cheapen_stretch
-from backhoe_planner.planning.local_resolution import resolve_along
-from backhoe_planner.planning.objectives import Objective, trajectory_costs
-from backhoe_planner.planning.path_resolution import PathResolver, Stretch
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.paths.descent import cheapen_stretch
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.objectives import Objective, trajectory_costs
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.planning.yardstick import law_motion, least_norm_resolution
 
 __all__ = ["Case", "Result", "convergence", "draw", "study", "timing"]

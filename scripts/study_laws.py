@@ -36,11 +36,11 @@ from random_scenes import random_planar_scene
 
 import backhoe_planner as bp
 from backhoe_planner.planning.as_printed import run_iteration
-from backhoe_planner.planning.certificate import certify_problem
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.proof.certificate import certify_problem
 from backhoe_planner.planning.reactive import approach_goal
 from backhoe_planner.planning.stepping import STEP, Stepper
+from backhoe_planner.planning.task.problem import Problem, build_problem
 from backhoe_planner.redundancy.completed import CompletedLaw
 
 Vector = NDArray[np.float64]

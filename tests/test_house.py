@@ -65,6 +65,30 @@ def test_imports_run_one_way(file: Path) -> None:
         assert FLOORS.index(parts[1]) <= own, f"{file} imports {other} from above"
 
 
+SUITES = {
+    # rooms within a room; "" is what stands in the room itself
+    "planning": ["task", "search", "timing", "proof", "paths", "", "live"],
+    "redundancy": ["", "live"],
+    "show": ["", "teleop"],
+}
+
+
+@pytest.mark.parametrize("floor", SUITES)
+def test_imports_run_one_way_within_a_room(floor: str) -> None:
+    order = SUITES[floor]
+    inner = {path.name for path in (PACKAGE / floor).iterdir() if (path / "__init__.py").is_file()}
+    assert inner == set(order) - {""}
+
+    def place(name: str) -> int:
+        parts = name.split(".")
+        return order.index(parts[2] if len(parts) > 3 and parts[2] in inner else "")
+
+    for file in (PACKAGE / floor).rglob("*.py"):
+        for other in imported(file):
+            if other.startswith(f"backhoe_planner.{floor}."):
+                assert place(other) <= place(module_name(file)), f"{file} imports {other} from above"
+
+
 def test_every_room_is_in_the_order() -> None:
     rooms = {path.stem for path in PACKAGE.iterdir() if path.suffix == ".py" or (path / "__init__.py").is_file()}
     assert rooms - {"__init__"} == set(FLOORS)

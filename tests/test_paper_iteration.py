@@ -14,7 +14,7 @@ from backhoe_planner.machine.kinematics import Configuration, Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.as_printed import ITERATIONS, Push, paper_gains, paper_step, run_iteration
-from backhoe_planner.planning.problem import build_problem
+from backhoe_planner.planning.task.problem import build_problem
 from backhoe_planner.redundancy.directionality import Magnification, Reference
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene import Gains

@@ -9,8 +9,8 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.planning.asked_speed import asked_speed
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 
 CAGE = """<robot name="lift">
   <link name="post"/>

@@ -13,13 +13,13 @@ from test_planning_sampling import STRETCHED, TURNED, across_bar, problem_of
 
 from backhoe_planner.machine.reach import travel_bounds
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning import timing
-from backhoe_planner.planning.blending import SmoothWay, blend, chord_sagitta
-from backhoe_planner.planning.motion_check import MotionCheck
-from backhoe_planner.planning.sampling import Way, sample_way
-from backhoe_planner.planning.shortening import shorten
-from backhoe_planner.planning.timing import time_way
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.search.blending import SmoothWay, blend, chord_sagitta
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import Way, sample_way
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.planning.task.trajectory import Trajectory
+from backhoe_planner.planning.timing import timing
+from backhoe_planner.planning.timing.timing import time_way
 from backhoe_planner.site.proximity import Proximity
 
 Vector = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from backhoe_planner.planning.bucket_path import BucketPath
+from backhoe_planner.planning.task.bucket_path import BucketPath
 from backhoe_planner.site.scene import Waypoint
 
 

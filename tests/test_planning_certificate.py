@@ -14,9 +14,9 @@ from independent import box_distance  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.planning.certificate import Certificate, Clearance, certify, segment_is_clear
-from backhoe_planner.planning.problem import build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.certificate import Certificate, Clearance, certify, segment_is_clear
+from backhoe_planner.planning.task.problem import build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

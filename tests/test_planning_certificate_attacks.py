@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.planning.between import between_samples
-from backhoe_planner.planning.certificate import told_part
-from backhoe_planner.planning.drive import Drive
-from backhoe_planner.planning.limit_usage import limit_usage
-from backhoe_planner.planning.problem import build_problem
+from backhoe_planner.planning.proof.certificate import told_part
+from backhoe_planner.planning.proof.limit_usage import limit_usage
+from backhoe_planner.planning.task.between import between_samples
+from backhoe_planner.planning.task.problem import build_problem
+from backhoe_planner.planning.timing.drive import Drive
 
 START = [0.0, 0.4, -1.6, -0.9]
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.planning.corners import round_corners
-from backhoe_planner.planning.local_resolution import resolve_along
-from backhoe_planner.planning.problem import build_problem
+from backhoe_planner.planning.paths.corners import round_corners
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.planning.task.problem import build_problem
 
 TOLERANCE = 0.005
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.law_timing import as_fast_as_allowed, places_on, shortest_time
-from backhoe_planner.planning.limit_usage import limit_usage
-from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.proof.limit_usage import limit_usage
 from backhoe_planner.planning.reactive import approach_goal
 from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.task.problem import Problem, build_problem
 
 Array = NDArray[np.float64]
 

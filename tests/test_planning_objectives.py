@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.machine.dynamics import GRAVITY
-from backhoe_planner.planning.layered_graph import LayeredGraph
-from backhoe_planner.planning.objectives import OBJECTIVES, UNITS, Objective, trajectory_costs, trajectory_energy
-from backhoe_planner.planning.path_layers import PathLayers
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.paths.layered_graph import LayeredGraph
+from backhoe_planner.planning.paths.path_layers import PathLayers
+from backhoe_planner.planning.task.objectives import OBJECTIVES, UNITS, Objective, trajectory_costs, trajectory_energy
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
-from backhoe_planner.planning.descent import _cheapest_driven, cheapen_stretch
-from backhoe_planner.planning.layered_graph import LayeredGraph
-from backhoe_planner.planning.local_resolution import resolve_along
-from backhoe_planner.planning.objectives import OBJECTIVES, Objective, trajectory_costs
-from backhoe_planner.planning.path_layers import PathLayers
-from backhoe_planner.planning.path_resolution import PathResolver, Stretch
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.paths.descent import _cheapest_driven, cheapen_stretch
+from backhoe_planner.planning.paths.layered_graph import LayeredGraph
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.planning.paths.path_layers import PathLayers
+from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
+from backhoe_planner.planning.task.objectives import OBJECTIVES, Objective, trajectory_costs
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.planning.yardstick import joined, law_motion, least_norm_resolution, part_on_path, stations_of
 
 Array = NDArray[np.float64]

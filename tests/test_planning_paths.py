@@ -13,10 +13,10 @@ import backhoe_planner as bp
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.target import TipTarget
-from backhoe_planner.planning.path_layers import PathLayers, redundancy_of
-from backhoe_planner.planning.path_resolution import PathResolver, Stretch
-from backhoe_planner.planning.problem import build_problem
-from backhoe_planner.planning.refinement import smooth_stretch, stretch_cost
+from backhoe_planner.planning.paths.path_layers import PathLayers, redundancy_of
+from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
+from backhoe_planner.planning.paths.refinement import smooth_stretch, stretch_cost
+from backhoe_planner.planning.task.problem import build_problem
 
 Data = dict[str, Any]
 

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.blending import blend
-from backhoe_planner.planning.certificate import certify_problem
-from backhoe_planner.planning.deadline import OutOfTime
-from backhoe_planner.planning.drive import drive_of
-from backhoe_planner.planning.motion_check import MotionCheck
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.sampling import Way, find_way, sample_way
-from backhoe_planner.planning.shortening import shorten
-from backhoe_planner.planning.timing import time_way
+from backhoe_planner.planning.proof.certificate import certify_problem
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import Way, find_way, sample_way
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.planning.task.deadline import OutOfTime
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.timing.drive import drive_of
+from backhoe_planner.planning.timing.timing import time_way
 from backhoe_planner.site.proximity import Proximity
 
 Vector = NDArray[np.float64]
@@ -217,11 +217,11 @@ SCRIPT = """
 import os, signal, sys, threading, time
 import numpy as np
 import backhoe_planner as bp
-from backhoe_planner.planning.blending import blend
-from backhoe_planner.planning.motion_check import MotionCheck
-from backhoe_planner.planning.sampling import sample_way
-from backhoe_planner.planning.shortening import shorten
-from backhoe_planner.planning.timing import time_way
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import sample_way
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.planning.timing.timing import time_way
 from test_planning_sampling import STRETCHED, TURNED, across_bar
 
 def cut_off(q):

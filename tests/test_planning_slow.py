@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.local_resolution import resolve_along
-from backhoe_planner.planning.problem import build_problem
-from backhoe_planner.planning.timing import time_along
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.problem import build_problem
+from backhoe_planner.planning.timing.timing import time_along
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene import Waypoint
 

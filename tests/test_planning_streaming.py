@@ -13,10 +13,16 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning import rejoining
-from backhoe_planner.planning.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
-from backhoe_planner.planning.streaming import Followed, Following, PlanFollower
-from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.planning.live import rejoining
+from backhoe_planner.planning.live.rejoining import (
+    NoRejoining,
+    Rejoining,
+    RejoiningQuery,
+    find_rejoining,
+    is_still_clear,
+)
+from backhoe_planner.planning.live.streaming import Followed, Following, PlanFollower
+from backhoe_planner.redundancy.live.servo import Servo
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
 

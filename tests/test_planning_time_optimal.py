@@ -16,16 +16,16 @@ from scipy.optimize import brentq
 from backhoe_planner.machine.dynamics import Dynamics
 from backhoe_planner.machine.hydraulics import Hydraulics
 from backhoe_planner.machine.robot import JointLimits, Robot, load_robot
-from backhoe_planner.planning.certificate import certify
-from backhoe_planner.planning.drive import Drive, drive_of
-from backhoe_planner.planning.limit_usage import limit_usage
 from backhoe_planner.planning.plan_file import load_plan
 from backhoe_planner.planning.planner import plan
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.retiming import retimed, use_of_drive
-from backhoe_planner.planning.time_optimal import Rows, fastest
-from backhoe_planner.planning.timing import time_along
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.certificate import certify
+from backhoe_planner.planning.proof.limit_usage import limit_usage
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
+from backhoe_planner.planning.timing.drive import Drive, drive_of
+from backhoe_planner.planning.timing.retiming import retimed, use_of_drive
+from backhoe_planner.planning.timing.time_optimal import Rows, fastest
+from backhoe_planner.planning.timing.timing import time_along
 from backhoe_planner.site.scene import Scene, scene_from_dict
 
 Matrix = NDArray[np.float64]

@@ -14,13 +14,13 @@ from scipy.optimize import linprog
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.redundancy.braking_path import BrakingPath, Placements, bend
 from backhoe_planner.redundancy.completed import CompletedLaw, activation
-from backhoe_planner.redundancy.descent import way_back
-from backhoe_planner.redundancy.feedback import Feedback
-from backhoe_planner.redundancy.separation import Separation
-from backhoe_planner.redundancy.servo import Servo
-from backhoe_planner.redundancy.servo_state import Command, Status
+from backhoe_planner.redundancy.live.braking_path import BrakingPath, Placements, bend
+from backhoe_planner.redundancy.live.descent import way_back
+from backhoe_planner.redundancy.live.feedback import Feedback
+from backhoe_planner.redundancy.live.separation import Separation
+from backhoe_planner.redundancy.live.servo import Servo
+from backhoe_planner.redundancy.live.servo_state import Command, Status
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Nearby, Proximity
 

@@ -10,8 +10,8 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.redundancy.servo import Servo
-from backhoe_planner.redundancy.servo_state import ServoState, Status
+from backhoe_planner.redundancy.live.servo import Servo
+from backhoe_planner.redundancy.live.servo_state import ServoState, Status
 
 ONE_HINGE = """<robot name="gate">
 <link name="post"><collision><geometry><box size="0.3 0.3 0.1"/></geometry></collision></link>

@@ -10,7 +10,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.redundancy.live.servo import Servo
 
 BALL = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.7, 1.6, -0.6]}
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.redundancy.servo import Servo
-from backhoe_planner.redundancy.way_out import MOST_LOOKS, Route, Search, WayOut
+from backhoe_planner.redundancy.live.servo import Servo
+from backhoe_planner.redundancy.live.way_out import MOST_LOOKS, Route, Search, WayOut
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
 

@@ -17,10 +17,10 @@ from PIL import Image
 
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.certificate import certify
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.certificate import certify
+from backhoe_planner.planning.task.problem import build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.show.page import plan_page, write_page
 from backhoe_planner.show.viewer import Viewer
 from backhoe_planner.site.scene import Scene, scene_from_dict

@@ -12,8 +12,8 @@ import umsgpack
 
 from backhoe_planner.machine import shapes
 from backhoe_planner.machine.robot import Robot, load_robot
-from backhoe_planner.planning.problem import build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.task.problem import build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.show.animation import PlanAnimation, Track
 from backhoe_planner.show.framing import FIELD_OF_VIEW, frame
 from backhoe_planner.show.machine_meshes import machine_meshes

@@ -9,9 +9,9 @@ import pytest
 
 from backhoe_planner.errors import OutputError
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.certificate import certify
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.certificate import certify
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.show.plots import plot_envelope, plot_plan
 from backhoe_planner.site.scene import scene_from_dict
 

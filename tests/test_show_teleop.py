@@ -30,7 +30,7 @@ from hypothesis import strategies as st
 import backhoe_planner as bp
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.redundancy.servo_state import Command, ServoState, Status
+from backhoe_planner.redundancy.live.servo_state import Command, ServoState, Status
 from backhoe_planner.show import live_server
 from backhoe_planner.show.driven import is_driven, left_out, shown_problem
 from backhoe_planner.show.live_server import LiveServer, LiveSocket

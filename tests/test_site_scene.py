@@ -18,7 +18,7 @@ from strategies import scenes
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine.robot import load_robot
 from backhoe_planner.machine.urdf import shipped
-from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.redundancy.live.servo import Servo
 from backhoe_planner.site.scene import (
     Capsule,
     HalfSpace,

@@ -10,8 +10,8 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.problem import build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.task.problem import build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.site.limits import scaled_limits
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity

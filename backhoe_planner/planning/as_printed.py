@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Configuration, Kinematics
 from backhoe_planner.machine.target import TipTarget, movable_rows
-from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.task.problem import Problem
 from backhoe_planner.redundancy.directionality import (
     Magnification,
     Reference,

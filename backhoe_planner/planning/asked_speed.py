@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
-from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.limit_usage import limit_usage
-from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.limit_usage import limit_usage
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.planning.yardstick import part_on_path
 
 __all__ = ["AskedSpeed", "Slower", "asked_speed"]

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
-from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.drive import drive_of
-from backhoe_planner.planning.local_resolution import Resolution, resolve_along
-from backhoe_planner.planning.path_timing import time_stretch
-from backhoe_planner.planning.postures import Postures
+from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
+from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.reactive import approach_goal
 from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.postures import Postures
+from backhoe_planner.planning.timing.drive import drive_of
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["Followed", "Follower"]

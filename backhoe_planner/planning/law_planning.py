@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.target import TipTarget
-from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.following import Followed, Follower
 from backhoe_planner.planning.law_timing import as_fast_as_allowed
@@ -17,6 +16,7 @@ from backhoe_planner.planning.outcome import Outcome, no_posture
 from backhoe_planner.planning.plan import Reason
 from backhoe_planner.planning.reactive import Attempt, approach_goal
 from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.task.bucket_path import BucketPath
 
 __all__ = ["follow_with_law", "follow_with_law_from_anywhere", "reach_with_law", "stuck"]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.plan import Reason
-from backhoe_planner.planning.postures import Contact, Found
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.task.postures import Contact, Found
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.site.proximity import obstacle_told
 
 __all__ = ["Outcome", "bad_start", "contact_details", "no_posture", "point", "standing", "told"]

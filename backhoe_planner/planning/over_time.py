@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.certificate import segment_is_clear
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.outcome import Outcome, told
-from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.retiming import retimed
+from backhoe_planner.planning.proof.certificate import segment_is_clear
 from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.planning.task.trajectory import Trajectory
+from backhoe_planner.planning.timing.drive import drive_of
+from backhoe_planner.planning.timing.retiming import retimed
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.site.obstacles import Obstacle, swept
 from backhoe_planner.site.proximity import Proximity

@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
-from backhoe_planner.planning.blending import PERIOD
-from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.corners import round_corners
-from backhoe_planner.planning.deadline import OutOfTime
-from backhoe_planner.planning.descent import cheapen_stretch
-from backhoe_planner.planning.drive import drive_of
-from backhoe_planner.planning.local_resolution import Resolution, resolve_along
-from backhoe_planner.planning.objectives import Objective, trajectory_costs
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
-from backhoe_planner.planning.path_layers import redundancy_of
-from backhoe_planner.planning.path_resolution import Detouring, PathResolver, Resolved, Stretch
-from backhoe_planner.planning.path_timing import time_stretch
+from backhoe_planner.planning.paths.corners import round_corners
+from backhoe_planner.planning.paths.descent import cheapen_stretch
+from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
+from backhoe_planner.planning.paths.path_layers import redundancy_of
+from backhoe_planner.planning.paths.path_resolution import Detouring, PathResolver, Resolved, Stretch
+from backhoe_planner.planning.paths.path_timing import time_stretch
+from backhoe_planner.planning.paths.refinement import smooth_stretch
 from backhoe_planner.planning.plan import Reason
-from backhoe_planner.planning.postures import Found
-from backhoe_planner.planning.refinement import smooth_stretch
+from backhoe_planner.planning.search.blending import PERIOD
 from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.deadline import OutOfTime
+from backhoe_planner.planning.task.objectives import Objective, trajectory_costs
+from backhoe_planner.planning.task.postures import Found
+from backhoe_planner.planning.timing.drive import drive_of
 from backhoe_planner.planning.transit import find_transit, find_way_near, play_way
 from backhoe_planner.planning.yardstick import law_motion, timed_alone
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.certificate import Certificate
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.certificate import Certificate
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.site.scene import Scene
 
 __all__ = ["METHODS", "Method", "Plan", "Reason"]

@@ -17,11 +17,11 @@ import numpy as np
 from backhoe_planner.errors import InputError, PlanFileError, RobotError
 from backhoe_planner.machine.robot import load_robot
 from backhoe_planner.output_file import whole_file
-from backhoe_planner.planning.certificate import certify
-from backhoe_planner.planning.objectives import trajectory_energy
 from backhoe_planner.planning.plan import METHODS, Plan
-from backhoe_planner.planning.problem import build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.certificate import certify
+from backhoe_planner.planning.task.objectives import trajectory_energy
+from backhoe_planner.planning.task.problem import build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.site.scene import Scene, scene_from_dict
 
 __all__ = ["certificate_to_dict", "load_plan", "plan_to_dict", "save_plan"]

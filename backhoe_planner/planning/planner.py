@@ -21,24 +21,24 @@ from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.as_printed import run_iteration
 from backhoe_planner.planning.asked_speed import asked_speed
-from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.certificate import Certificate, certify_problem
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.deadline import DEFAULT_BUDGET
-from backhoe_planner.planning.drive import drive_of
 from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
-from backhoe_planner.planning.objectives import trajectory_costs
 from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture
 from backhoe_planner.planning.over_time import Planned, changes, plan_over_time
 from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
 from backhoe_planner.planning.plan import METHODS, Method, Plan, Reason
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.retiming import retimed
+from backhoe_planner.planning.proof.certificate import Certificate, certify_problem
 from backhoe_planner.planning.stepping import Stepper, Watcher
-from backhoe_planner.planning.timing import time_polyline
-from backhoe_planner.planning.tracking import progress
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.deadline import DEFAULT_BUDGET
+from backhoe_planner.planning.task.objectives import trajectory_costs
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.task.tracking import progress
+from backhoe_planner.planning.task.trajectory import Trajectory
+from backhoe_planner.planning.timing.drive import drive_of
+from backhoe_planner.planning.timing.retiming import retimed
+from backhoe_planner.planning.timing.timing import time_polyline
 from backhoe_planner.planning.yardstick import compare_with_law
 from backhoe_planner.site.scene import Scene
 

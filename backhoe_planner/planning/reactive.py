@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.kinematics import Configuration
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.machine.target import TipTarget, movable_rows
-from backhoe_planner.planning.problem import hand_set_gains
 from backhoe_planner.planning.stepping import Stepper
+from backhoe_planner.planning.task.problem import hand_set_gains
 from backhoe_planner.redundancy.completed import CompletedLaw
 from backhoe_planner.site.proximity import Nearby
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Configuration, Kinematics
-from backhoe_planner.planning.certificate import segment_is_clear
-from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.certificate import segment_is_clear
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.redundancy.shield import Shield, Shielded
 from backhoe_planner.site.proximity import Nearby, Pair, Proximity
 

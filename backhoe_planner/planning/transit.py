@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.blending import blend
-from backhoe_planner.planning.bucket_path import BucketPath
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.drive import drive_of
-from backhoe_planner.planning.motion_check import MotionCheck
-from backhoe_planner.planning.sampling import Way, sample_way
-from backhoe_planner.planning.shortening import shorten
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import Way, sample_way
+from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.timing import time_way
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.timing.drive import drive_of
+from backhoe_planner.planning.timing.timing import time_way
 
 __all__ = ["Transit", "find_transit", "find_way_near", "play_way"]
 

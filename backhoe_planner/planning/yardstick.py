@@ -25,16 +25,16 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.target import movable_rows
-from backhoe_planner.planning.bucket_path import BucketPath
-from backhoe_planner.planning.certificate import Certificate
-from backhoe_planner.planning.corners import round_corners
-from backhoe_planner.planning.descent import monotone_curve
-from backhoe_planner.planning.drive import drive_of
-from backhoe_planner.planning.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
-from backhoe_planner.planning.objectives import Objective, trajectory_costs
-from backhoe_planner.planning.path_timing import time_stretch
-from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.paths.corners import round_corners
+from backhoe_planner.planning.paths.descent import monotone_curve
+from backhoe_planner.planning.paths.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
+from backhoe_planner.planning.paths.path_timing import time_stretch
+from backhoe_planner.planning.proof.certificate import Certificate
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.objectives import Objective, trajectory_costs
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.planning.task.trajectory import Trajectory
+from backhoe_planner.planning.timing.drive import drive_of
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = [

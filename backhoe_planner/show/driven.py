@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import Problem, build_problem
+from backhoe_planner.planning.task.problem import Problem, build_problem
 
 __all__ = ["is_driven", "left_out", "shown_problem"]
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.task.problem import Problem
 from backhoe_planner.show.driven import is_driven, left_out
 from backhoe_planner.show.framing import View
 from backhoe_planner.show.palette import FAR, NEAR, TIGHT

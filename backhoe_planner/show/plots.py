@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.limit_usage import limit_usage
-from backhoe_planner.planning.objectives import trajectory_energy
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import Problem, build_problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.proof.limit_usage import limit_usage
+from backhoe_planner.planning.task.objectives import trajectory_energy
+from backhoe_planner.planning.task.problem import Problem, build_problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.planning.yardstick import compare_with_law
 from backhoe_planner.show.driven import is_driven
 from backhoe_planner.show.envelope_plot import plot_envelope

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.reach import tip_travel_bound
-from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.task.problem import Problem
 from backhoe_planner.show.animation import PlanAnimation, Track
 from backhoe_planner.show.drawing import mesh, set_property
 from backhoe_planner.show.framing import View, frame

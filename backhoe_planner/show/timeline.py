@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.problem import Problem
-from backhoe_planner.planning.trajectory import Trajectory
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["ITSELF", "Nearest", "Timeline", "link_poses", "nearest_spots", "obstacle_names", "sight", "timeline"]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.problem import Problem
+from backhoe_planner.planning.task.problem import Problem
 from backhoe_planner.show.driven import shown_problem
 from backhoe_planner.show.live_server import LiveServer
 from backhoe_planner.show.page_content import plan_content, problem_content, step_content

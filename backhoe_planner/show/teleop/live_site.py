@@ -17,8 +17,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.planning.certificate import segment_is_clear
-from backhoe_planner.redundancy.servo import Servo
+from backhoe_planner.planning.proof.certificate import segment_is_clear
+from backhoe_planner.redundancy.live.servo import Servo
 from backhoe_planner.show.timeline import ITSELF, Nearest, nearest_spots
 from backhoe_planner.site import scene as schema
 from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles

@@ -11,7 +11,7 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.problem import build_problem
+from backhoe_planner.planning.task.problem import build_problem
 from backhoe_planner.show.drawing import mesh, set_property
 from backhoe_planner.show.page_content import problem_content, step_content
 from backhoe_planner.show.recording import Recording

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.drive import Drive
-from backhoe_planner.redundancy.feedback import Feedback
-from backhoe_planner.redundancy.servo import Servo
-from backhoe_planner.redundancy.servo_state import ServoState
+from backhoe_planner.planning.timing.drive import Drive
+from backhoe_planner.redundancy.live.feedback import Feedback
+from backhoe_planner.redundancy.live.servo import Servo
+from backhoe_planner.redundancy.live.servo_state import ServoState
 from backhoe_planner.show.teleop.joysticks import joint_rates
 from backhoe_planner.show.teleop.live_site import LiveSite
 from backhoe_planner.show.teleop.messages import (

@@ -1,0 +1,98 @@
+"""Corners of a bucket path rounded within its tolerance, so that they need not be stopped at.
+
+The tip cuts a corner along a parabola that begins and ends the same way off it, and is
+nowhere further from the corner than a part of the tolerance.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.planning.proof.certificate import path_segment_is_clear
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = ["SHARP", "round_corners"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+SHARP = np.radians(5.0)  # a corner that is sharper is rounded or stopped at
+_SHARPEST = np.radians(120.0)  # one that is sharper still is stopped at
+_PART = 0.4  # of the tolerance that a rounded corner may be off the path
+_LEG = 0.45  # of a leg that may be cut off
+_SPACING = 0.01  # m between the samples of a rounded corner at most
+_FEWEST = 9  # samples
+
+
+def round_corners(
+    problem: Problem, path: BucketPath, stations: Vector, q: Matrix, *, proximity: Proximity, time: float = 0.0
+) -> tuple[Vector, Matrix, Vector]:
+    """Joint positions along a stretch of a path with its corners rounded where that is clear.
+
+    Parameters
+    ----------
+    stations: (K,) arc lengths of the samples [m]; q: (K, n) joints there.
+    time: at which the obstacles are taken to be where they are [s].
+
+    Returns
+    -------
+    (L,) arc lengths and (L, n) joints of the new samples, and (C,) the arc lengths of
+    the corners that are left as they are.
+    """
+    task = problem.scene.task.path
+    assert task is not None
+    kinematics = BatchKinematics(problem.robot)
+    left: list[float] = []
+    for corner in path.corners(SHARP).tolist():
+        if not stations[0] < corner < stations[-1]:
+            continue
+        cut = _cut(path, corner, _PART * task.tolerance, float(stations[0]), float(stations[-1]))
+        rounded = None
+        if cut is not None:
+            at = np.linspace(corner - cut, corner + cut, max(_FEWEST, 2 * int(np.ceil(cut / _SPACING)) + 1))
+            rounded = _rounded(kinematics, path, corner, cut, at, stations, q)
+        if rounded is None or not all(path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(rounded)):
+            left.append(corner)
+            continue
+        before, after = stations < at[0] - 1e-9, stations > at[-1] + 1e-9
+        stations = np.concatenate((stations[before], at, stations[after]))
+        q = np.vstack((q[before], rounded, q[after]))
+    return stations, q, np.array(left)
+
+
+def _cut(path: BucketPath, corner: float, off: float, low: float, high: float) -> float | None:
+    """How far from a corner its rounding begins [m]; None where it is too sharp, or the tip stands and turns."""
+    index = int(np.argmin(np.abs(path.stations - corner)))
+    legs = np.diff(path.points[index - 1 : index + 2], axis=0)
+    sizes = np.linalg.norm(legs, axis=1)
+    if np.min(sizes) < 1e-9:
+        return None
+    bend = float(np.arccos(np.clip(legs[0] @ legs[1] / (sizes[0] * sizes[1]), -1.0, 1.0)))
+    if bend > _SHARPEST:
+        return None
+    # the parabola's middle is half of cut * sin(bend / 2) off the corner
+    longest = min(_LEG * float(np.min(sizes)), 0.9 * (corner - low), 0.9 * (high - corner))
+    return min(2.0 * off / float(np.sin(0.5 * bend)), longest)
+
+
+def _rounded(
+    kinematics: BatchKinematics, path: BucketPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix
+) -> Matrix | None:
+    """(M, n) joints with the tip on the parabola, None where there are none near those on the path."""
+    begin, middle, end = path(corner - cut), path(corner), path(corner + cut)
+    part = (at - at[0])[:, None] / (at[-1] - at[0])
+    positions = (1.0 - part) ** 2 * begin + 2.0 * part * (1.0 - part) * middle + part**2 * end
+    asked = [path.target(float(s)) for s in at]
+    targets = [TipTarget(p, one.pitch, one.rotation) for p, one in zip(positions, asked, strict=True)]
+    guesses = np.column_stack([np.interp(at, stations, column) for column in q.T])
+    found, reached = solve_batch(kinematics, TargetBatch.of(targets), guesses, iterations=12)
+    near = np.max(np.abs(found - guesses)) < 0.1
+    return found if reached.all() and near else None

@@ -1,0 +1,277 @@
+"""The cheapest way through layers of nodes: one node of every layer, in order.
+
+For a bucket path the layers are its samples, the nodes of a layer the joint
+configurations that put the tip there, and an edge is the motion between two of them.
+The search is Bellman's recursion, so its result is the global optimum over the nodes;
+nothing that exists on the grid is missed. Three kinds of edges lead to a node:
+
+    step     from a node of the layer before
+    turn     from a node of the same layer: the joints move while the tip stands
+    detour   from a node of any earlier layer, or of the same one: the tip leaves the path
+
+What a detour leaves out of the path counts before any cost: of all routes the one is
+taken that leaves out least, and among those the cheapest.
+
+Whether an edge can be driven is expensive to know. It is therefore asked only for the
+edges of the best route (lazy evaluation; Dellin and Srinivasa 2016, "A Unifying Formalism
+for Shortest Path Problems with Expensive Edge Evaluations via Lazy Best-First Search"):
+who finds that an edge cannot be driven forbids it and asks again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.planning.task.deadline import check_deadline
+
+__all__ = ["Edge", "EdgeKind", "LayeredGraph", "Node", "Route"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+StepCost = Callable[[Matrix, Matrix, float], Matrix]
+Node = tuple[int, int]  # layer, index within it
+
+_LEFT_OUT = 1e9  # price of 1 m of path that is left out: above every cost
+_LEAVING = 0.02  # m of path that leaving it counts as, so that one detour is better than two
+_TURNS = 64  # most turns in a row within one layer
+
+
+class EdgeKind(IntEnum):
+    """How a node is reached."""
+
+    BEGIN = 0
+    STEP = 1
+    TURN = 2
+    DETOUR = 3
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A motion between two nodes."""
+
+    kind: EdgeKind
+    start: Node
+    end: Node
+
+
+@dataclass(frozen=True)
+class Route:
+    """A way through the layers.
+
+    Attributes
+    ----------
+    edges: from the first node to the last; empty where there is one layer only.
+    nodes: as many as edges, and one.
+    cost: the sum over steps, turns and detours, and of the first node's own.
+    left_out: of the path, by detours [m].
+    """
+
+    edges: tuple[Edge, ...]
+    nodes: tuple[Node, ...]
+    cost: float
+    left_out: float
+
+
+class LayeredGraph:
+    """Layers of nodes, and the search through them.
+
+    Parameters
+    ----------
+    stations: (L,) arc length of each layer [m], not decreasing; no step leads from one
+        layer to the next where they are at the same.
+    layers: (N_l, n) configurations of each; a layer may be empty.
+    cost: (A, n), (B, n) and the arc length between them [m] to the (A, B) costs of
+        the motions; infinite where there is none.
+    turning: arc length that a turn is taken to be worth [m].
+    detours: whether the path may be left.
+    deadline: on `time.monotonic`, after which every search raises `OutOfTime`.
+    """
+
+    def __init__(
+        self,
+        stations: Vector,
+        layers: Sequence[Matrix],
+        *,
+        cost: StepCost,
+        turning: float,
+        detours: bool,
+        deadline: float = np.inf,
+    ) -> None:
+        self.stations = np.asarray(stations, dtype=float)
+        self.layers = tuple(layers)
+        self._cost = cost
+        self._turning = turning
+        self._detours = detours
+        self._deadline = deadline
+        self._steps: dict[int, Matrix] = {}
+        self._turns: dict[int, Matrix] = {}
+        self._forbidden: dict[tuple[int, int], set[tuple[int, int]]] = {}
+        self._refused: set[tuple[int, int]] = set()
+        self._known: frozenset[Edge] | None = None
+
+    def forbid(self, edge: Edge) -> None:
+        """Take an edge out, because it cannot be driven."""
+        (layer_a, a), (layer_b, b) = edge.start, edge.end
+        if edge.kind is EdgeKind.STEP:
+            self._step_costs(layer_b)[a, b] = np.inf
+        elif edge.kind is EdgeKind.TURN:
+            self._turn_costs(layer_a)[a, b] = np.inf
+        else:
+            self._forbidden.setdefault((layer_a, layer_b), set()).add((a, b))
+
+    def forbid_detours(self, start: int, end: int) -> None:
+        """No detour from layer `start` to layer `end`."""
+        self._refused.add((start, end))
+
+    def only_detours(self, edges: Iterable[Edge]) -> None:
+        """From now on no other detours than these."""
+        self._known = frozenset(edges)
+
+    def best_route(self, begin: Vector | None = None, *, end: int | None = None) -> Route | None:
+        """The route from the first layer to the last that leaves out least, and of those the cheapest.
+
+        Parameters
+        ----------
+        begin: (N_0,) what it costs to begin at each node of the first layer, infinite
+            where that is impossible; by default nothing.
+        end: the layer to go to; by default the last.
+
+        Returns
+        -------
+        None where there is no route.
+        """
+        values, sources = self.values(begin)
+        last = len(self.layers) - 1 if end is None else end
+        if not len(values[last]) or not np.isfinite(values[last]).any():
+            return None
+        node = (last, int(np.argmin(values[last])))
+        total = float(values[last][node[1]])
+        edges: list[Edge] = []
+        while sources[node[0]][node[1]][0] != EdgeKind.BEGIN:
+            kind, layer, index = sources[node[0]][node[1]]
+            edges.append(Edge(EdgeKind(int(kind)), (int(layer), int(index)), node))
+            node = (int(layer), int(index))
+        edges.reverse()
+        left_out = sum(
+            self.stations[edge.end[0]] - self.stations[edge.start[0]] for edge in edges if edge.kind is EdgeKind.DETOUR
+        )
+        count = sum(edge.kind is EdgeKind.DETOUR for edge in edges)
+        nodes = (edges[0].start, *(edge.end for edge in edges)) if edges else (node,)
+        return Route(tuple(edges), nodes, total - _LEFT_OUT * (float(left_out) + _LEAVING * count), float(left_out))
+
+    def furthest(self, begin: Vector | None = None) -> int:
+        """The last layer that is reached; -1 where not even the first is."""
+        values, _ = self.values(begin)
+        return max((layer for layer, value in enumerate(values) if np.isfinite(value).any()), default=-1)
+
+    def values(self, begin: Vector | None = None) -> tuple[list[Vector], list[NDArray[np.intp]]]:
+        """Per layer: (N,) the least total from the beginning, and (N, 3) from where: kind, layer, node."""
+        values: list[Vector] = []
+        sources: list[NDArray[np.intp]] = []
+        # of every layer, the least total that its nodes have, minus the path up to it
+        leaving: list[float] = []
+        for layer, nodes in enumerate(self.layers):
+            check_deadline(self._deadline)
+            value = np.full(len(nodes), np.inf)
+            source = np.zeros((len(nodes), 3), dtype=np.intp)
+            if layer == 0:
+                value = np.zeros(len(nodes)) if begin is None else np.array(begin, dtype=float)
+            elif len(nodes) and len(values[layer - 1]):
+                total = values[layer - 1][:, None] + self._step_costs(layer)
+                best = np.argmin(total, axis=0)
+                value = total[best, np.arange(len(nodes))]
+                source[:, 0], source[:, 1], source[:, 2] = EdgeKind.STEP, layer - 1, best
+            self._turn(layer, value, source)
+            if self._detours and len(nodes):
+                self._detour(layer, value, source, values, leaving)
+                self._turn(layer, value, source)
+            values.append(value)
+            sources.append(source)
+            least = float(np.min(value)) if len(value) else np.inf
+            leaving.append(least - _LEFT_OUT * float(self.stations[layer]))
+        return values, sources
+
+    def _turn(self, layer: int, value: Vector, source: NDArray[np.intp]) -> None:
+        """Let the joints move within a layer, as long as that makes a node cheaper."""
+        if len(value) < 2 or not np.isfinite(value).any():
+            return
+        costs = self._turn_costs(layer)
+        for _ in range(_TURNS):
+            total = value[:, None] + costs
+            best = np.argmin(total, axis=0)
+            found = total[best, np.arange(len(value))]
+            better = found < value * (1.0 - 1e-12) - 1e-12
+            better |= np.isfinite(found) & ~np.isfinite(value)
+            if not better.any():
+                return
+            value[better] = found[better]
+            source[better, 0], source[better, 1], source[better, 2] = EdgeKind.TURN, layer, best[better]
+
+    def _detour(
+        self, layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector], leaving: list[float]
+    ) -> None:
+        """Let the nodes of a layer be reached by leaving the path at an earlier one, or at this one."""
+        if self._known is not None:
+            self._known_detour(layer, value, source, values)
+            return
+        nodes = self.layers[layer]
+        here = float(np.min(value)) if np.isfinite(value).any() else np.inf
+        order = [layer, *np.argsort(np.array(leaving), kind="stable").tolist()]
+        for start in order:
+            if (start, layer) in self._refused:
+                continue
+            before = value.copy() if start == layer else values[start]
+            least = here if start == layer else leaving[start] + _LEFT_OUT * float(self.stations[layer])
+            if not np.isfinite(least):
+                continue
+            price = _LEFT_OUT * (float(self.stations[layer] - self.stations[start]) + _LEAVING)
+            change = np.linalg.norm(nodes[None, :, :] - self.layers[start][:, None, :], axis=2)
+            total = before[:, None] + price + change
+            for a, b in self._forbidden.get((start, layer), ()):
+                total[a, b] = np.inf
+            best = np.argmin(total, axis=0)
+            found = total[best, np.arange(len(nodes))]
+            better = found < value
+            value[better] = found[better]
+            source[better, 0], source[better, 1], source[better, 2] = EdgeKind.DETOUR, start, best[better]
+            if start != layer and np.isfinite(value).all():
+                return  # the layers that follow in the order leave out more
+
+    def _known_detour(self, layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector]) -> None:
+        assert self._known is not None
+        for edge in sorted(self._known, key=lambda edge: (edge.start, edge.end)):
+            (start, a), (end, b) = edge.start, edge.end
+            if end != layer:
+                continue
+            before = value if start == layer else values[start]
+            skipped = float(self.stations[layer] - self.stations[start]) + _LEAVING
+            total = (
+                before[a] + _LEFT_OUT * skipped + float(np.linalg.norm(self.layers[layer][b] - self.layers[start][a]))
+            )
+            if total < value[b]:
+                value[b] = total
+                source[b] = EdgeKind.DETOUR, start, a
+
+    def _step_costs(self, layer: int) -> Matrix:
+        """(A, B) from the layer before to `layer`."""
+        if layer not in self._steps:
+            span = float(self.stations[layer] - self.stations[layer - 1])
+            before, nodes = self.layers[layer - 1], self.layers[layer]
+            self._steps[layer] = (
+                self._cost(before, nodes, span) if span > 0.0 else np.full((len(before), len(nodes)), np.inf)
+            )
+        return self._steps[layer]
+
+    def _turn_costs(self, layer: int) -> Matrix:
+        """(N, N) within `layer`."""
+        if layer not in self._turns:
+            costs = self._cost(self.layers[layer], self.layers[layer], self._turning)
+            np.fill_diagonal(costs, np.inf)
+            self._turns[layer] = costs
+        return self._turns[layer]

@@ -1,0 +1,182 @@
+"""A path of the tip resolved into joint positions by the completed law.
+
+Sample by sample along the path: the law wishes, `step_on_path` takes the nearest step
+that stays on the path, Newton's iteration removes what is left, and the step is kept
+only if it is proven clear. It goes as far as the law can go from where it began.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics import Configuration, Kinematics
+from backhoe_planner.machine.target import TipTarget, movable_rows
+from backhoe_planner.planning.proof.certificate import segment_is_clear
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.problem import Problem, hand_set_gains
+from backhoe_planner.redundancy.completed import CompletedLaw
+from backhoe_planner.redundancy.on_path import step_on_path
+from backhoe_planner.site.proximity import Nearby, Proximity
+
+__all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_LEAST_SPACING = 1e-4  # m
+_SPACING = 0.02  # m between samples at most
+_TIME_PER_METRE = 3.0  # s: at which speed the law's rates are read as steps
+_APPROACH = 0.4  # part of a margin that one step may use up
+_SPARE = 0.001  # m kept on top of every clearance
+_EXACT = 1e-8
+_CORRECTIONS = 6
+_LARGEST_STEP = 0.25  # rad
+_OPEN_RANGE = 0.02  # rad: a pitch range narrower than this is one angle
+_AT_LIMIT = 0.01  # rad or m: nearer than this a joint stands at its limit
+_TOUCHING = 0.02  # m of margin: a pair that is blamed before a joint at its limit
+_IN_THE_WAY = 0.1  # m of margin: a pair that is blamed where no joint is
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """As far as the law went.
+
+    Attributes
+    ----------
+    stations: (K,) arc lengths [m]; q: (K, n) joint positions there.
+    blocker: (link, obstacle) that ended it, ("joint", name) for a limit; None where
+        the end of the path was reached.
+    """
+
+    stations: Vector
+    q: Matrix
+    blocker: tuple[str, str] | None
+
+    @property
+    def complete(self) -> bool:
+        """Whether the end of the path was reached."""
+        return self.blocker is None
+
+    @property
+    def reached(self) -> float:
+        """[m]"""
+        return float(self.stations[-1])
+
+
+def sample_stations(path: BucketPath, s: float) -> Vector:
+    """(K,) arc lengths from `s` to the end, every waypoint among them [m]."""
+    marks = np.concatenate(([s], path.stations[path.stations > s + 1e-9]))
+    parts = [
+        np.linspace(a, b, max(int(np.ceil((b - a) / _SPACING)), 2), endpoint=False) for a, b in pairwise(marks.tolist())
+    ]
+    return np.concatenate([*parts, marks[-1:]])
+
+
+def resolve_along(
+    problem: Problem, path: BucketPath, s: float, q: Vector, *, proximity: Proximity, kinematics: Kinematics,
+    time: float = 0.0,
+) -> Resolution:  # fmt: skip
+    """Resolve `path` from arc length `s`, where the joints are at `q` (n,).
+
+    Parameters
+    ----------
+    time: at which the obstacles are taken to be where they are [s].
+    """
+    law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
+    stations = sample_stations(path, s)
+    found = [np.array(q, dtype=float)]
+    for station in stations[1:]:
+        at = kinematics.at(found[-1])
+        nearby = proximity.at(at.q, time=time, margin=problem.scene.influence)
+        # where a waypoint stands twice there is no way, but a step that takes some time
+        span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
+        after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
+        if after is None or not segment_is_clear(proximity, at.q, after, time=time):
+            return Resolution(stations[: len(found)], np.array(found), _blocker(problem, at, nearby, proximity))
+        found.append(after)
+    return Resolution(stations, np.array(found), None)
+
+
+def _next(
+    problem: Problem,
+    law: CompletedLaw,
+    target: TipTarget,
+    at: Configuration,
+    nearby: Nearby,
+    span: float,
+    kinematics: Kinematics,
+) -> Vector | None:
+    """(n,) the configuration on `target` that the law goes to from `at`."""
+    error, J = _rows(target, at)
+    limits = problem.limits
+    wish = span * law.wish(at, J, error / span, nearby).v
+    low = np.maximum(limits.lower - at.q, -_LARGEST_STEP)
+    high = np.minimum(limits.upper - at.q, _LARGEST_STEP)
+    rows, lower = nearby.gradient, -_APPROACH * np.maximum(nearby.margin - _SPARE, 0.0)
+    rows, lower = _with_pitch(target, at, rows, lower)
+    step = step_on_path(wish, J, error, low, high, rows, lower)
+    if step is None:
+        return None
+    q = at.q + step
+    for _ in range(_CORRECTIONS):
+        now = kinematics.at(q)
+        error, J = _rows(target, now)
+        if float(np.max(np.abs(error))) < _EXACT:
+            break
+        fix = step_on_path(
+            np.zeros(len(q)),
+            J,
+            error,
+            limits.lower - q,
+            limits.upper - q,
+            *_with_pitch(target, now, np.zeros((0, len(q))), np.zeros(0)),
+        )
+        if fix is None:
+            return None
+        q = q + fix
+    else:
+        return None
+    return np.clip(q, limits.lower, limits.upper)
+
+
+def _rows(target: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
+    """Error and Jacobian of the rows that must be met exactly."""
+    error, J = target.error(at), target.jacobian(at)
+    rows = movable_rows(J)
+    if has_open_range(target):
+        rows = rows & np.array([True, True, True, False])
+    return error[rows], J[rows]
+
+
+def has_open_range(target: TipTarget) -> bool:
+    """Whether a target leaves the pitch a range, and not one angle or all."""
+    return target.rotation is None and target.pitch is not None and target.pitch[1] - target.pitch[0] > _OPEN_RANGE
+
+
+def _with_pitch(target: TipTarget, at: Configuration, rows: Matrix, lower: Vector) -> tuple[Matrix, Vector]:
+    """The rows, and two more that hold the pitch within the asked range."""
+    if not has_open_range(target):
+        return rows, lower
+    assert target.pitch is not None
+    low, high = target.pitch
+    middle = 0.5 * (low + high)
+    off = (at.pitch - middle + np.pi) % (2.0 * np.pi) - np.pi
+    half = 0.5 * (high - low)
+    row = at.pitch_row
+    return np.vstack((rows, row, -row)), np.concatenate((lower, [-half - off, off - half]))
+
+
+def _blocker(problem: Problem, at: Configuration, nearby: Nearby, proximity: Proximity) -> tuple[str, str]:
+    """What most likely ended the motion: the tightest pair, or the joint at its limit."""
+    gap = np.minimum(at.q - problem.limits.lower, problem.limits.upper - at.q)
+    joint = int(np.argmin(gap))
+    if len(nearby):
+        row = int(np.argmin(nearby.margin))
+        if nearby.margin[row] < (_TOUCHING if gap[joint] < _AT_LIMIT else _IN_THE_WAY):
+            pair = proximity.pairs[int(nearby.pair[row])]
+            return pair.link, pair.obstacle
+    return "joint", problem.robot.joint_names[joint]

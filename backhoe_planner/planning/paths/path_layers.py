@@ -1,0 +1,318 @@
+"""The configurations that put the tip on a bucket path, layer by layer.
+
+What the path leaves free of the joints is its redundancy, r = n - m. With r = 1 the one
+free parameter is laid out on a grid: the pitch, where the machine has one and the path
+leaves it free, else the length along the curves of self-motion. With more the
+configurations nearest to a fixed set of quasi-random ones (Sobol) are taken, the same
+set at every sample of the path, so that neighbouring layers hold neighbouring nodes.
+With none there are the branches of the inverse kinematics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.planning.task.deadline import check_deadline
+
+__all__ = ["PathLayers", "redundancy_of"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_SAME = 0.01  # rad or m: solutions nearer than this are one
+_BRANCHES = 8  # guesses per grid value where branches are looked for
+_SEED_EVERY = 0.4  # m of path from one search for branches to the next
+_SAMPLES = 256  # of the redundancy, where it has several dimensions
+_RANK = 1e-6
+_FOLLOWED = 0.2  # rad or m: a node with another this near in the next layer is followed there
+_CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer
+_MOST = 500  # nodes in a layer to which no more are added
+_SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning
+_PORTION = 1000  # configurations that are solved for at once
+_CURVE_GUESSES = 64  # from which curves of self-motion are looked for
+_LONGEST_CURVE = 100  # grid steps each way
+_AROUND = 16  # guesses for each
+
+
+class PathLayers:
+    """Finds the nodes of the layers for one machine.
+
+    Parameters
+    ----------
+    grid: step of the free parameter, where there is one [rad; m for a slide].
+    samples: configurations per layer where the redundancy has several dimensions.
+    deadline: on `time.monotonic`.
+    """
+
+    def __init__(self, robot: Robot, *, grid: float, samples: int = _SAMPLES, deadline: float = np.inf) -> None:
+        self._robot = robot
+        self._kinematics = BatchKinematics(robot)
+        self._grid = grid
+        self._samples = samples
+        self._deadline = deadline
+        lower = np.where(np.isfinite(robot.limits.lower), robot.limits.lower, -np.pi)
+        upper = np.where(np.isfinite(robot.limits.upper), robot.limits.upper, np.pi)
+        self._box = (lower, upper)
+
+    def at(self, stations: Vector, targets: Sequence[TipTarget], *, begin: Vector | None = None) -> list[Matrix]:
+        """(N_l, n) solutions for each of L targets at `stations` (L,) of a path, within the limits.
+
+        Parameters
+        ----------
+        begin: (n,) a solution for the first target, around which and from which on more are looked for.
+        """
+        if not len(targets):
+            return []
+        batch = TargetBatch.of(targets)
+        redundancy = redundancy_of(self._robot, targets[0])
+        if redundancy >= 2:
+            found = self._sampled(batch)
+        elif redundancy == 1 and not self._pitch_is_free(targets):
+            found = self._on_curves(stations, batch)
+        else:
+            found = self._on_grid(stations, batch, pitch=redundancy == 1)
+        check_deadline(self._deadline)
+        if begin is not None:
+            found[0] = _distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
+        self._carry(batch, found, range(1, len(found)), -1)
+        self._carry(batch, found, range(len(found) - 2, -1, -1), 1)
+        return found
+
+    def _around(self, batch: TargetBatch, begin: Vector) -> Matrix:
+        """(N, n) solutions for the first target near and far from `begin` (n,)."""
+        rng = np.random.default_rng(0)
+        spread = np.repeat(_SPREADS, _AROUND)[:, None]
+        guesses = begin + spread * rng.standard_normal((len(spread), self._robot.n))
+        q, reached = solve_batch(self._kinematics, batch.take(np.zeros(len(guesses), dtype=int)), guesses)
+        return q[reached]
+
+    def _carry(self, batch: TargetBatch, found: list[Matrix], rows: Iterable[int], back: int) -> None:
+        """Carry every node on to the next layer, where no node is near it already.
+
+        So a branch that was found anywhere is followed as far as it goes.
+        """
+        for row in rows:
+            check_deadline(self._deadline)
+            before, here = found[row + back], found[row]
+            if not len(before) or len(here) >= _MOST:
+                continue
+            alone = np.ones(len(before), dtype=bool)
+            if len(here):
+                alone = cKDTree(here).query(before, p=np.inf)[0] > _FOLLOWED
+            if not alone.any():
+                continue
+            targets = batch.take(np.full(int(alone.sum()), row))
+            q, reached = solve_batch(self._kinematics, targets, before[alone], iterations=10)
+            near = np.max(np.abs(q - before[alone]), axis=1) < _CARRIED
+            found[row] = _distinct(np.vstack((here, q[reached & near])))
+
+    def _pitch_is_free(self, targets: Sequence[TipTarget]) -> bool:
+        return self._robot.has_pitch and all(target.rotation is None for target in targets)
+
+    # --- one parameter, or none --------------------------------------------------
+
+    def _on_grid(self, stations: Vector, batch: TargetBatch, *, pitch: bool) -> list[Matrix]:
+        seeds = _seeds(stations)
+        found = dict(zip(seeds.tolist(), self._branches(batch, seeds, pitch=pitch), strict=True))
+        rows, guesses, values = [], [], []
+        for row in range(len(stations)):
+            if row in found:
+                continue
+            near = np.vstack([found[int(seed)] for seed in _beside(seeds, row)])
+            value = self._value_beside(batch, row, near, pitch=pitch)
+            rows.append(np.full(len(value), row))
+            guesses.append(near[: len(value)])
+            values.append(value)
+        if rows:
+            between = self._solve(batch, np.concatenate(rows), np.vstack(guesses), np.concatenate(values), pitch)
+            found |= between
+        empty = np.zeros((0, self._robot.n))
+        return [found.get(row, empty) for row in range(len(stations))]
+
+    def _branches(self, batch: TargetBatch, seeds: NDArray[np.intp], *, pitch: bool) -> list[Matrix]:
+        """All solutions at some stations, over the whole grid."""
+        guesses = _sobol(self._box, _BRANCHES if pitch else _CURVE_GUESSES)
+        rows, values = [], []
+        for row in seeds.tolist():
+            value = self._values(batch, row, pitch=pitch)
+            values.append(np.repeat(value, len(guesses)))
+            rows.append(np.full(len(value) * len(guesses), row))
+        row, value = np.concatenate(rows), np.concatenate(values)
+        found = self._solve(batch, row, np.tile(guesses, (len(row) // len(guesses), 1)), value, pitch)
+        return [found.get(row, np.zeros((0, self._robot.n))) for row in seeds.tolist()]
+
+    def _value_beside(self, batch: TargetBatch, row: int, near: Matrix, *, pitch: bool) -> Vector:
+        """(N,) the value of the free parameter at one station that each of the nodes `near` it belongs to."""
+        if not pitch:
+            return np.zeros(len(near))
+        values = self._values(batch, row, pitch=True)
+        if not len(values):
+            return values
+        own = self._kinematics.at(near).pitch()
+        off = np.abs((own[:, None] - values[None, :] + np.pi) % (2.0 * np.pi) - np.pi)
+        return np.asarray(values[np.argmin(off, axis=1)])
+
+    def _values(self, batch: TargetBatch, row: int, *, pitch: bool) -> Vector:
+        """The grid of the free parameter at one station."""
+        if not pitch:
+            return np.zeros(1)
+        count = int(np.ceil(2.0 * np.pi / self._grid))
+        values = -np.pi + 2.0 * np.pi * np.arange(count) / count
+        if not batch.pitched[row]:
+            return values
+        middle, half = float(batch.pitch_middle[row]), float(batch.pitch_half[row])
+        if half >= np.pi:
+            return values
+        off = (values - middle + np.pi) % (2.0 * np.pi) - np.pi
+        inside = middle + off[np.abs(off) < half - 1e-9]
+        return np.unique(np.concatenate(([middle - half], np.sort(inside), [middle + half])))
+
+    def _solve(
+        self,
+        batch: TargetBatch,
+        rows: NDArray[np.intp],
+        guesses: Matrix,
+        values: Vector,
+        pitch: bool,
+    ) -> dict[int, Matrix]:
+        """The solutions at the stations `rows` (B,) with their `values` (B,) of the free parameter."""
+        targets = batch.take(rows)
+        if pitch:
+            targets = targets.at_pitch(values)
+        q, reached = self._solve_all(targets, guesses)
+        q, rows = q[reached], rows[reached]
+        return {row: _distinct(q[rows == row]) for row in np.unique(rows).tolist()}
+
+    # --- one parameter, along the curves of self-motion ---------------------------------
+
+    def _on_curves(self, stations: Vector, batch: TargetBatch) -> list[Matrix]:
+        """Nodes a grid step apart on every curve that is found; carried on from station to station."""
+        seeds = _seeds(stations)
+        rows = np.repeat(seeds, _CURVE_GUESSES)
+        # others at every seed: what one misses another finds, and it is carried on
+        guesses = np.vstack([_sobol(self._box, _CURVE_GUESSES, seed) for seed in range(len(seeds))])
+        q, reached = self._solve_all(batch.take(rows), guesses)
+        q, rows = q[reached], rows[reached]
+        traced = [q]
+        from_rows = [rows]
+        for sense in (1.0, -1.0):
+            along, at_rows = self._trace(batch, rows, q, sense)
+            traced.append(along)
+            from_rows.append(at_rows)
+        all_q, all_rows = np.vstack(traced), np.concatenate(from_rows)
+        found = [np.zeros((0, self._robot.n))] * len(stations)
+        for row in seeds.tolist():
+            found[row] = _distinct(all_q[all_rows == row], within=0.5 * self._grid)
+        between = np.setdiff1d(np.arange(len(stations)), seeds)
+        if len(between):
+            beside = [(row, found[int(seed)]) for row in between.tolist() for seed in _beside(seeds, row)]
+            rows = np.concatenate([np.full(len(nodes), row) for row, nodes in beside])
+            q, reached = self._solve_all(batch.take(rows), np.vstack([nodes for _, nodes in beside]))
+            for row in between.tolist():
+                found[row] = _distinct(q[reached & (rows == row)], within=0.5 * self._grid)
+        return found
+
+    def _trace(
+        self, batch: TargetBatch, rows: NDArray[np.intp], q: Matrix, sense: float
+    ) -> tuple[Matrix, NDArray[np.intp]]:
+        """(N, n) what is met on the way along the null space from each of `q`, and (N,) the stations."""
+        found, found_rows = [np.zeros((0, q.shape[1]))], [np.zeros(0, dtype=np.intp)]
+        begin, step = q.copy(), np.zeros_like(q)
+        for number in range(_LONGEST_CURVE):
+            if not len(q):
+                break
+            check_deadline(self._deadline)
+            targets = batch.take(rows)
+            null = np.linalg.svd(targets.jacobians(self._kinematics.at(q)))[2][:, -1, :]
+            null /= np.max(np.abs(null), axis=1, keepdims=True)
+            # on in the same direction; at first the one in which the largest component grows
+            ahead = (
+                np.einsum("bn,bn->b", null, step)
+                if number
+                else null[np.arange(len(q)), np.argmax(np.abs(null), axis=1)]
+            )
+            step = self._grid * (sense if number == 0 else 1.0) * np.where(ahead < 0.0, -1.0, 1.0)[:, None] * null
+            after, reached = solve_batch(self._kinematics, targets, q + step, iterations=8)
+            moved = np.max(np.abs(after - q), axis=1)
+            closed = (number > 2) & (np.max(np.abs(after - begin), axis=1) < 0.7 * self._grid)
+            on = reached & (moved > 0.3 * self._grid) & (moved < 3.0 * self._grid) & ~closed
+            q, rows, begin, step = after[on], rows[on], begin[on], step[on]
+            found.append(q)
+            found_rows.append(rows)
+        return np.vstack(found), np.concatenate(found_rows)
+
+    # --- several parameters ---------------------------------------------------------
+
+    def _sampled(self, batch: TargetBatch) -> list[Matrix]:
+        guesses = _sobol(self._box, self._samples)
+        rows = np.repeat(np.arange(len(batch)), len(guesses))
+        q, reached = self._solve_all(batch.take(rows), np.tile(guesses, (len(batch), 1)))
+        q, reached = q.reshape(len(batch), len(guesses), -1), reached.reshape(len(batch), len(guesses))
+        return [_distinct(q[row][reached[row]]) for row in range(len(batch))]
+
+    def _solve_all(self, targets: TargetBatch, guesses: Matrix) -> tuple[Matrix, Mask]:
+        """`solve_batch` in portions, which can be ended by the deadline."""
+        ends, reached = [], []
+        for first in range(0, len(guesses), _PORTION):
+            check_deadline(self._deadline)
+            rows = np.arange(first, min(first + _PORTION, len(guesses)))
+            q, arrived = solve_batch(self._kinematics, targets.take(rows), guesses[rows])
+            ends.append(q)
+            reached.append(arrived)
+        return np.vstack(ends), np.concatenate(reached)
+
+
+def redundancy_of(robot: Robot, target: TipTarget) -> int:
+    """How many dimensions a target leaves to the joints: n minus the rank of the task.
+
+    A pitch range that is open counts as no task.
+    """
+    rng = np.random.default_rng(0)
+    q = np.array([robot.random_q(rng) for _ in range(8)])
+    open_range = target.pitch is not None and target.rotation is None and target.pitch[1] > target.pitch[0]
+    asked = TipTarget(target.position, None if open_range else target.pitch, target.rotation)
+    J = TargetBatch.of([asked] * len(q)).jacobians(BatchKinematics(robot).at(q))
+    return robot.n - int(np.max(np.linalg.matrix_rank(J, tol=_RANK)))
+
+
+def _sobol(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
+    """(count, n) quasi-random configurations, always the same; `count` is a power of 2."""
+    from scipy.stats import qmc  # slow to load, and needed for paths alone
+
+    points = qmc.Sobol(len(box[0]), scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(count))))
+    return np.asarray(box[0] + points * (box[1] - box[0]))
+
+
+def _seeds(stations: Vector) -> NDArray[np.intp]:
+    """Indices of the stations at which all solutions are searched: the first, the last, and some between."""
+    cells = np.floor((stations - stations[0]) / _SEED_EVERY)
+    return np.unique(np.append(np.flatnonzero(np.diff(cells, prepend=-1.0)), len(stations) - 1))
+
+
+def _beside(seeds: NDArray[np.intp], row: int) -> NDArray[np.intp]:
+    """The seeds before and after a station that is none."""
+    after = int(np.searchsorted(seeds, row))
+    return seeds[after - 1 : after + 1]
+
+
+def _distinct(q: Matrix, *, within: float = _SAME) -> Matrix:
+    """`q` (N, n) without those that an earlier one is `within` of, in the order of the first joints."""
+    if len(q) < 2:
+        return q
+    cells = np.round(q / within).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    q = q[np.sort(first)]
+    repeated = np.zeros(len(q), dtype=bool)
+    pairs = cKDTree(q).query_pairs(within, p=np.inf, output_type="ndarray")
+    repeated[pairs[:, 1]] = True
+    q = q[~repeated]
+    return np.asarray(q[np.lexsort(q.T[::-1])])

@@ -1,0 +1,442 @@
+"""A bucket path resolved globally: which configuration at which point of it.
+
+The layered graph over the redundancy gives the route; here its edges are made into
+motions and proven, its detours are searched, and what comes out is a list of pieces:
+stretches, on which the tip is exactly on the path, and detours between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+
+from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.batch_kinematics import BatchKinematics
+from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
+from backhoe_planner.planning.paths.path_layers import PathLayers
+from backhoe_planner.planning.proof.certificate import TOUCH, path_segment_is_clear
+from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.deadline import OutOfTime, check_deadline
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.site.clearance_screen import ClearanceScreen
+from backhoe_planner.site.proximity import Proximity, obstacle_told
+
+__all__ = ["Blame", "Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
+
+_LAYER = 0.05  # m of path between layers
+_MANY_LAYERS = 160  # beyond which they lie further apart,
+_WIDEST_LAYER = 0.25  # m, up to this
+_GRID = np.radians(5.0)  # of the free parameter
+_LENGTH_OF_TURN = 0.25  # m that a radian of the tip's own turning counts as
+_FINE = 0.01  # m of path between the samples of a stretch
+_FINE_TURN = 0.03  # rad between them
+_WIDEST_STEP = 0.7  # rad or m that one joint may move from layer to layer
+_BENT = 3.0  # times as far as the straight way between two nodes a sample of it may lie from the next
+_EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
+_MOST_DETOURS = 24  # that are tried in vain
+_TRIES = 2  # between two layers
+_FEW = 8  # nodes of a layer that are followed back to where the path is free again
+
+
+@dataclass(frozen=True)
+class Blame:
+    """What is in the way.
+
+    Attributes
+    ----------
+    link, obstacle: the pair that would come too near; ("joint", name) for a joint limit.
+    margin: by how much [m], negative; 0 for a joint limit.
+    """
+
+    link: str
+    obstacle: str
+    margin: float
+
+    def __str__(self) -> str:
+        if self.link == "joint":
+            return f"the limit of joint {self.obstacle}"
+        return f"{obstacle_told(self.obstacle)} (at {self.link})"
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Joint positions with the tip on the path.
+
+    Attributes
+    ----------
+    stations: (K,) arc lengths [m], not decreasing.
+    q: (K, n) joint positions there.
+    """
+
+    stations: Vector
+    q: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Detouring:
+    """The tip leaves the path and comes back.
+
+    Attributes
+    ----------
+    way: (K, n) joint positions, straight lines between them.
+    path_from, path_to: where it leaves and where it comes back [m].
+    blame: why.
+    """
+
+    way: Matrix
+    path_from: float
+    path_to: float
+    blame: Blame
+
+
+@dataclass(frozen=True, eq=False)
+class Resolved:
+    """What came of it.
+
+    Attributes
+    ----------
+    pieces: in order; without an end where it is blocked.
+    complete: whether they lead to the end of the path.
+    blocked_from, blocked_to: the part that could be neither followed nor bypassed [m].
+    blame: what is in the way there.
+    out_of_time: whether the search was ended by its deadline.
+    """
+
+    pieces: tuple[Stretch | Detouring, ...]
+    complete: bool
+    blocked_from: float = 0.0
+    blocked_to: float = 0.0
+    blame: Blame | None = None
+    out_of_time: bool = False
+
+
+def velocity_norm_cost(a: Matrix, b: Matrix, span: float) -> Matrix:
+    """(A, B) of sum |dq|^2 / ds, the integral of the squared joint velocities at a tip speed of 1 m/s."""
+    if not len(a) or not len(b):
+        return np.zeros((len(a), len(b)))
+    cost = cdist(a, b, "sqeuclidean") / span
+    return np.where(cdist(a, b, "chebyshev") > _WIDEST_STEP, np.inf, cost)
+
+
+class PathResolver:
+    """Resolves one path among obstacles that stand still.
+
+    Parameters
+    ----------
+    since: arc length from which on it is resolved [m].
+    begin: (n,) joints with the tip on the path there, from which it is to be followed.
+    time: at which the obstacles are taken to be where they are [s].
+    deadline: on `time.monotonic`; where it passes while the configurations along the
+        path are computed, `OutOfTime` is raised.
+    find_detour: (n,) from, (n,) to, arc lengths there, to the way between them or None.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        path: BucketPath,
+        *,
+        proximity: Proximity,
+        find_detour: FindDetour,
+        since: float = 0.0,
+        begin: Vector | None = None,
+        time: float = 0.0,
+        deadline: float = np.inf,
+        cost: StepCost = velocity_norm_cost,
+        grid: float = _GRID,
+        layer: float = _LAYER,
+    ) -> None:
+        self._problem = problem
+        self._path = path
+        self._proximity = proximity
+        self._find_detour = find_detour
+        self._time = time
+        self._deadline = deadline
+        self._cost = cost
+        self._kinematics = BatchKinematics(problem.robot)
+        self._stations = _layer_stations(path, since, layer)
+        self._targets = [path.target(float(s)) for s in self._stations]
+        self._all = PathLayers(problem.robot, grid=grid, deadline=deadline).at(
+            self._stations, self._targets, begin=begin
+        )
+        screen = ClearanceScreen(proximity)
+        self._layers = [self._free(screen, nodes) for nodes in self._all]
+        self._motions: dict[Edge, Stretch | None] = {}
+        self._ways: dict[Edge, tuple[Stretch, Detouring, Stretch]] = {}
+        self._off_path = False
+
+    @property
+    def first_layer(self) -> Matrix:
+        """(N, n) clear configurations at the beginning of what is resolved."""
+        return self._layers[0]
+
+    def resolve(
+        self,
+        begin: Vector | None,
+        *,
+        detours: bool,
+        off_path: bool = False,
+        price: Callable[[Matrix], Vector] | None = None,
+    ) -> Resolved:
+        """The cheapest resolution, of those that leave out least of the path.
+
+        Parameters
+        ----------
+        begin: (n,) joints on the beginning of the path, or None where they are free.
+        detours: whether the path may be left.
+        off_path: `begin` is not on the path; it is joined by a detour.
+        price: what it costs to begin at each node of the first layer, (N, n) to (N,).
+        """
+        layers, stations = list(self._layers), self._stations
+        costs = price(layers[0]) if price is not None and begin is None else np.zeros(len(layers[0]))
+        if begin is not None and off_path:
+            layers, stations = [begin[None, :], *layers], np.append(stations[0], stations)
+            costs = np.zeros(1)
+        elif begin is not None:
+            layers[0] = np.vstack((begin[None, :], layers[0]))
+            costs = np.append(0.0, np.full(len(layers[0]) - 1, np.inf))
+        self._motions, self._ways = {}, {}
+        turning = float(self._stations[1] - self._stations[0])
+        graph = LayeredGraph(
+            stations, layers, cost=self._cost, turning=turning, detours=detours, deadline=self._deadline
+        )
+        self._off_path = off_path
+        try:
+            pieces = self._search(graph, costs)
+            return self._as_far(graph, costs) if pieces is None else Resolved(pieces, True)
+        except OutOfTime:
+            return Resolved((), False, float(stations[0]), self._path.length, out_of_time=True)
+
+    def _search(self, graph: LayeredGraph, costs: Vector) -> tuple[Stretch | Detouring, ...] | None:
+        """The pieces of the best route that can be driven, None where there is no route."""
+        failures: dict[tuple[int, int], int] = {}
+        while sum(failures.values()) < _MOST_DETOURS:
+            route = graph.best_route(costs)
+            if route is None:
+                return None
+            if self._driven(graph, route) and self._bypassed(graph, route, failures):
+                return self._pieces(graph, route)
+        return None
+
+    # --- nodes -------------------------------------------------------------------
+
+    def _free(self, screen: ClearanceScreen, nodes: Matrix) -> Matrix:
+        check_deadline(self._deadline)
+        return np.asarray(nodes[screen.keeps(nodes, time=self._time, spare=-TOUCH)])
+
+    # --- edges ---------------------------------------------------------------------
+
+    def _driven(self, graph: LayeredGraph, route: Route) -> bool:
+        """Whether all that follows the path can be driven; what cannot is forbidden."""
+        edges = [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR]
+        check_deadline(self._deadline)
+        fresh = [edge for edge in edges if edge not in self._motions]
+        for edge, motion in zip(fresh, self._interpolate(graph, fresh), strict=True):
+            self._motions[edge] = motion if motion is not None and self._is_clear(motion.q) else None
+        bad = [edge for edge in edges if self._motions[edge] is None]
+        for edge in bad:
+            graph.forbid(edge)
+        return not bad
+
+    def _interpolate(self, graph: LayeredGraph, edges: list[Edge]) -> list[Stretch | None]:
+        """The motions between nodes with the tip on the path; None where there is none."""
+        if not edges:
+            return []
+        stations, guesses = [], []
+        for edge in edges:
+            a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
+            between = self._between(graph.stations[edge.start[0]], graph.stations[edge.end[0]], a, b)
+            part = np.linspace(0.0, 1.0, len(between))[:, None]
+            stations.append(between)
+            guesses.append((1.0 - part) * a + part * b)
+        targets = TargetBatch.of([self._path.target(float(s)) for piece in stations for s in piece])
+        q, reached = solve_batch(self._kinematics, targets, np.vstack(guesses), iterations=12)
+        found: list[Stretch | None] = []
+        first = 0
+        for between, guess in zip(stations, guesses, strict=True):
+            rows = slice(first, first + len(between))
+            first += len(between)
+            own = q[rows].copy()
+            own[0], own[-1] = guess[0], guess[-1]
+            straight = np.max(np.abs(guess[-1] - guess[0])) / (len(between) - 1)
+            smooth = np.max(np.abs(np.diff(own, axis=0))) <= _BENT * straight + 0.02
+            found.append(Stretch(between, own) if reached[rows].all() and smooth else None)
+        return found
+
+    def _between(self, low: float, high: float, a: Vector, b: Vector) -> Vector:
+        """Arc lengths of the samples of one edge, every waypoint among them."""
+        marks = self._path.stations[(self._path.stations > low + 1e-9) & (self._path.stations < high - 1e-9)]
+        edges = np.concatenate(([low], marks, [high]))
+        turn = float(np.max(np.abs(b - a)))
+        found = [np.array([low])]
+        for start, end in pairwise(edges.tolist()):
+            part = (end - start) / (high - low) if high > low else 1.0
+            count = max(int(np.ceil((end - start) / _FINE)), int(np.ceil(part * turn / _FINE_TURN)), 1)
+            found.append(np.linspace(start, end, count + 1)[1:])
+        return np.concatenate(found)
+
+    def _is_clear(self, q: Matrix) -> bool:
+        return all(path_segment_is_clear(self._proximity, a, b, time=self._time) for a, b in pairwise(q))
+
+    # --- detours -------------------------------------------------------------------
+
+    def _bypassed(self, graph: LayeredGraph, route: Route, failures: dict[tuple[int, int], int]) -> bool:
+        """Whether all detours of a route are found; the first that is not is forbidden."""
+        for edge in route.edges:
+            if edge.kind is not EdgeKind.DETOUR or edge in self._ways:
+                continue
+            found = self._leave(graph, edge)
+            if found is None:
+                graph.forbid(edge)
+                layers = (edge.start[0], edge.end[0])
+                failures[layers] = failures.get(layers, 0) + 1
+                if failures[layers] >= _TRIES:
+                    graph.forbid_detours(*layers)
+                return False
+            self._ways[edge] = found
+        return True
+
+    def _leave(self, graph: LayeredGraph, edge: Edge) -> tuple[Stretch, Detouring, Stretch] | None:
+        """A detour, with what is still followed before it and already after it."""
+        a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
+        low, high = (float(graph.stations[node[0]]) for node in (edge.start, edge.end))
+        if low == high or (self._off_path and edge.start[0] == 0):
+            blame = self._blame(a, low)
+            before, after = Stretch(np.array([low]), a[None, :]), Stretch(np.array([high]), b[None, :])
+        else:
+            before, blame = self._extend(low, high, a)
+            # never so far that both ends cross
+            back, _ = self._extend(high, float(before.stations[-1]), b)
+            after = Stretch(back.stations[::-1], back.q[::-1])
+        way = self._find_detour(before.q[-1], after.q[0], float(before.stations[-1]), float(after.stations[0]))
+        if way is None:
+            return None
+        return before, Detouring(way, float(before.stations[-1]), float(after.stations[0]), blame), after
+
+    def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, Blame]:
+        """On along the path from `low` towards `high` [m], the shortest step at a time, as far as it is clear."""
+        count = max(int(np.ceil(abs(high - low) / _EXTENSION)), 1)
+        stations, found = [low], [q]
+        blame = None
+        for s in np.linspace(low, high, count + 1)[1:].tolist():
+            targets = TargetBatch.of([self._path.target(s)])
+            after, reached = solve_batch(self._kinematics, targets, found[-1][None, :], iterations=12)
+            near = float(np.max(np.abs(after[0] - found[-1]))) < 0.2
+            if not reached[0] or not near:
+                break
+            if not self._is_clear(np.array([found[-1], after[0]])):
+                blame = self._blame(after[0], s)
+                break
+            stations.append(s)
+            found.append(after[0])
+        return Stretch(np.array(stations), np.array(found)), blame or self._blame(found[-1], stations[-1])
+
+    def _blame(self, q: Vector, station: float) -> Blame:
+        """What is in the way at `q`, or else at what else would put the tip on the path there."""
+        tightest = self._tightest(q)
+        gap = np.minimum(q - self._problem.limits.lower, self._problem.limits.upper - q)
+        if tightest is not None and tightest.margin < 0.0:
+            return tightest
+        joint = int(np.argmin(gap))
+        if gap[joint] < 1e-3:
+            return Blame("joint", self._problem.robot.joint_names[joint], 0.0)
+        layer = min(int(np.searchsorted(self._stations, station + 1e-9)), len(self._all) - 1)
+        others = [self._tightest(node) for node in self._all[layer]]
+        blocked = [other for other in others if other is not None and other.margin < 0.0]
+        if blocked:
+            return max(blocked, key=lambda other: other.margin)
+        if tightest is not None and tightest.margin < 0.1:
+            return tightest
+        return Blame("joint", self._problem.robot.joint_names[joint], 0.0)
+
+    def _tightest(self, q: Vector) -> Blame | None:
+        if not self._proximity.pairs:
+            return None
+        margins = self._proximity.distances(q, time=self._time) - self._proximity.clearance
+        index = int(np.argmin(margins))
+        pair = self._proximity.pairs[index]
+        return Blame(pair.link, pair.obstacle, float(margins[index])) if np.isfinite(margins[index]) else None
+
+    def _free_again(self, left: float) -> float:
+        """The first arc length after `left` at which the tip can be on the path again [m], else the path's end."""
+        for layer, nodes in enumerate(self._layers):
+            station = float(self._stations[layer])
+            if station <= left + 1e-9 or not len(nodes):
+                continue
+            before = max(float(self._stations[layer - 1]), left)
+            few = nodes[:: max(len(nodes) // _FEW, 1)]
+            return min(float(self._extend(station, before, q)[0].stations[-1]) for q in few)
+        return self._path.length
+
+    # --- what comes out ----------------------------------------------------------------
+
+    def _pieces(self, graph: LayeredGraph, route: Route) -> tuple[Stretch | Detouring, ...]:
+        """The route's edges joined to as few pieces as there are."""
+        first = route.nodes[0]
+        pieces: list[Stretch | Detouring] = [
+            Stretch(graph.stations[first[0] : first[0] + 1], graph.layers[first[0]][[first[1]]])
+        ]
+        for edge in route.edges:
+            if edge.kind is EdgeKind.DETOUR:
+                before, detour, after = self._ways[edge]
+                _append(pieces, before)
+                pieces.append(detour)
+                pieces.append(after)
+            else:
+                motion = self._motions[edge]
+                assert motion is not None
+                _append(pieces, motion)
+        return tuple(pieces)
+
+    def _as_far(self, graph: LayeredGraph, costs: Vector) -> Resolved:
+        """The pieces up to where the path is blocked."""
+        graph.only_detours(self._ways)
+        pieces: tuple[Stretch | Detouring, ...] = ()
+        blame = None
+        left = 0.0
+        while (reached := graph.furthest(costs)) >= 0:
+            route = graph.best_route(costs, end=reached)
+            assert route is not None
+            if not self._driven(graph, route):
+                continue
+            layer, index = route.nodes[-1]
+            low = float(graph.stations[layer])
+            high = float(graph.stations[min(layer + 1, len(graph.stations) - 1)])
+            further, blame = self._extend(low, high, graph.layers[layer][index])
+            joined = list(self._pieces(graph, route))
+            _append(joined, further)
+            pieces, left = tuple(joined), float(further.stations[-1])
+            break
+        again = self._free_again(left)
+        if blame is None:
+            blame = self._blame(self._problem.robot.middle, left)
+        return Resolved(pieces, False, left, again, blame)
+
+
+def _layer_stations(path: BucketPath, since: float, spacing: float) -> Vector:
+    """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither goes nor turns far between."""
+    fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
+    turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]
+    measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + _LENGTH_OF_TURN * np.array(turns))))
+    fewer = max(_MANY_LAYERS, int(np.ceil(measure[-1] / _WIDEST_LAYER)))
+    count = min(max(int(np.ceil(measure[-1] / spacing)), 1), fewer)
+    found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
+    found[0], found[-1] = since, path.length
+    return np.asarray(found)
+
+
+def _append(pieces: list[Stretch | Detouring], motion: Stretch) -> None:
+    """Join a motion to the last piece, at whose end it begins."""
+    last = pieces[-1]
+    assert isinstance(last, Stretch)
+    pieces[-1] = Stretch(np.concatenate((last.stations, motion.stations[1:])), np.vstack((last.q, motion.q[1:])))

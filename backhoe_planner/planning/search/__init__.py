@@ -1,0 +1,1 @@
+"""Ways in joint space whose every motion is proven."""

@@ -1,0 +1,304 @@
+"""Proofs that a motion between configurations keeps its distance, with few measurements.
+
+On a curve q(t), 0 <= t <= 1, whose joints change at rates of at most r, no distance
+changes by more than B = r . travel from one end to the other, so a margin anywhere
+between is at least (m_a + m_b - B) / 2. Pairs for which that does not decide are
+measured halfway, they alone, and so on. A pair that is far away at one end is not
+measured at all.
+
+Beyond each clearance a spare distance is kept. An end of the way that has less than
+that may be left and reached: for the pairs concerned the spare is half of what they
+have at that end, and grows with the distance from it (by `_SLOPE`, so the bound B counts
+1 + `_SLOPE` times).
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.planning.task.deadline import check_deadline
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = ["MotionCheck"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Condition = Callable[[Vector], bool]
+
+_SLOPE = 0.05  # by which the spare grows per metre of travel away from a tight end
+_ROUNDING = 5e-7  # m
+_SELF_SPARE = 0.002  # m: the bodies of a machine are built to pass each other closely
+_MOST_HALVINGS = 250  # of one motion, after which it counts as not clear
+_REMEMBERED = 20_000  # configurations
+_ANCHORS = 100  # of them with every pair measured, from which others are judged
+_ANCHOR_FROM = 0.4  # part of the pairs that had to be measured anyway
+_KEEP_EVERY = 0.02  # s of the slowest joint between two looks at the extra condition
+
+
+class _Known:
+    """Margins at one configuration: lower bounds, exact where `exact`."""
+
+    __slots__ = ("exact", "margin")
+
+    def __init__(self, margin: Vector, exact: NDArray[np.bool_]) -> None:
+        self.margin = margin
+        self.exact = exact
+
+
+class MotionCheck:
+    """Decides which motions of one problem are clear; remembers what it measured.
+
+    Parameters
+    ----------
+    problem: its limits are kept, and its velocities weigh the joints.
+    proximity: distances of the problem; its working memory is used.
+    ends: (n,) configurations at which a way may begin or end.
+    spare: kept beyond every clearance [m]; between bodies of the machine 2 mm are enough.
+    time: at which the obstacles are taken to stand still [s].
+    keep: a further condition on configurations. It is looked at closely along a motion
+        (every 0.02 s of the slowest joint), not proven.
+    deadline: on `time.monotonic`, after which every question raises `OutOfTime`.
+
+    Attributes
+    ----------
+    ends_clear: of each end, whether it keeps its clearances, limits and `keep`.
+    measured: how many configurations were measured.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        proximity: Proximity,
+        ends: Sequence[Vector],
+        *,
+        spare: float,
+        time: float = 0.0,
+        keep: Condition | None = None,
+        deadline: float = np.inf,
+    ) -> None:
+        self.problem = problem
+        self.proximity = proximity
+        self.rate = problem.limits.velocity
+        self.measured = 0
+        self._time = time
+        self._keep = keep
+        self._deadline = deadline
+        self._pairs = np.flatnonzero(proximity.appears_at <= time)
+        self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
+        self._clearance = proximity.clearance[self._pairs]
+        self._travel = proximity.travel[self._pairs] * (1.0 + _SLOPE)
+        self._transposed = np.ascontiguousarray(self._travel.T)
+        self._nothing = np.zeros(len(self._pairs))
+        self._known: dict[bytes, _Known] = {}
+        self._anchors: list[tuple[Vector, Vector]] = []
+        self._tight = np.zeros(len(self._pairs), dtype=bool)
+        self._tight_ends: list[tuple[Vector, Vector]] = []
+        self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
+        self._known.clear()  # what an end needs depends on all of them
+
+    # --- questions -------------------------------------------------------------
+
+    def segment_is_clear(self, q_a: Vector, q_b: Vector) -> bool:
+        """Whether the straight motion from `q_a` (n,) to `q_b` (n,) is proven clear.
+
+        Raises
+        ------
+        OutOfTime: the deadline has passed.
+        """
+        dq = q_b - q_a
+        if not self._within_limits(q_b) or not self._within_limits(q_a):
+            return False
+        return self._is_clear(q_a, q_b, lambda t: q_a + t * dq, np.abs(dq), self._nothing)
+
+    def corner_is_clear(self, q_a: Vector, corner: Vector, q_b: Vector, *, sagitta: Vector) -> bool:
+        """Whether the parabola from `q_a` to `q_b` with its tangents meeting at `corner` is clear.
+
+        Parameters
+        ----------
+        sagitta: (n,) by which the joints may be off the parabola [rad or m]: what they
+            can move a link is kept free as well, also where the spare is less.
+
+        Raises
+        ------
+        OutOfTime: the deadline has passed.
+        """
+        first, second = corner - q_a, q_b - corner
+        turn = second - first
+
+        def point(t: float) -> Vector:
+            return np.asarray(q_a + t * (2.0 * first + t * turn))
+
+        rate = 2.0 * np.maximum(np.abs(first), np.abs(second))  # dq/dt is linear in t
+        return self._is_clear(q_a, q_b, point, rate, sagitta @ self._transposed)
+
+    def _within_limits(self, q: Vector) -> bool:
+        limits = self.problem.limits
+        return bool((q >= limits.lower).all() and (q <= limits.upper).all())
+
+    # --- the proof ---------------------------------------------------------------
+
+    def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
+        """Of the curve `point` from `q_a` to `q_b`, whose joints change at `rate` (n,) at most."""
+        check_deadline(self._deadline)
+        if self._keep is not None and not self._kept(point, rate):
+            return False
+        if not len(self._pairs):
+            return True
+        bound = rate @ self._transposed
+        if q_b.tobytes() in self._known and q_a.tobytes() not in self._known:
+            q_a, q_b, forward = q_b, q_a, point
+            point = lambda t: forward(1.0 - t)  # noqa: E731
+        known_a = self._at(q_a, bound + more)
+        margin_a = known_a.margin - more
+        if margin_a.min() < 0.0:
+            self._make_exact(known_a, q_a, margin_a < 0.0)
+            margin_a = known_a.margin - more
+        known_b = self._toward(q_b, known_a, bound, margin_a < bound)
+        if known_b is None:
+            return False
+        margin_b = known_b.margin - more
+        if margin_b.min() < 0.0 or margin_a.min() < 0.0:
+            return False
+        open_ = margin_a + margin_b < bound
+        if not open_.any():
+            return True
+        for known, q in ((known_a, q_a), (known_b, q_b)):
+            self._make_exact(known, q, open_)
+        margin_a, margin_b = known_a.margin - more, known_b.margin - more
+        rows = np.flatnonzero(margin_a + margin_b < bound)
+        return self._halve(point, rows, margin_a[rows], margin_b[rows], bound, more)
+
+    def _halve(
+        self,
+        point: Callable[[float], Vector],
+        rows: NDArray[np.intp],
+        margin_a: Vector,
+        margin_b: Vector,
+        bound: Vector,
+        more: Vector,
+    ) -> bool:
+        parts = deque([(0.0, 1.0, rows, margin_a, margin_b)] if len(rows) else [])
+        halvings = 0
+        while parts:
+            halvings += 1
+            if halvings > _MOST_HALVINGS:
+                return False
+            a, b, rows, margin_a, margin_b = parts.popleft()
+            middle = 0.5 * (a + b)
+            margin = self._measure(rows, point(middle)) - more[rows]
+            if margin.min() < 0.0:
+                return False
+            half = bound[rows] * (0.5 * (b - a))
+            left = margin_a + margin < half
+            if left.any():
+                parts.append((a, middle, rows[left], margin_a[left], margin[left]))
+            right = margin + margin_b < half
+            if right.any():
+                parts.append((middle, b, rows[right], margin[right], margin_b[right]))
+        return True
+
+    def _kept(self, point: Callable[[float], Vector], rate: Vector) -> bool:
+        assert self._keep is not None
+        steps = int(np.ceil(float(np.max(rate / self.rate)) / _KEEP_EVERY)) + 1
+        return all(self._keep(point(part)) for part in _places(steps))
+
+    # --- what is known -----------------------------------------------------------
+
+    def _at(self, q: Vector, enough: Vector) -> _Known:
+        """What is known at `q`: of each pair its margin, or that it is at least `enough`."""
+        key = q.tobytes()
+        known = self._known.get(key)
+        if known is None:
+            known = _Known(self._bounds_at(q), np.zeros(len(enough), dtype=bool))
+            self._make_exact(known, q, known.margin < enough)
+            if len(self._anchors) < _ANCHORS and np.mean(known.exact) > _ANCHOR_FROM:
+                self._make_exact(known, q, ~known.exact)
+                self._anchors.append((q, known.margin))
+            self._remember(key, known)
+        return known
+
+    def _bounds_at(self, q: Vector) -> Vector:
+        """(P,) lower bounds of the margins from where everything was measured."""
+        if not self._anchors:
+            return np.full(len(self._pairs), -np.inf)
+        away = np.abs(np.array([anchor for anchor, _ in self._anchors]) - q)
+        nearest = int(np.argmin(np.sum(away / self.rate, axis=1)))
+        return np.asarray(self._anchors[nearest][1] - away[nearest] @ self._transposed)
+
+    def _toward(self, q: Vector, from_: _Known, bound: Vector, needed: NDArray[np.bool_]) -> _Known | None:
+        """What is known at `q`, at least of the pairs that are `needed`; None where one is too near."""
+        key = q.tobytes()
+        known = self._known.get(key)
+        if known is None:
+            known = _Known(from_.margin - bound, np.zeros(len(bound), dtype=bool))
+        missing = np.flatnonzero(needed & ~known.exact)
+        if len(missing):
+            measured = self._measure(missing, q)
+            known.margin[missing] = measured
+            known.exact[missing] = True
+            if measured.min() < 0.0:
+                return None
+        np.maximum(known.margin, from_.margin - bound, out=known.margin, where=~known.exact)
+        self._remember(key, known)
+        return known
+
+    def _make_exact(self, known: _Known, q: Vector, rows: NDArray[np.bool_]) -> None:
+        loose = np.flatnonzero(rows & ~known.exact)
+        if len(loose):
+            known.margin[loose] = self._measure(loose, q)
+            known.exact[loose] = True
+
+    def _remember(self, key: bytes, known: _Known) -> None:
+        if len(self._known) >= _REMEMBERED:
+            self._known.clear()
+        self._known[key] = known
+
+    def _measure(self, rows: NDArray[np.intp], q: Vector) -> Vector:
+        """(K,) distance beyond clearance and spare of the pairs `rows` at `q` [m]."""
+        self.measured += 1
+        margin = self.proximity.distances_of(self._pairs[rows], q, time=self._time) - self._clearance[rows]
+        if not self._tight_ends or not self._tight[rows].any():
+            return np.asarray(margin - self._spare[rows])
+        spare = self._spare[rows]
+        for end, at_end in self._tight_ends:
+            away = np.abs(q - end) @ self._transposed[:, rows]
+            np.minimum(spare, at_end[rows] + (_SLOPE / (1.0 + _SLOPE)) * away, out=spare)
+        return np.asarray(margin - spare)
+
+    def _add_end(self, q: Vector) -> bool:
+        if not self._within_limits(q) or (self._keep is not None and not self._keep(q)):
+            return False
+        if not len(self._pairs):
+            return True
+        margin = self.proximity.distances_of(self._pairs, q, time=self._time) - self._clearance
+        if margin.min() < -0.5 * _ROUNDING:
+            return False
+        allowed = np.minimum(0.5 * margin, margin - _ROUNDING)
+        tight = allowed < self._spare
+        if tight.any():
+            self._tight |= tight
+            self._tight_ends.append((q, np.where(tight, allowed, np.inf)))
+        return True
+
+
+@lru_cache(maxsize=1024)
+def _places(steps: int) -> tuple[float, ...]:
+    """0 to 1 in equal steps; the ends and the middle first: what fails, mostly fails there."""
+    inner = sorted(range(1, steps), key=_turned)
+    return (1.0, 0.0, *(k / steps for k in inner))
+
+
+def _turned(index: int) -> float:
+    """The index with its binary digits turned round (van der Corput)."""
+    value, weight = 0.0, 0.5
+    while index:
+        value += weight * (index & 1)
+        index >>= 1
+        weight *= 0.5
+    return value

@@ -1,0 +1,240 @@
+"""A way from one configuration to any of several, by sampling in joint space.
+
+Straight lines are tried first, then RRTConnect (Kuffner and LaValle 2000) of OMPL with
+motion checks that are proofs. Joints are weighed by their velocity limits, so lengths
+are about times.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time as clock
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.task.deadline import OutOfTime
+from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = ["Way", "find_way", "sample_way"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_MOST_MOTIONS = 30_000
+_RANGE = 1.0  # s: the longest motion that is added to a tree
+_MOST_OF_BOX = 0.4  # and at most this part of the box's diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """Straight motions from configuration to configuration.
+
+    Attributes
+    ----------
+    q: (K, n) corners, the start first [rad or m].
+    """
+
+    q: Matrix
+
+    def __post_init__(self) -> None:
+        self.q.setflags(write=False)
+
+    def length(self, limits: JointLimits) -> float:
+        """Root of the squared joint times (at full rate), added up over the segments [s]."""
+        return float(np.sum(np.linalg.norm(np.diff(self.q, axis=0) / limits.velocity, axis=1)))
+
+
+def find_way(
+    problem: Problem,
+    proximity: Proximity,
+    start: Vector,
+    goals: Sequence[Vector],
+    *,
+    seed: int,
+    deadline: float,
+    spare: float,
+    time: float = 0.0,
+    keep: Callable[[Vector], bool] | None = None,
+) -> Way | None:
+    """A way that provably keeps every clearance and joint limit, or None.
+
+    The same input and seed give the same way, unless the deadline cuts the search off.
+    OMPL's global seed is set.
+
+    Parameters
+    ----------
+    start: (n,), goals: (n,) each; those that are not clear themselves are left out.
+    seed: of the sampling, not negative.
+    deadline: on `time.monotonic`.
+    spare: distance kept beyond every clearance, less where an end has less [m].
+    time: at which the obstacles are taken to stand still; those that have not appeared
+        by then are left out [s].
+    keep: a condition that configurations on the way must satisfy.
+
+    Returns
+    -------
+    The way to the goal that was reached first; None where no end is clear, or time ran out.
+    """
+    ends = [np.array(q, dtype=float) for q in (start, *goals)]
+    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, deadline=deadline)
+    return sample_way(check, ends[0], ends[1:], seed=seed, deadline=deadline)
+
+
+def sample_way(
+    check: MotionCheck,
+    start: Vector,
+    goals: Sequence[Vector],
+    *,
+    seed: int,
+    deadline: float,
+    most_motions: int = _MOST_MOTIONS,
+) -> Way | None:
+    """The same with a check that was made for these ends, in this order.
+
+    Parameters
+    ----------
+    most_motions: between samples that are looked at before the search is given up.
+    """
+    if not check.ends_clear[0]:
+        return None
+    order = sorted(
+        (index for index in range(len(goals)) if check.ends_clear[index + 1]),
+        key=lambda index: float(np.max(np.abs(goals[index] - start) / check.rate)),
+    )
+    open_goals = [goals[index] for index in order]
+    try:
+        for goal in open_goals:
+            if check.segment_is_clear(start, goal):
+                return Way(np.array([start, goal]))
+    except OutOfTime:
+        return None
+    if not open_goals or most_motions <= 0:
+        return None
+    with _quiet():
+        return _Search(check, deadline, most_motions).run(start, open_goals, seed)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OMPL says nothing meanwhile."""
+    from ompl import util
+
+    level = util.getLogLevel()
+    util.setLogLevel(util.LogLevel.LOG_NONE)
+    try:
+        yield
+    finally:
+        util.setLogLevel(level)
+
+
+class _Search:
+    """One run of RRTConnect, in joint times (positions over velocity limits).
+
+    No exception passes through OMPL: the first one makes it stop, and is raised again
+    behind it. Nothing that OMPL owns is kept here, or it would never be freed.
+    """
+
+    def __init__(self, check: MotionCheck, deadline: float, most_motions: int) -> None:
+        self._check = check
+        self._deadline = deadline
+        self._motions_left = most_motions
+        self._rate = check.rate
+        self._raised: BaseException | None = None
+
+    def run(self, start: Vector, goals: list[Vector], seed: int) -> Way | None:
+        try:
+            found = self._solve(start, goals, seed)
+        finally:
+            raised, self._raised = self._raised, None
+        if isinstance(raised, OutOfTime):
+            return None
+        if raised is not None:
+            raise raised
+        return found
+
+    def _solve(self, start: Vector, goals: list[Vector], seed: int) -> Way | None:
+        from ompl import base, geometric, util
+
+        util.RNG.setSeed(seed + 1)  # 0 would mean: whatever the clock says
+        n = len(start)
+        low, high = self._box([start, *goals])
+        space = base.RealVectorStateSpace(n)
+        bounds = base.RealVectorBounds(n)
+        for joint in range(n):
+            bounds.setLow(joint, float(low[joint]))
+            bounds.setHigh(joint, float(high[joint]))
+        space.setBounds(bounds)
+        space_information = base.SpaceInformation(space)
+        space_information.setMotionValidator(_validator(base, space_information, n, self.allows))
+        space_information.setStateValidityChecker(base.AllValidStateValidityChecker(space_information))
+        space_information.setup()
+        definition = base.ProblemDefinition(space_information)
+        definition.addStartState(self._state(space, start))
+        targets = base.GoalStates(space_information)
+        for goal in goals:
+            targets.addState(self._state(space, goal))
+        definition.setGoal(targets)
+        planner = geometric.RRTConnect(space_information)
+        planner.setRange(min(_RANGE, _MOST_OF_BOX * float(np.linalg.norm(high - low))))
+        planner.setProblemDefinition(definition)
+        planner.setup()
+        planner.solve(base.PlannerTerminationCondition(self.ended))
+        if self._raised is not None or not definition.hasExactSolution():
+            return None
+        corners = [state[0:n] for state in definition.getSolutionPath().getStates()]
+        q = np.array(corners) * self._rate
+        q[0] = start
+        q[-1] = min(goals, key=lambda goal: float(np.max(np.abs(goal - q[-1]))))
+        return self._proven(q)
+
+    def _proven(self, q: Matrix) -> Way | None:
+        """The way, if it is still proven where the rounding of the scaling has moved its ends."""
+        try:
+            clear = all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
+        except OutOfTime:
+            return None
+        return Way(q) if clear else None
+
+    def _box(self, ends: list[Vector]) -> tuple[Vector, Vector]:
+        """Limits in joint times; a continuous joint may turn once beyond the ends."""
+        limits = self._check.problem.limits
+        low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+        lower = np.where(np.isfinite(limits.lower), limits.lower, low - 2.0 * np.pi)
+        upper = np.where(np.isfinite(limits.upper), limits.upper, high + 2.0 * np.pi)
+        return np.nextafter(lower / self._rate, -np.inf), np.nextafter(upper / self._rate, np.inf)
+
+    def _state(self, space: Any, q: Vector) -> Any:
+        state = space.allocState()
+        state[0 : len(q)] = (q / self._rate).tolist()
+        return state
+
+    def allows(self, a: list[float], b: list[float]) -> bool:
+        """Whether OMPL may move from `a` to `b`, in joint times."""
+        self._motions_left -= 1
+        if self._raised is not None:
+            return False
+        try:
+            return self._check.segment_is_clear(np.array(a) * self._rate, np.array(b) * self._rate)
+        except BaseException as raised:  # noqa: BLE001 - raised again behind OMPL
+            self._raised = raised
+            return False
+
+    def ended(self) -> bool:
+        """Whether OMPL is to stop."""
+        return self._raised is not None or self._motions_left <= 0 or clock.monotonic() > self._deadline
+
+
+def _validator(base: Any, space_information: Any, n: int, allows: Callable[[list[float], list[float]], bool]) -> Any:
+    class Validator(base.MotionValidator):  # type: ignore[misc]
+        def checkMotion(self, a: Any, b: Any) -> bool:
+            return allows(a[0:n], b[0:n])
+
+    return Validator(space_information)

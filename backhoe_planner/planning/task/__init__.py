@@ -1,0 +1,1 @@
+"""What is to be done: the problem, its path, and motions as samples."""

@@ -1,0 +1,1 @@
+"""As fast as the limits of joints, drive and tip allow."""

@@ -1,0 +1,1 @@
+"""The servo: wishes in, motions out that are always safe."""
