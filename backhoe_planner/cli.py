@@ -578,7 +578,7 @@ def _tell_envelope(robot: bp.Robot) -> None:
         ("largest reach", envelope.largest_reach, "m"),
         ("loading height", envelope.loading_height, "m, bucket tipped to -80 deg"),
         ("loading reach", envelope.loading_reach, "m"),
-        ("largest height of the teeth", envelope.largest_height, "m"),
+        ("greatest height of the teeth", envelope.largest_height, "m"),
         ("bucket rotation", _DEGREES * envelope.bucket_rotation, "deg"),
         ("swing arc", None if envelope.swing_arc is None else _DEGREES * envelope.swing_arc, "deg"),
     ]

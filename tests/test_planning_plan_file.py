@@ -52,6 +52,9 @@ def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     assert again.scene.to_dict() == solved.scene.to_dict()
     assert (again.method, again.seed, again.message) == (solved.method, solved.seed, solved.message)
     assert again.metrics == json.loads(json.dumps(solved.metrics))
+    energy = solved.energy()
+    assert energy.torque.shape == solved.trajectory.q.shape
+    assert energy.work[-1] == pytest.approx(solved.metrics["energy"]["work"])
     other = tmp_path / "again.json"
     again.save(other)
     assert other.read_bytes() == file.read_bytes()

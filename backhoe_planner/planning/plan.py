@@ -10,8 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.machine.dynamics import MotionEnergy
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.proof.certificate import Certificate
+from backhoe_planner.planning.task.objectives import trajectory_energy
+from backhoe_planner.planning.task.problem import build_problem
 from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.site.scene import Scene
 
@@ -68,6 +71,10 @@ class Plan:
 
         kinematics = Kinematics(self.robot)
         return np.array([kinematics.at(q).tip_position for q in self.trajectory.q])
+
+    def energy(self) -> MotionEnergy:
+        """Torques, power and work over the samples, with the scene's payload and soil."""
+        return trajectory_energy(build_problem(self.robot, self.scene), self.trajectory)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the plan file (JSON), whole or not at all.

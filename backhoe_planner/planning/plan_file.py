@@ -19,8 +19,6 @@ from backhoe_planner.machine.robot import load_robot
 from backhoe_planner.output_file import whole_file
 from backhoe_planner.planning.plan import METHODS, Plan
 from backhoe_planner.planning.proof.certificate import certify
-from backhoe_planner.planning.task.objectives import trajectory_energy
-from backhoe_planner.planning.task.problem import build_problem
 from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.site.scene import Scene, scene_from_dict
 
@@ -79,7 +77,7 @@ def plan_to_dict(plan: Plan, *, relative_to: Path | None = None) -> dict[str, An
 
 def _dynamics(plan: Plan) -> dict[str, Any]:
     """Over the samples of the trajectory: torque [T][n], then power and energy [T]."""
-    energy = trajectory_energy(build_problem(plan.robot, plan.scene), plan.trajectory)
+    energy = plan.energy()
     found: dict[str, Any] = {"torque": energy.torque, "power": energy.power, "work": energy.work}
     if energy.hydraulic is not None:
         found |= {"hydraulic_power": energy.hydraulic_power, "hydraulic": energy.hydraulic}
