@@ -447,9 +447,9 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
         told += f"; the local law does not get along it ({breaks})"
     _out.print(f"objective     {told}")
     if compared["whole"] > compared["value"] * (1.0 + 1e-3):
-        told = f"{compared['whole']:.4g} {unit} with the approach to it"
+        told = f"{_quantity(compared['whole'], unit)} with the approach to it"
         if compared["saving_percent_whole"] is not None:
-            told += f"; the local law after the same approach {compared['law_whole']:.4g} {unit}"
+            told += f"; the local law after the same approach {_quantity(compared['law_whole'], unit)}"
             told += f" (saves {compared['saving_percent_whole']:.0f} %)"
         _out.print(f"              {told}")
 
