@@ -98,16 +98,6 @@ def test_what_is_found_is_on_the_target_and_within_the_limits(any_robot: bp.Robo
     assert np.all(q <= any_robot.limits.upper)
 
 
-def test_a_held_joint_stays(panda: bp.Robot) -> None:
-    goals = _random(panda, 30, seed=4)
-    targets = [TipTarget(one.tip_position.copy()) for one in map(bp.Kinematics(panda).at, goals)]
-    held = np.arange(7) == 3
-    guesses = _random(panda, 30, seed=5)
-    q, reached = solve_batch(BatchKinematics(panda), TargetBatch.of(targets), guesses, held=held)
-    np.testing.assert_array_equal(q[:, 3], guesses[:, 3])
-    assert reached.any()
-
-
 def test_out_of_reach_is_not_reached(backhoe: bp.Robot) -> None:
     batch = TargetBatch.of([TipTarget(np.array([50.0, 0.0, 0.0]))] * 8)
     _, reached = solve_batch(BatchKinematics(backhoe), batch, _random(backhoe, 8))

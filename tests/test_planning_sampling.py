@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time as clock
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from backhoe_planner.machine.robot import Robot
 from backhoe_planner.planning.proof.certificate import certify_problem
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.sampling import Way, find_way, sample_way
+from backhoe_planner.planning.search.sampling import Way, sample_way
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.task.deadline import OutOfTime
 from backhoe_planner.planning.task.problem import Problem, build_problem
@@ -37,6 +38,23 @@ STRETCHED = np.zeros(4)
 TURNED = np.array([1.5, 0.0, 0.0, 0.0])
 # a bar across the arc that the stretched arm would sweep
 BAR: Data = {"name": "bar", "shape": "box", "size": [2.0, 0.2, 1.0], "position": [3.2, 2.2, 0.0], "rpy": [0, 0, 0.6]}
+
+
+def find_way(
+    problem: Problem,
+    proximity: Proximity,
+    start: Vector,
+    goals: list[Vector],
+    *,
+    seed: int,
+    deadline: float,
+    spare: float,
+    time: float = 0.0,
+    keep: Callable[[Vector], bool] | None = None,
+) -> Way | None:
+    ends = [np.array(q, dtype=float) for q in (start, *goals)]
+    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, deadline=deadline)
+    return sample_way(check, ends[0], ends[1:], seed=seed, deadline=deadline)
 
 
 def problem_of(robot: Robot, start: Vector, goal: Vector, obstacles: list[Data], **keys: Any) -> Problem:

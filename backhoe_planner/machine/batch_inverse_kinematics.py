@@ -106,7 +106,6 @@ def solve_batch(
     targets: TargetBatch,
     guesses: Array,
     *,
-    held: Mask | None = None,
     tolerance: float = 1e-8,
     iterations: int = _ITERATIONS,
 ) -> tuple[Array, Mask]:
@@ -116,7 +115,6 @@ def solve_batch(
     ----------
     targets: B of them.
     guesses: (B, n) where each search begins.
-    held: (n,) joints that stay as they are in the guess; by default none.
     tolerance: on the position error [m] and the angle errors [rad].
 
     Returns
@@ -148,8 +146,6 @@ def solve_batch(
         rows = np.max(np.abs(J), axis=(0, 2)) > _IMMOVABLE
         J, error = J[:, rows], error[:, rows]
         free = np.ones((len(going), q.shape[1]), dtype=bool)
-        if held is not None:
-            free &= ~held
         step = _limited_step(J, error, free, q[going], limits.lower, limits.upper)
         q[going] = np.clip(q[going] + step, limits.lower, limits.upper)
     return q, reached

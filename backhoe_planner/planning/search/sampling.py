@@ -20,10 +20,8 @@ from numpy.typing import NDArray
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.task.deadline import OutOfTime
-from backhoe_planner.planning.task.problem import Problem
-from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["Way", "find_way", "sample_way"]
+__all__ = ["Way", "sample_way"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -52,42 +50,6 @@ class Way:
         return float(np.sum(np.linalg.norm(np.diff(self.q, axis=0) / limits.velocity, axis=1)))
 
 
-def find_way(
-    problem: Problem,
-    proximity: Proximity,
-    start: Vector,
-    goals: Sequence[Vector],
-    *,
-    seed: int,
-    deadline: float,
-    spare: float,
-    time: float = 0.0,
-    keep: Callable[[Vector], bool] | None = None,
-) -> Way | None:
-    """A way that provably keeps every clearance and joint limit, or None.
-
-    The same input and seed give the same way, unless the deadline cuts the search off.
-    OMPL's global seed is set.
-
-    Parameters
-    ----------
-    start: (n,), goals: (n,) each; those that are not clear themselves are left out.
-    seed: of the sampling, not negative.
-    deadline: on `time.monotonic`.
-    spare: distance kept beyond every clearance, less where an end has less [m].
-    time: at which the obstacles are taken to stand still; those that have not appeared
-        by then are left out [s].
-    keep: a condition that configurations on the way must satisfy.
-
-    Returns
-    -------
-    The way to the goal that was reached first; None where no end is clear, or time ran out.
-    """
-    ends = [np.array(q, dtype=float) for q in (start, *goals)]
-    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, deadline=deadline)
-    return sample_way(check, ends[0], ends[1:], seed=seed, deadline=deadline)
-
-
 def sample_way(
     check: MotionCheck,
     start: Vector,
@@ -97,11 +59,22 @@ def sample_way(
     deadline: float,
     most_motions: int = _MOST_MOTIONS,
 ) -> Way | None:
-    """The same with a check that was made for these ends, in this order.
+    """A way that provably keeps every clearance and joint limit, or None.
+
+    The same input and seed give the same way, unless the deadline cuts the search off.
+    OMPL's global seed is set.
 
     Parameters
     ----------
+    check: made for these ends, in this order.
+    start: (n,), goals: (n,) each; those that are not clear themselves are left out.
+    seed: of the sampling, not negative.
+    deadline: on `time.monotonic`.
     most_motions: between samples that are looked at before the search is given up.
+
+    Returns
+    -------
+    The way to the goal that was reached first; None where no end is clear, or time ran out.
     """
     if not check.ends_clear[0]:
         return None

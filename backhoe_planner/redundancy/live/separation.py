@@ -14,8 +14,6 @@ same holds for a plane that moves with the link, and the corners of the obstacle
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,7 +24,7 @@ from backhoe_planner.machine.robot import Robot
 from backhoe_planner.redundancy.live.braking_path import BrakingPath, Placements
 from backhoe_planner.site.obstacles import Obstacle
 
-__all__ = ["Binding", "Separation"]
+__all__ = ["Separation"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -39,24 +37,6 @@ _PLANES = 4
 _AS_NEAR = 0.1  # m: further behind the nearest, a corner has no part in the nearest point
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 _NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, _NEXT))
-
-
-@dataclass(frozen=True)
-class Binding:
-    """Rows of what may hold the motion back: `row @ velocity` is the rate at which `gap` falls.
-
-    Attributes
-    ----------
-    pair: (R,) indices into the pairs.
-    gap: (R,) gap of one corner [m].
-    row: (R, n) [m/rad].
-    part: (R,) where on the braking path, 0 at its start and 1 at its end.
-    """
-
-    pair: Indices
-    gap: Vector
-    row: Matrix
-    part: Vector
 
 
 class _Stand:
