@@ -13,7 +13,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.live import rejoining
+from backhoe_planner.planning.live import rejoining, streaming
 from backhoe_planner.planning.live.rejoining import (
     NoRejoining,
     Rejoining,
@@ -401,3 +401,47 @@ def test_another_machines_plan_is_refused(planar4: Robot, panda: Robot) -> None:
 def test_a_negative_seed_is_refused(backhoe: Robot) -> None:
     with pytest.raises(bp.InputError, match="seed"):
         PlanFollower(Servo(backhoe, site(backhoe)), smooth_motion(), seed=-1)
+
+
+def test_a_plan_that_brakes_at_the_limit_is_followed_to_its_end(backhoe: Robot) -> None:
+    """Nothing is in the way: a clock that waited for a machine that is ahead would drive it further ahead."""
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": -0.8, "boom": 0.3, "stick": -1.4, "bucket": -0.5}},
+            "task": {"goal": {"position": [4.0, 2.5, 0.3]}},
+        }
+    )
+    plan = bp.plan(backhoe, scene, seed=0)
+    assert plan.verified
+    never = Never()
+    servo = Servo(backhoe, scene, 0.01, q=plan.trajectory.q[0])
+    steps = followed(PlanFollower(servo, plan, executor=never), 1000, until=lambda step: step.done)
+    assert steps[-1].done
+    assert steps[-1].behind < 0.5
+    assert max(step.deviation for step in steps) < 0.05
+    assert never.futures == []
+
+
+class Silent(Executor):
+    """Answers, but says nothing."""
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(None)
+        return future
+
+
+def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be_finished(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streaming, "_LONGEST_SEARCH", 2.0)
+    for executor in (Never(), Silent()):
+        servo = Servo(backhoe, site(backhoe), DT)
+        follower = PlanFollower(servo, smooth_motion(), executor=executor)
+        followed(follower, 300)
+        servo.add(placed(backhoe, "ball"))
+        steps = followed(follower, 12_000, until=lambda step: step.status is Following.BLOCKED)
+        assert steps[-1].reason.startswith("planning failed: no answer ")
+        servo.remove("ball")
+        assert followed(follower, 6000)[-1].done

@@ -57,6 +57,7 @@ _WINDOW = 0.4  # s in which it must get on noticeably:
 _PACE = 0.05  # of the planned speed,
 _APPROACH = 0.1  # or of the slowest joint's greatest, nearer to the plan
 _FURTHER = 0.1  # s of the plan beyond the place where it was stuck after which that is over
+_LONGEST_SEARCH = 30.0  # s of the servo after which a search is given up
 _ATTEMPTS = 4  # in a row before it says that it is blocked
 _LONGEST_BREAK = 16.0  # s between two searches that found nothing
 _OFF = 0.1  # rad or m that the machine may be from where a way begins
@@ -150,6 +151,7 @@ class PlanFollower:
         self._standing = False
         self._holding = False
         self._blocked = ""
+        self._retrying = False
 
     def __enter__(self) -> PlanFollower:
         return self
@@ -182,7 +184,8 @@ class PlanFollower:
                 if self._holding:
                     self._search()
                 elif self._may_succeed and servo.time >= self._again_at:
-                    self._holding = True
+                    # along the plan once more, and only where that still leads nowhere another search
+                    self._retrying = True
         else:
             if self._standing:
                 self._standing = False
@@ -206,7 +209,9 @@ class PlanFollower:
         servo = self.servo
         if self._holding:
             return not self._searches.under_way or servo.revision == self._searches.revision
-        return bool(self._blocked) and servo.revision == self._failed_for and not servo.is_moving()
+        return (
+            bool(self._blocked) and not self._retrying and servo.revision == self._failed_for and not servo.is_moving()
+        )
 
     # --- along a reference -------------------------------------------------------------
 
@@ -215,7 +220,7 @@ class PlanFollower:
         goal, rates = reference.at()
         off = goal - servo.q
         deviation = float(np.abs(off).max())
-        pace = max(0.0, 1.0 - deviation / _TOLERANCE)
+        pace = max(0.0, 1.0 - _late(off, rates) / _TOLERANCE)
         # no faster towards it than can be braked away again
         size = np.abs(off)
         pull = np.copysign(np.minimum(_PULL * size, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
@@ -235,7 +240,7 @@ class PlanFollower:
     def _got_on(self) -> None:
         if self._holding:  # what was in the way has gone meanwhile
             self._searches.drop()
-        self._holding = False
+        self._holding = self._retrying = False
         self._blocked = ""
         if self._round is None and self._plan.clock > self._stuck_at + _FURTHER:
             self._failed = 0
@@ -250,7 +255,7 @@ class PlanFollower:
         if changed or servo.time >= self._again_at:
             self._searches.drop()
             self._stuck_at = self._plan.clock
-            self._holding = True
+            self._holding, self._retrying = True, False
             if self._round is not None:  # it led nowhere: another one
                 self._round = None
                 self._note_failure(f"a way round was found, but {self._held_by(state)}", servo.revision)
@@ -258,6 +263,7 @@ class PlanFollower:
     def _note_failure(self, reason: str, revision: int, *, final: bool = False) -> None:
         """Another attempt, or, after several or where no effort helps, a break."""
         self._failed = max(self._failed + 1, _ATTEMPTS if final else 0)
+        self._retrying = False
         self._failed_at, self._failed_for, self._may_succeed = self.servo.time, revision, not final
         if self._failed >= _ATTEMPTS:
             self._blocked = reason
@@ -276,7 +282,7 @@ class PlanFollower:
         elif servo.revision != found.checked and not self._searches.under_way and servo.time > found.check_at:
             found.checked, found.check_at = servo.revision, servo.time + _RECHECK
             rest = np.vstack((servo.q[None], found.reference.rest()))
-            self._searches.begin(servo.revision, is_still_clear, servo.robot, servo.snapshot(), rest)
+            self._searches.begin(servo.revision, servo.time, is_still_clear, servo.robot, servo.snapshot(), rest)
 
     # --- searches beside the loop --------------------------------------------------------
 
@@ -293,10 +299,10 @@ class PlanFollower:
             seed=self._seed,
             attempt=self._failed,
         )
-        self._searches.begin(servo.revision, find_rejoining, query)
+        self._searches.begin(servo.revision, servo.time, find_rejoining, query)
 
     def _take_answer(self) -> None:
-        answer = self._searches.answer()
+        answer = self._searches.answer(self.servo.time)
         if answer is None:
             return
         servo = self.servo
@@ -312,9 +318,9 @@ class PlanFollower:
             )
             self._progress = _Progress(self._slowest)
             self._blocked = ""
-        elif isinstance(answer, (NoRejoining, BaseException)):
+        elif not isinstance(answer, bool):
             final = isinstance(answer, NoRejoining) and not answer.searched
-            reason = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer}"
+            reason = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer!s:.200}"
             self._note_failure(reason, self._searches.revision, final=final)
 
     # --- what is said ------------------------------------------------------------------
@@ -377,6 +383,18 @@ class _Round:
     check_at: float = 0.0
 
 
+def _late(off: Vector, rates: Vector) -> float:
+    """How far the machine is off the plan [rad or m], where that is a reason for its clock to wait.
+
+    Ahead of the plan is none: a clock that waited for that would ask a machine that brakes as hard as it
+    can to brake harder still, and it would run further ahead.
+    """
+    along = float(off @ rates)
+    if along < 0.0:
+        off = off - (along / float(rates @ rates)) * rates
+    return float(np.abs(off).max())
+
+
 class _Progress:
     """Notices when neither the clock goes on nor the machine comes nearer to its place than it was.
 
@@ -415,14 +433,15 @@ class _Searches:
         self._own: ThreadPoolExecutor | None = None
         self._future: Future[Any] | None = None
         self._closed = False
+        self._begun = 0.0
         self.revision = -1
 
     @property
     def under_way(self) -> bool:
         return self._future is not None
 
-    def begin(self, revision: int, function: Callable[..., Any], *args: Any) -> None:
-        self.revision = revision
+    def begin(self, revision: int, now: float, function: Callable[..., Any], *args: Any) -> None:
+        self.revision, self._begun = revision, now
         try:
             if self._closed:
                 raise RuntimeError("the follower is closed")
@@ -431,16 +450,22 @@ class _Searches:
             self._future = Future()
             self._future.set_exception(error)
 
-    def answer(self) -> Any:
+    def answer(self, now: float) -> Any:
         """What came of it, or the exception that it ended with; None while there is nothing."""
         future = self._future
-        if future is None or not future.done():
+        if future is None:
             return None
+        if not future.done():
+            if now - self._begun < _LONGEST_SEARCH:
+                return None
+            self.drop()
+            return TimeoutError(f"no answer within {_LONGEST_SEARCH:g} s")
         self._future = None
         try:
-            return future.exception() or future.result()
+            found = future.exception() or future.result()
         except CancelledError as error:  # by whoever owns the executor
             return error
+        return TypeError("no answer came back") if found is None else found
 
     def drop(self) -> None:
         """Ask for the answer no longer."""
