@@ -445,3 +445,11 @@ def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be
         assert steps[-1].reason.startswith("planning failed: no answer ")
         servo.remove("ball")
         assert followed(follower, 6000)[-1].done
+
+
+def test_a_plan_for_other_joints_is_refused(backhoe: Robot, planar4: Robot) -> None:
+    joints = dict(zip(planar4.joint_names, [0.3, 0.4, 0.5, 0.2], strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [1.5, 1.5, 0.0]}}}
+    plan = bp.plan(planar4, bp.scene_from_dict(content))
+    with pytest.raises(bp.InputError, match="for other joints"):
+        PlanFollower(Servo(backhoe, site(backhoe), DT), plan)

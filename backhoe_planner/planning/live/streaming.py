@@ -115,7 +115,7 @@ class PlanFollower:
 
     Raises
     ------
-    InputError: the plan has no motion, or another number of joints; seed is negative.
+    InputError: the plan has no motion, other joints or another number of them; seed is negative.
 
     `step` itself raises nothing. `close`, or leaving it as a context manager, ends its own
     thread, after the search that is under way.
@@ -125,6 +125,14 @@ class PlanFollower:
         self, servo: Servo, plan: Plan | Trajectory, *, executor: Executor | None = None, seed: int = 0
     ) -> None:
         trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
+        names = None if isinstance(plan, Trajectory) else plan.robot.joint_names
+        if names is not None and tuple(names) != tuple(servo.robot.joint_names):
+            raise InputError(
+                "is a plan for other joints than the machine's",
+                key="plan.robot",
+                found=", ".join(names),
+                allowed=", ".join(servo.robot.joint_names),
+            )
         if trajectory.q.shape[1] != servo.robot.n:
             raise InputError(
                 "has another number of joints than the machine",
