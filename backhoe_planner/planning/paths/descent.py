@@ -26,7 +26,7 @@ from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.paths.corners import SHARP
 from backhoe_planner.planning.paths.refinement import null_bases, strict_targets
 from backhoe_planner.planning.proof.certificate import TOUCH, path_segment_is_clear
-from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.bucket_path import BucketPath, step_lengths
 from backhoe_planner.planning.task.objectives import Nodes, Objective
 from backhoe_planner.planning.task.problem import Problem
 from backhoe_planner.site.proximity import Proximity
@@ -49,7 +49,6 @@ _ENOUGH = 1e-3  # relative fall of the cost below which neighbours are taken clo
 _ROUNDS = 15  # at one distance of the neighbours
 _TRIES = 3  # to go on where something is in the way
 _STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for
-_LENGTH_OF_TURN = 0.1  # m that a radian counts as where the tip stands
 _ROOM = 0.005  # m of margin that is not used up
 _AHEAD = 0.2  # m beyond what is asked up to which distances are measured
 
@@ -122,8 +121,7 @@ class _Descent:
         self._stations = stations
         self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
         self._corners = np.isin(np.round(stations, 9), np.round(path.corners(SHARP), 9))
-        turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
-        self._measure = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-9))))
+        self._measure = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-9))))
         self._in_soil = problem.scene.soil is not None
         self.q = q
         self.cost = objective.driven(stations, q)

@@ -22,7 +22,7 @@ from scipy.linalg import solveh_banded
 from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
 from backhoe_planner.machine.batch_kinematics import BatchKinematics
 from backhoe_planner.planning.proof.certificate import TOUCH, path_segment_is_clear
-from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.task.bucket_path import BucketPath, step_lengths
 from backhoe_planner.planning.task.problem import Problem
 from backhoe_planner.site.proximity import Proximity
 
@@ -36,7 +36,6 @@ _ROUNDS = 20
 _ENOUGH = 1e-3  # relative fall of the cost below which it is left
 _LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round
 _ROOM = 0.005  # m of margin that smoothing does not use up
-_LENGTH_OF_TURN = 0.1  # m that a radian counts as where the tip stands
 
 
 def stretch_cost(stations: Vector, q: Matrix) -> float:
@@ -45,8 +44,7 @@ def stretch_cost(stations: Vector, q: Matrix) -> float:
 
 
 def _weights(stations: Vector, q: Matrix) -> Vector:
-    turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
-    return np.asarray(1.0 / np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-6))
+    return np.asarray(1.0 / step_lengths(stations, q, least=1e-6))
 
 
 def smooth_stretch(

@@ -12,12 +12,25 @@ from backhoe_planner.machine.kinematics import wrap_angle
 from backhoe_planner.machine.target import TipTarget
 from backhoe_planner.site.scene import Waypoint
 
-__all__ = ["BucketPath"]
+__all__ = ["BucketPath", "step_lengths"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _TURN_LENGTH = 0.5  # m per rad: how long a leg counts on which the tip only turns
+_JOINT_TURN_LENGTH = 0.1  # m that a radian of the joints counts as, so that a motion goes on where the tip stands
+
+
+def step_lengths(stations: Vector, q: Matrix, *, least: float) -> Vector:
+    """(K-1,) what the steps along a path count [m]: the way of the tip, and some for the turning of the joints.
+
+    Parameters
+    ----------
+    stations: (K,) arc lengths of the samples [m]; q: (K, n) joints there.
+    least: what a step counts at least [m].
+    """
+    turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    return np.asarray(np.maximum(np.diff(stations) + _JOINT_TURN_LENGTH * turn, least))
 
 
 class BucketPath:

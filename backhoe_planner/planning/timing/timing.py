@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from backhoe_planner.machine.robot import JointLimits
 from backhoe_planner.planning.search.blending import PERIOD, SmoothWay
+from backhoe_planner.planning.task.bucket_path import step_lengths
 from backhoe_planner.planning.task.trajectory import Trajectory
 from backhoe_planner.planning.timing.drive import Drive
 from backhoe_planner.planning.timing.path_limits import PathShape, time_path
@@ -36,7 +37,6 @@ _PER_PIECE = 12  # intervals on every leg and corner of a way
 _PER_WAY = 300  # intervals on a way between two stops, at least about
 _LEAST_GRID = 1000
 _HALVINGS = 6  # of the first and the last interval
-_LENGTH_OF_TURN = 0.1  # m that a radian counts as, so that the curve goes on where the tip stands
 
 
 def time_along(
@@ -64,8 +64,7 @@ def time_along(
     """
     if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
         return Trajectory.from_steps(np.zeros(1), q[:1])
-    turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
-    along = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(stations) + _LENGTH_OF_TURN * turn, 1e-6))))
+    along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
     # arc length rides along as one more coordinate, so that its rate is the tip's speed
     curve = CubicSpline(
         along, np.column_stack((q, stations)), bc_type="not-a-knot" if len(along) > 3 else "natural", axis=0
