@@ -6,25 +6,25 @@ from .errors import (
     RobotError,
     SceneError,
 )
-from .machine.digging import DiggingForces, digging_forces
-from .machine.hydraulics import BothWays, Hydraulics
-from .machine.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
-from .machine.kinematics import Configuration, Kinematics
+from .live.follower import Followed, PlanFollower
+from .live.servo.feedback import Feedback
+from .live.servo.servo import Servo
+from .live.servo.servo_state import Command, ServoState, Status
+from .machine.capability.digging import DiggingForces, digging_forces
+from .machine.hydraulics.hydraulics import BothWays, Hydraulics
+from .machine.kinematics.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
+from .machine.kinematics.kinematics import Configuration, Kinematics
+from .machine.kinematics.target import TipTarget
 from .machine.robot import JointLimits, Robot, load_robot
-from .machine.target import TipTarget
-from .planning.live.streaming import Followed, PlanFollower
-from .planning.plan import Plan
-from .planning.plan_file import load_plan
+from .motion.trajectory import Trajectory
+from .planning.plan.plan import Plan
+from .planning.plan.plan_file import load_plan
 from .planning.planner import plan
-from .planning.proof.certificate import Certificate, certify
-from .planning.stepping import Step
-from .planning.task.trajectory import Trajectory
-from .redundancy.live.feedback import Feedback
-from .redundancy.live.servo import Servo
-from .redundancy.live.servo_state import Command, ServoState, Status
+from .planning.reactive.stepping import Step
+from .proof.certificate import Certificate, certify
 from .site.obstacles import build_obstacles
 from .site.proximity import Proximity
-from .site.scene import Scene, load_scene, scene_from_dict, scene_schema
+from .site.scene_file import Scene, load_scene, scene_from_dict, scene_schema
 from .site.zones import Transgression, ZoneLog, zone_log
 
 __all__ = [

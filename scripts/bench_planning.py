@@ -43,7 +43,7 @@ from joblib import Parallel, delayed
 from random_scenes import KINDS, MACHINES, TASKS, Site, SiteKey, load_machine, random_site
 
 import backhoe_planner as bp
-from backhoe_planner.output_file import check_writable, whole_file
+from backhoe_planner.files.output_file import check_writable, whole_file
 from backhoe_planner.planning.planner import DEFAULT_BUDGET
 
 __all__ = [

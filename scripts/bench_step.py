@@ -22,9 +22,9 @@ import numpy as np
 import pinocchio as pin
 
 import backhoe_planner as bp
-from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.task.problem import Problem, build_problem
-from backhoe_planner.redundancy.completed import CompletedLaw
+from backhoe_planner.law.completed import CompletedLaw
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.site.proximity import Proximity
 
 Samples = dict[str, list[float]]

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.machine.collision_model import self_pairs
-from backhoe_planner.machine.convex import load_mesh
-from backhoe_planner.site import scene as schema
+from backhoe_planner.machine.shape.convex import load_mesh
+from backhoe_planner.site import scene_file
 
 __all__ = ["Least", "least_distances", "refutations"]
 
@@ -424,11 +424,11 @@ def _hull_distance(points: Points, hull: trimesh.Trimesh) -> NDArray[np.float64]
     return np.max(points @ hull.face_normals.T - offsets, axis=1)
 
 
-def _obstacle(spec: schema.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
-    if isinstance(spec, schema.HalfSpace):
+def _obstacle(spec: scene_file.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
+    if isinstance(spec, scene_file.HalfSpace):
         point, normal = np.array(spec.point), np.array(spec.normal)
         return lambda points: (points - point) @ normal
-    if isinstance(spec, schema.Capsule):
+    if isinstance(spec, scene_file.Capsule):
         start, end = np.array(spec.start), np.array(spec.end)
         return lambda points: capsule_distance(points, start, end, spec.radius)
     rotation, place = spec.placement.rotation, spec.placement.translation
@@ -436,14 +436,14 @@ def _obstacle(spec: schema.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
     def local(points: Points) -> Points:
         return (points - place) @ rotation
 
-    if isinstance(spec, schema.Sphere):
+    if isinstance(spec, scene_file.Sphere):
         return lambda points: np.linalg.norm(points - place, axis=1) - spec.radius
-    if isinstance(spec, schema.Box):
+    if isinstance(spec, scene_file.Box):
         size = np.array(spec.size)
         return lambda points: box_distance(local(points), size)
-    if isinstance(spec, schema.Cylinder):
+    if isinstance(spec, scene_file.Cylinder):
         return lambda points: cylinder_distance(local(points), spec.radius, spec.length)
-    if isinstance(spec, schema.Mesh):
+    if isinstance(spec, scene_file.Mesh):
         mesh = load_mesh(scene.folder / spec.file)
         mesh.apply_scale(spec.scale)
         return lambda points: -trimesh.proximity.signed_distance(mesh, local(points))

@@ -33,13 +33,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.planning.as_printed import ITERATIONS, Push, paper_step
-from backhoe_planner.planning.reactive import approach_goal
-from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.task.problem import Problem, build_problem
-from backhoe_planner.redundancy.completed import CompletedLaw
-from backhoe_planner.redundancy.directionality import Magnification, Reference
-from backhoe_planner.site.scene import Gains
+from backhoe_planner.law.completed import CompletedLaw
+from backhoe_planner.law.directionality import Magnification, Reference
+from backhoe_planner.law.paper_iteration import ITERATIONS, Push, paper_step
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.planning.reactive.reaching import approach_goal
+from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.site.scene_file import Gains
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

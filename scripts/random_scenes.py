@@ -43,9 +43,9 @@ from scipy.interpolate import CubicSpline
 
 import backhoe_planner as bp
 from backhoe_planner.machine.reach import tip_travel_bound
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.task.problem import build_problem
-from backhoe_planner.site.scene import Waypoint
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.site.scene_file import Waypoint
 
 __all__ = [
     "KINDS",
@@ -361,7 +361,7 @@ class _Workshop:
                 half = float(self.rng.uniform(0.2, 0.6))
                 waypoint["pitch"] = [at.pitch - half, at.pitch + half]
             waypoints.append(waypoint)
-        path = BucketPath([Waypoint.model_validate(waypoint) for waypoint in waypoints])
+        path = TipPath([Waypoint.model_validate(waypoint) for waypoint in waypoints])
         if not self.habitat.length[0] <= path.length <= self.habitat.length[1]:
             return None
         motion = self._followed(path, ends[0])
@@ -369,7 +369,7 @@ class _Workshop:
             return None
         return waypoints, motion
 
-    def _followed(self, path: BucketPath, first: Vector) -> Matrix | None:
+    def _followed(self, path: TipPath, first: Vector) -> Matrix | None:
         """(W, n) configurations along a path, each near the one before; None where it breaks off."""
         stations = np.unique(np.concatenate((np.arange(0.0, path.length, _LEG), path.stations))).tolist()
         reach = tip_travel_bound(self.robot)

@@ -29,14 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.planning.paths.descent import cheapen_stretch
+from backhoe_planner.motion.objectives import Objective, trajectory_costs
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.task.objectives import Objective, trajectory_costs
-from backhoe_planner.planning.task.problem import Problem, build_problem
-from backhoe_planner.planning.task.trajectory import Trajectory
-from backhoe_planner.planning.yardstick import law_motion, least_norm_resolution
+from backhoe_planner.planning.report.comparison import law_motion, least_norm_resolution
 
 __all__ = ["Case", "Result", "convergence", "draw", "study", "timing"]
 
@@ -206,7 +206,7 @@ def convergence(robot: bp.Robot, *, paths: int, seed: int) -> None:
         )
 
 
-def _resolved(problem: Problem, path: BucketPath, grid: float, layer: float) -> tuple[float, float] | None:
+def _resolved(problem: Problem, path: TipPath, grid: float, layer: float) -> tuple[float, float] | None:
     """The cost in [J] of the graph's route and of the refined one; None where there is none."""
     objective, proximity = Objective(problem), bp.Proximity(problem.robot, ())
     resolver = PathResolver(

@@ -33,8 +33,8 @@ from independent import _bodies, _obstacle
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
-from backhoe_planner.redundancy.live.servo import Servo
-from backhoe_planner.redundancy.live.servo_state import ServoState
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.live.servo.servo_state import ServoState
 from backhoe_planner.site.obstacles import build_obstacle
 from backhoe_planner.site.proximity import Proximity
 

@@ -19,11 +19,11 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, RobotError, nearest_name
-from backhoe_planner.machine import shapes
-from backhoe_planner.machine.convex import convex_cover, load_mesh
-from backhoe_planner.machine.hydraulics import Hydraulics
-from backhoe_planner.machine.hydraulics_file import description_beside, read_hydraulics
-from backhoe_planner.machine.urdf import Urdf, read_urdf
+from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
+from backhoe_planner.machine.description.urdf import Urdf, read_urdf
+from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
 
 __all__ = ["JointLimits", "LinkPiece", "Robot", "Visual", "load_robot"]
 

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics import Kinematics
-from backhoe_planner.planning.stepping import Stepper, Watcher
-from backhoe_planner.planning.task.postures import Postures
-from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
+from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.proximity import Proximity
 

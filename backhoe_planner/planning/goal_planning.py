@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.motion.timing.retiming import retimed
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.law_planning import reach_with_law, stuck
 from backhoe_planner.planning.law_timing import as_fast_as_allowed, shortest_time
 from backhoe_planner.planning.outcome import Outcome, no_posture
-from backhoe_planner.planning.reactive import Attempt, approach_goal
-from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.task.postures import Found
-from backhoe_planner.planning.timing.drive import drive_of
-from backhoe_planner.planning.timing.retiming import retimed
+from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
+from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit
 
 __all__ = ["find_goal_postures", "plan_to_goal", "swerve_to_goal"]

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.target import TipTarget
+from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.motion.path import TipPath
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.following import Followed, Follower
 from backhoe_planner.planning.law_timing import as_fast_as_allowed
 from backhoe_planner.planning.outcome import Outcome, no_posture
-from backhoe_planner.planning.plan import Reason
-from backhoe_planner.planning.reactive import Attempt, approach_goal
-from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.task.bucket_path import BucketPath
+from backhoe_planner.planning.plan.plan import Reason
+from backhoe_planner.planning.reactive.following import Followed, Follower
+from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
+from backhoe_planner.planning.reactive.stepping import Stepper
 
 __all__ = ["follow_with_law", "follow_with_law_from_anywhere", "reach_with_law", "stuck"]
 
@@ -55,7 +55,7 @@ def stuck(context: Context, attempts: Sequence[Attempt]) -> Outcome:
     return Outcome(nearest.stepper.trajectory(), "blocked", message, details)
 
 
-def follow_with_law(context: Context, stepper: Stepper, path: BucketPath) -> Outcome:
+def follow_with_law(context: Context, stepper: Stepper, path: TipPath) -> Outcome:
     """To the beginning of the path as to a goal, then along it.
 
     Parameters
@@ -85,7 +85,7 @@ def follow_with_law(context: Context, stepper: Stepper, path: BucketPath) -> Out
     return outcome or stuck(context, attempts)
 
 
-def follow_with_law_from_anywhere(context: Context, path: BucketPath) -> Outcome:
+def follow_with_law_from_anywhere(context: Context, path: TipPath) -> Outcome:
     """Along the path from the configuration on its beginning from which the law gets furthest."""
     target = path.target(0.0)
     found = context.postures.at(target, count=_SEARCH)
@@ -103,14 +103,14 @@ def follow_with_law_from_anywhere(context: Context, path: BucketPath) -> Outcome
     return outcome
 
 
-def _along(context: Context, follower: Follower, path: BucketPath, stepper: Stepper) -> Outcome:
+def _along(context: Context, follower: Follower, path: TipPath, stepper: Stepper) -> Outcome:
     followed = follower.follow(stepper)
     if followed.done:
         return Outcome(followed.stepper.trajectory())
     return _blocked_on(context, path, followed)
 
 
-def _blocked_on(context: Context, path: BucketPath, followed: Followed) -> Outcome:
+def _blocked_on(context: Context, path: TipPath, followed: Followed) -> Outcome:
     assert context.problem.scene.task.path is not None
     details: dict[str, Any] = {"path_from": followed.blocked_from, "path_to": followed.blocked_to}
     what = "joint limits"
@@ -128,7 +128,7 @@ def _blocked_on(context: Context, path: BucketPath, followed: Followed) -> Outco
     return Outcome(followed.stepper.trajectory(), reason, message, details)
 
 
-def _follower(context: Context, path: BucketPath) -> Follower:
+def _follower(context: Context, path: TipPath) -> Follower:
     task = context.problem.scene.task.path
     assert task is not None
     return Follower(

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.motion.timing.retiming import retimed
+from backhoe_planner.motion.timing.timing import time_along
+from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.over_time import changes
-from backhoe_planner.planning.proof.certificate import segment_is_clear
-from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.task.trajectory import Trajectory
-from backhoe_planner.planning.timing.drive import drive_of
-from backhoe_planner.planning.timing.retiming import retimed
-from backhoe_planner.planning.timing.timing import time_along
+from backhoe_planner.planning.moving_obstacles import changes
+from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.proof.certificate import segment_is_clear
 
 __all__ = ["as_fast_as_allowed", "places_on", "shortest_time"]
 

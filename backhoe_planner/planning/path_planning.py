@@ -8,28 +8,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.inverse_kinematics import solve_inverse_kinematics
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.kinematics.inverse_kinematics import solve_inverse_kinematics
+from backhoe_planner.motion.objectives import Objective, trajectory_costs
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.motion.trajectory import SAMPLE_PERIOD
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.paths.corners import round_corners
-from backhoe_planner.planning.paths.descent import cheapen_stretch
+from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
 from backhoe_planner.planning.paths.path_layers import redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.paths.path_timing import time_stretch
-from backhoe_planner.planning.paths.refinement import smooth_stretch
-from backhoe_planner.planning.plan import Reason
-from backhoe_planner.planning.search.blending import PERIOD
-from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.task.deadline import OutOfTime
-from backhoe_planner.planning.task.objectives import Objective, trajectory_costs
-from backhoe_planner.planning.task.postures import Found
-from backhoe_planner.planning.timing.drive import drive_of
+from backhoe_planner.planning.paths.smoothing import smooth_stretch
+from backhoe_planner.planning.plan.plan import Reason
+from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.report.comparison import law_motion, timed_alone
+from backhoe_planner.planning.search.deadline import OutOfTime
+from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit, find_way_near, play_way
-from backhoe_planner.planning.yardstick import law_motion, timed_alone
 
 __all__ = ["out_of_reach", "plan_along_path"]
 
@@ -47,7 +47,7 @@ _ON_PATH = 1e-4  # m and rad
 _SHORT = 0.3  # m of path on which inertia may decide
 
 
-def out_of_reach(context: Context, path: BucketPath) -> Outcome | None:
+def out_of_reach(context: Context, path: TipPath) -> Outcome | None:
     """Says which waypoint the tip cannot be put on, None where there is none."""
     robot = context.problem.robot
     count = len(path.stations)
@@ -68,9 +68,7 @@ def out_of_reach(context: Context, path: BucketPath) -> Outcome | None:
     return None
 
 
-def plan_along_path(
-    context: Context, path: BucketPath, *, stepper: Stepper | None, since: float | None = None
-) -> Outcome:
+def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None, since: float | None = None) -> Outcome:
     """To the path and along it to its end.
 
     Parameters
@@ -112,13 +110,13 @@ def plan_along_path(
     return along.plan(stepper.q, off_path=not on_path)
 
 
-def _somewhere(context: Context, path: BucketPath) -> Vector:
+def _somewhere(context: Context, path: TipPath) -> Vector:
     """(n,) joints with the tip on the beginning of the path, clear where that is found at once."""
     found = context.postures.at(path.target(0.0))
     return found.clear[0] if found.clear else found.best.q
 
 
-def _density(context: Context, path: BucketPath) -> dict[str, float]:
+def _density(context: Context, path: TipPath) -> dict[str, float]:
     """Of the graph. With one free parameter it can be dense; layers far apart let a route turn slowly."""
     if redundancy_of(context.problem.robot, path.target(0.0)) == 1:
         return {"grid": _GRID, "layer": _LAYER}
@@ -131,7 +129,7 @@ class _Along:
     def __init__(
         self,
         context: Context,
-        path: BucketPath,
+        path: TipPath,
         resolver: PathResolver,
         objective: Objective,
         stepper: Stepper | None,
@@ -285,7 +283,7 @@ class _Along:
                     self._context.problem, self._path, piece.stations, piece.q,
                     proximity=self._context.world, time=stepper.time,
                 )  # fmt: skip
-                period = _FINE_PERIOD if self._is_tight(q, stepper.time) else PERIOD
+                period = _FINE_PERIOD if self._is_tight(q, stepper.time) else SAMPLE_PERIOD
                 for motion in time_stretch(
                     self._path, stations, q, limits, speed=self._speed, period=period, drive=drive, stops=stops
                 ):

@@ -9,15 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.motion.timing.timing import time_way
 from backhoe_planner.planning.context import Context
+from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import Way, sample_way
 from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.planning.stepping import Stepper
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.timing.drive import drive_of
-from backhoe_planner.planning.timing.timing import time_way
 
 __all__ = ["Transit", "find_transit", "find_way_near", "play_way"]
 
@@ -72,7 +72,7 @@ def find_transit(context: Context, stepper: Stepper, goals: Sequence[Vector], *,
 
 
 def find_way_near(
-    context: Context, path: BucketPath, start: Vector, end: Vector, low: float, high: float, *, time: float
+    context: Context, path: TipPath, start: Vector, end: Vector, low: float, high: float, *, time: float
 ) -> Matrix | None:
     """(K, n) a way that stays near the part of a path from arc length `low` to `high` [m].
 
@@ -121,7 +121,7 @@ def _deadline(context: Context) -> float:
     return now + _SHARE * max(context.deadline - now, 0.0)
 
 
-def _near(context: Context, path: BucketPath, low: float, high: float, reach: float) -> Callable[[Vector], bool]:
+def _near(context: Context, path: TipPath, low: float, high: float, reach: float) -> Callable[[Vector], bool]:
     """Whether the tip is within `reach` [m] of the path between two arc lengths."""
     marks = path.stations[(path.stations > low) & (path.stations < high)]
     corners = np.array([path(float(s)) for s in (low, *marks, high)])

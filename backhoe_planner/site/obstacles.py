@@ -17,10 +17,10 @@ import trimesh
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, SceneError, nearest_name
-from backhoe_planner.machine import shapes
-from backhoe_planner.machine.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site import scene as schema
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.machine.shape.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes
+from backhoe_planner.site import scene_file
 
 __all__ = ["Obstacle", "build_obstacle", "build_obstacles", "swept", "zone_solid"]
 
@@ -53,8 +53,8 @@ class Obstacle:
     links: tuple[str, ...] | None
     appears_at: float
     velocity: Vector
-    spec: schema.ObstacleSpec
-    zone: schema.ZoneSpec | None = None
+    spec: scene_file.ObstacleSpec
+    zone: scene_file.ZoneSpec | None = None
 
     @property
     def slow(self) -> float:
@@ -67,7 +67,7 @@ class Obstacle:
         return bool(np.any(self.velocity))
 
 
-def build_obstacles(scene: schema.Scene, robot: Robot) -> tuple[Obstacle, ...]:
+def build_obstacles(scene: scene_file.Scene, robot: Robot) -> tuple[Obstacle, ...]:
     """Every obstacle of a scene, then every zone that is solid, checked against the machine's link names.
 
     Raises
@@ -75,10 +75,10 @@ def build_obstacles(scene: schema.Scene, robot: Robot) -> tuple[Obstacle, ...]:
     SceneError: a file is missing, empty or malformed, or `links` names no link.
     """
     built = []
-    solids: list[tuple[str, schema.ObstacleSpec, schema.ZoneSpec | None]]
+    solids: list[tuple[str, scene_file.ObstacleSpec, scene_file.ZoneSpec | None]]
     solids = [(f"obstacles[{index}] ({spec.name})", spec, None) for index, spec in enumerate(scene.obstacles)]
     for index, zone in enumerate(scene.zones):
-        if not isinstance(zone, schema.SwingSector):
+        if not isinstance(zone, scene_file.SwingSector):
             solids.append((f"zones[{index}] ({zone.name})", zone_solid(zone), zone))
     for key, spec, record in solids:
         for link in spec.links or ():
@@ -102,7 +102,7 @@ def build_obstacles(scene: schema.Scene, robot: Robot) -> tuple[Obstacle, ...]:
     return tuple(built)
 
 
-def build_obstacle(spec: schema.ObstacleSpec, *, folder: Path, clearance: float) -> Obstacle:
+def build_obstacle(spec: scene_file.ObstacleSpec, *, folder: Path, clearance: float) -> Obstacle:
     """One obstacle.
 
     Parameters
@@ -132,18 +132,20 @@ def build_obstacle(spec: schema.ObstacleSpec, *, folder: Path, clearance: float)
     )
 
 
-def zone_solid(zone: schema.Ceiling | schema.Floor | schema.Wall | schema.Cab) -> schema.HalfSpace | schema.Box:
+def zone_solid(
+    zone: scene_file.Ceiling | scene_file.Floor | scene_file.Wall | scene_file.Cab,
+) -> scene_file.HalfSpace | scene_file.Box:
     """What a zone forbids, as an obstacle whose clearance is the stop distance."""
-    if isinstance(zone, schema.Cab):
-        return schema.Box(
+    if isinstance(zone, scene_file.Cab):
+        return scene_file.Box(
             name=zone.name, shape="box", size=zone.size, position=zone.position, rpy=zone.rpy,
             clearance=zone.stop, links=zone.links,
         )  # fmt: skip
-    if isinstance(zone, schema.Wall):
+    if isinstance(zone, scene_file.Wall):
         point, normal = zone.plane
     else:
-        point, normal = (0.0, 0.0, zone.height), (0.0, 0.0, 1.0 if isinstance(zone, schema.Floor) else -1.0)
-    return schema.HalfSpace(
+        point, normal = (0.0, 0.0, zone.height), (0.0, 0.0, 1.0 if isinstance(zone, scene_file.Floor) else -1.0)
+    return scene_file.HalfSpace(
         name=zone.name, shape="halfspace", point=point, normal=normal, clearance=zone.stop, links=zone.links
     )
 
@@ -174,22 +176,22 @@ def _swept_piece(piece: shapes.Piece, start: Vector, end: Vector) -> shapes.Piec
     return shapes.convex(np.vstack((points + start, points + end)), pin.SE3.Identity())
 
 
-def _pieces(spec: schema.ObstacleSpec, folder: Path) -> list[shapes.Piece]:
-    if isinstance(spec, schema.Sphere):
+def _pieces(spec: scene_file.ObstacleSpec, folder: Path) -> list[shapes.Piece]:
+    if isinstance(spec, scene_file.Sphere):
         return [shapes.sphere(spec.radius, spec.placement)]
-    if isinstance(spec, schema.Box):
+    if isinstance(spec, scene_file.Box):
         return [shapes.box(np.array(spec.size), spec.placement)]
-    if isinstance(spec, schema.Cylinder):
+    if isinstance(spec, scene_file.Cylinder):
         return [shapes.cylinder(spec.radius, spec.length, spec.placement)]
-    if isinstance(spec, schema.Capsule):
+    if isinstance(spec, scene_file.Capsule):
         return [_capsule(spec)]
-    if isinstance(spec, schema.HalfSpace):
+    if isinstance(spec, scene_file.HalfSpace):
         return [shapes.halfspace(np.array(spec.point), np.array(spec.normal))]
-    if isinstance(spec, schema.Mesh):
+    if isinstance(spec, scene_file.Mesh):
         mesh = load_mesh(folder / spec.file)
         mesh.apply_scale(spec.scale)
         return [shapes.convex(points, spec.placement) for points in convex_cover(mesh)]
-    if isinstance(spec, schema.HeightMap):
+    if isinstance(spec, scene_file.HeightMap):
         columns = terrain_columns(
             read_heights(folder / spec.file), spec.size, tolerance=_TERRAIN_TOLERANCE, depth=_TERRAIN_DEPTH
         )
@@ -201,7 +203,7 @@ def _pieces(spec: schema.ObstacleSpec, folder: Path) -> list[shapes.Piece]:
     ]
 
 
-def _capsule(spec: schema.Capsule) -> shapes.Piece:
+def _capsule(spec: scene_file.Capsule) -> shapes.Piece:
     start, end = np.array(spec.start), np.array(spec.end)
     axis = end - start
     length = float(np.linalg.norm(axis))

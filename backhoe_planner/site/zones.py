@@ -19,7 +19,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
-from backhoe_planner.site.scene import Scene, SwingSector, ZoneSpec
+from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
 
 __all__ = ["Level", "Motion", "Transgression", "ZoneLog", "pace", "worst_first", "zone_log"]
 

@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.target import TipTarget
-from backhoe_planner.planning.proof.certificate import path_segment_is_clear
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.proof.certificate import path_segment_is_clear
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["SHARP", "round_corners"]
@@ -33,7 +33,7 @@ _FEWEST = 9  # samples
 
 
 def round_corners(
-    problem: Problem, path: BucketPath, stations: Vector, q: Matrix, *, proximity: Proximity, time: float = 0.0
+    problem: Problem, path: TipPath, stations: Vector, q: Matrix, *, proximity: Proximity, time: float = 0.0
 ) -> tuple[Vector, Matrix, Vector]:
     """Joint positions along a stretch of a path with its corners rounded where that is clear.
 
@@ -68,7 +68,7 @@ def round_corners(
     return stations, q, np.array(left)
 
 
-def _cut(path: BucketPath, corner: float, off: float, low: float, high: float) -> float | None:
+def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> float | None:
     """How far from a corner its rounding begins [m]; None where it is too sharp, or the tip stands and turns."""
     index = int(np.argmin(np.abs(path.stations - corner)))
     legs = np.diff(path.points[index - 1 : index + 2], axis=0)
@@ -84,7 +84,7 @@ def _cut(path: BucketPath, corner: float, off: float, low: float, high: float) -
 
 
 def _rounded(
-    kinematics: BatchKinematics, path: BucketPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix
+    kinematics: BatchKinematics, path: TipPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix
 ) -> Matrix | None:
     """(M, n) joints with the tip on the parabola, None where there are none near those on the path."""
     begin, middle, end = path(corner - cut), path(corner), path(corner + cut)

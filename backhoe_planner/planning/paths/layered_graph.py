@@ -27,7 +27,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.task.deadline import check_deadline
+from backhoe_planner.planning.search.deadline import check_deadline
 
 __all__ = ["Edge", "EdgeKind", "LayeredGraph", "Node", "Route"]
 

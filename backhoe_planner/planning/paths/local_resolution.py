@@ -13,13 +13,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics import Configuration, Kinematics
-from backhoe_planner.machine.target import TipTarget, movable_rows
-from backhoe_planner.planning.proof.certificate import segment_is_clear
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.task.problem import Problem, hand_set_gains
-from backhoe_planner.redundancy.completed import CompletedLaw
-from backhoe_planner.redundancy.on_path import step_on_path
+from backhoe_planner.law.completed import CompletedLaw
+from backhoe_planner.law.on_path import step_on_path
+from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
+from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import Problem, hand_set_gains
+from backhoe_planner.proof.certificate import segment_is_clear
 from backhoe_planner.site.proximity import Nearby, Proximity
 
 __all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
@@ -67,7 +67,7 @@ class Resolution:
         return float(self.stations[-1])
 
 
-def sample_stations(path: BucketPath, s: float) -> Vector:
+def sample_stations(path: TipPath, s: float) -> Vector:
     """(K,) arc lengths from `s` to the end, every waypoint among them [m]."""
     marks = np.concatenate(([s], path.stations[path.stations > s + 1e-9]))
     parts = [
@@ -77,7 +77,7 @@ def sample_stations(path: BucketPath, s: float) -> Vector:
 
 
 def resolve_along(
-    problem: Problem, path: BucketPath, s: float, q: Vector, *, proximity: Proximity, kinematics: Kinematics,
+    problem: Problem, path: TipPath, s: float, q: Vector, *, proximity: Proximity, kinematics: Kinematics,
     time: float = 0.0,
 ) -> Resolution:  # fmt: skip
     """Resolve `path` from arc length `s`, where the joints are at `q` (n,).

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.kinematics.target import TipTarget
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.machine.target import TipTarget
-from backhoe_planner.planning.task.deadline import check_deadline
+from backhoe_planner.planning.search.deadline import check_deadline
 
 __all__ = ["PathLayers", "redundancy_of"]
 

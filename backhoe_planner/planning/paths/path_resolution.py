@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from backhoe_planner.machine.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import Problem
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.paths.path_layers import PathLayers
-from backhoe_planner.planning.proof.certificate import TOUCH, path_segment_is_clear
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.task.deadline import OutOfTime, check_deadline
-from backhoe_planner.planning.task.problem import Problem
+from backhoe_planner.planning.search.deadline import OutOfTime, check_deadline
+from backhoe_planner.proof.certificate import TOUCH, path_segment_is_clear
 from backhoe_planner.site.clearance_screen import ClearanceScreen
 from backhoe_planner.site.proximity import Proximity, obstacle_told
 
@@ -144,7 +144,7 @@ class PathResolver:
     def __init__(
         self,
         problem: Problem,
-        path: BucketPath,
+        path: TipPath,
         *,
         proximity: Proximity,
         find_detour: FindDetour,
@@ -423,7 +423,7 @@ class PathResolver:
         return Resolved(pieces, False, left, again, blame)
 
 
-def _layer_stations(path: BucketPath, since: float, spacing: float) -> Vector:
+def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
     """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither goes nor turns far between."""
     fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
     turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]

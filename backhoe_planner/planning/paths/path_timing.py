@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.timing.drive import Drive
+from backhoe_planner.motion.timing.timing import time_along
+from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 from backhoe_planner.planning.paths.corners import SHARP
-from backhoe_planner.planning.search.blending import PERIOD
-from backhoe_planner.planning.task.bucket_path import BucketPath
-from backhoe_planner.planning.task.trajectory import Trajectory
-from backhoe_planner.planning.timing.drive import Drive
-from backhoe_planner.planning.timing.timing import time_along
 
 __all__ = ["time_stretch"]
 
@@ -22,13 +21,13 @@ Matrix = NDArray[np.float64]
 
 
 def time_stretch(
-    path: BucketPath,
+    path: TipPath,
     stations: Vector,
     q: Matrix,
     limits: JointLimits,
     *,
     speed: float | None,
-    period: float = PERIOD,
+    period: float = SAMPLE_PERIOD,
     drive: Drive | None = None,
     stops: Vector | None = None,
 ) -> list[Trajectory]:

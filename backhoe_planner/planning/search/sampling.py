@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.task.deadline import OutOfTime
 
 __all__ = ["Way", "sample_way"]
 

@@ -11,9 +11,9 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import Way
-from backhoe_planner.planning.task.deadline import OutOfTime
 
 __all__ = ["shorten"]
 

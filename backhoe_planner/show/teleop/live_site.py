@@ -17,10 +17,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.planning.proof.certificate import segment_is_clear
-from backhoe_planner.redundancy.live.servo import Servo
-from backhoe_planner.show.timeline import ITSELF, Nearest, nearest_spots
-from backhoe_planner.site import scene as schema
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.proof.certificate import segment_is_clear
+from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, nearest_spots
+from backhoe_planner.site import scene_file
 from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles
 from backhoe_planner.site.proximity import Proximity
 
@@ -31,7 +31,7 @@ Vector = NDArray[np.float64]
 _MOST = 40
 _BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more
 _SPARE = 0.004  # m beyond the clearance
-_LAND = (schema.HalfSpace, schema.HeightMap, schema.PointCloud)  # what the site itself is made of
+_LAND = (scene_file.HalfSpace, scene_file.HeightMap, scene_file.PointCloud)  # what the site itself is made of
 
 
 @dataclass
@@ -94,7 +94,7 @@ class LiveSite:
         """Names of the scene's obstacles that were taken away and may be put back."""
         return tuple(self._taken)
 
-    def add(self, spec: schema.ObstacleSpec) -> None:
+    def add(self, spec: scene_file.ObstacleSpec) -> None:
         """Put an obstacle there.
 
         Raises

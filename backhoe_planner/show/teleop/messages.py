@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.site import scene as schema
+from backhoe_planner.site import scene_file
 
 __all__ = [
     "LARGEST",
@@ -101,7 +101,7 @@ class Stop(_Message):
 
 
 Droppable = Annotated[
-    schema.Sphere | schema.Box | schema.Cylinder | schema.Capsule, Field(discriminator="shape")
+    scene_file.Sphere | scene_file.Box | scene_file.Cylinder | scene_file.Capsule, Field(discriminator="shape")
 ]  # no files, and nothing without an end
 
 
@@ -184,16 +184,16 @@ def _check(spec: Droppable) -> None:
                 "is no length to be dropped in", key=f"obstacle.{key}", found=value,
                 allowed=f"{_SMALLEST:g} to {_LARGEST_SIZE:g} m",
             )  # fmt: skip
-    at = (*spec.start, *spec.end) if isinstance(spec, schema.Capsule) else spec.position
+    at = (*spec.start, *spec.end) if isinstance(spec, scene_file.Capsule) else spec.position
     if max(map(abs, at)) > _FARTHEST:
         raise InputError("is too far away", key="obstacle", allowed=f"up to {_FARTHEST:g} m")
 
 
 def _lengths(spec: Droppable) -> list[tuple[str, float]]:
-    if isinstance(spec, schema.Box):
+    if isinstance(spec, scene_file.Box):
         return [("size", edge) for edge in spec.size]
     lengths = [("radius", spec.radius)]
-    return [*lengths, ("length", spec.length)] if isinstance(spec, schema.Cylinder) else lengths
+    return [*lengths, ("length", spec.length)] if isinstance(spec, scene_file.Cylinder) else lengths
 
 
 def _first(error: ValidationError) -> str:

@@ -11,12 +11,12 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.task.problem import build_problem
-from backhoe_planner.show.drawing import mesh, set_property
-from backhoe_planner.show.page_content import problem_content, step_content
-from backhoe_planner.show.recording import Recording
-from backhoe_planner.show.scene_graph import SceneGraph
-from backhoe_planner.show.solids import facets
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.show.drawing.drawing import mesh, set_property
+from backhoe_planner.show.drawing.scene_graph import SceneGraph
+from backhoe_planner.show.drawing.solids import facets
+from backhoe_planner.show.page.page_content import problem_content, step_content
+from backhoe_planner.show.page.recording import Recording
 from backhoe_planner.show.teleop.session import LARGEST_FORCE, Session, Snapshot
 from backhoe_planner.show.teleop.wording import Wording
 from backhoe_planner.site.obstacles import Obstacle

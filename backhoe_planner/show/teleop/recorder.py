@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.live.recordings import recorded_plan
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.planning.live.recorded import recorded_plan
-from backhoe_planner.planning.plan import Plan
-from backhoe_planner.planning.task.trajectory import Trajectory
-from backhoe_planner.site.scene import Scene
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.zones import zone_log
 
 __all__ = ["Recorder", "Recording"]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from backhoe_planner.show.live_server import LivePage, LiveServer, LiveSocket
-from backhoe_planner.show.teleop.page import teleop_page
+from backhoe_planner.show.teleop.driving_page import teleop_page
 from backhoe_planner.show.teleop.session import Session
+from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 
 __all__ = ["TeleopServer"]
 

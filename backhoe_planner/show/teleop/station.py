@@ -11,13 +11,13 @@ from types import TracebackType
 import numpy as np
 
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.machine.robot import Robot
-from backhoe_planner.output_file import check_writable
 from backhoe_planner.show.teleop.picture import Picture
 from backhoe_planner.show.teleop.recorder import Recording
 from backhoe_planner.show.teleop.server import TeleopServer
 from backhoe_planner.show.teleop.session import Session
-from backhoe_planner.site.scene import Scene
+from backhoe_planner.site.scene_file import Scene
 
 __all__ = ["TeleopStation", "free_name"]
 

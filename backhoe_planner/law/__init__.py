@@ -1,0 +1,1 @@
+"""The paper's law by its equations, the completed law, the shield."""

@@ -1,0 +1,112 @@
+"""The paper's iteration: equation (12) as printed, without any of our completions.
+
+Newton-Raphson on x_e(q): xdot_e = goal - x_e, q <- q + v, a hundred times. One critical
+point: the nearest of any link to any obstacle, pushed away with a constant speed once
+it is within the influence distance, its whole velocity asked for as in (10). Gains are
+the scene's, or those of the paper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.law.directionality import (
+    Magnification,
+    Reference,
+    link_chain,
+    link_jacobian,
+    link_velocities,
+)
+from backhoe_planner.law.law import joint_velocity
+from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
+from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.site.proximity import Nearby, Proximity
+from backhoe_planner.site.scene_file import Gains
+
+__all__ = ["ITERATIONS", "Push", "paper_gains", "paper_step", "run_iteration"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+ITERATIONS = 100
+_PUSH = 0.2  # |xdot_o| per iteration [m]
+
+
+@dataclass(frozen=True)
+class Push:
+    """A critical point and the velocity asked of it: J_o (3, n) and xdot_o (3,)."""
+
+    J_o: Matrix
+    xdot_o: Vector
+
+
+def paper_gains(joint_names: tuple[str, ...]) -> Gains:
+    """The gains of the paper's last figure: s_o = 0.2, s_1 = s_2 = 0.01; s_e = 0.2."""
+    return Gains(s_e=0.2, s_o=0.2, s_k=dict.fromkeys(joint_names[:2], 0.01))
+
+
+def paper_step(
+    at: Configuration,
+    goal: TipTarget,
+    push: Push | None,
+    gains: Gains,
+    *,
+    magnification: Magnification = "printed",
+    reference: Reference = "tip_referenced",
+) -> Vector:
+    """(n,) the joint step of equation (12) towards `goal`.
+
+    Parameters
+    ----------
+    push: the critical point that is within the influence distance, None for none.
+    """
+    error, J = goal.error(at), goal.jacobian(at)
+    rows = movable_rows(J)
+    planar = movable_rows(at.jacobian[:3])
+    terms: list[tuple[float, Matrix, Vector]] = []
+    if push is not None and gains.s_o > 0.0:
+        terms.append((gains.s_o, push.J_o[planar], push.xdot_o[planar]))
+    names = at.robot.joint_names
+    if any(gains.s_k.get(name, 0.0) > 0.0 for name in names[:-1]):
+        chain = link_chain(at)
+        turns = link_velocities(chain, error[:3], D=np.ones(len(names) - 1), magnification=magnification)
+        for k in range(1, len(names)):
+            gain = gains.s_k.get(names[k - 1], 0.0)
+            if gain > 0.0:
+                terms.append((gain, link_jacobian(chain, k, reference=reference)[planar], turns[k - 1][planar]))
+    return joint_velocity(J[rows], error[rows], terms, s_e=gains.s_e)
+
+
+def run_iteration(
+    problem: Problem, start: Vector, goal: TipTarget, *, proximity: Proximity, kinematics: Kinematics
+) -> Matrix:
+    """(ITERATIONS + 1, n) the joints from iteration to iteration.
+
+    It ends early where the step is no longer finite: the law as printed has no bound.
+    """
+    gains = problem.scene.gains
+    if gains == "auto":
+        gains = paper_gains(problem.robot.joint_names)
+    found = [np.array(start, dtype=float)]
+    for _ in range(ITERATIONS):
+        at = kinematics.at(found[-1])
+        nearby = proximity.at(at.q, within=problem.scene.influence)
+        obstacles = nearby.only(proximity.owner[nearby.pair] >= 0)  # the paper knows no self-contact
+        step = paper_step(at, goal, _push(at, obstacles), gains)
+        if not np.all(np.isfinite(step)) or float(np.max(np.abs(step))) > 1e6:
+            break
+        found.append(found[-1] + step)
+    return np.array(found)
+
+
+def _push(at: Configuration, nearby: Nearby) -> Push | None:
+    """The nearest critical point of those `nearby`, pushed straight away."""
+    if len(nearby) == 0:
+        return None
+    row = int(np.argmin(nearby.distance))
+    J_o = at.J_world[:3] + np.cross(at.J_world[3:].T, nearby.point_link[row]).T
+    return Push(J_o=np.where(nearby.moves[row], J_o, 0.0), xdot_o=-_PUSH * nearby.normal[row])

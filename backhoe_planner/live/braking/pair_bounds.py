@@ -1,0 +1,260 @@
+"""What is known of every pair's distance without measuring it at every step.
+
+A distance that was measured, or proven over a braking path, holds on less what the pair's
+points can have travelled since. That is counted once for all pairs: an odometer adds up
+how far points can have come, by joint travel and per class of pairs with the same radii.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
+from backhoe_planner.live.braking.proof import Proof
+from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.site.zones import pace
+
+__all__ = ["BUFFER", "TOLERANCE", "Near", "PairBounds"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
+TOLERANCE = 1e-9  # m
+_FAR = 1e3  # m
+_NEAR_RENEWED_EVERY = 2  # steps, where something is within `_CLOSE`
+_FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # and where nothing is
+_CLOSE = 0.10  # m of margin
+
+
+class Near(NamedTuple):
+    """What is near at the beginning of a step.
+
+    Attributes
+    ----------
+    pairs: (K,) indices.
+    gaps: (K, V) of the corners [m].
+    least: (K,) of these [m].
+    distance, margin: (K,) proven lower bounds of the distance, and of it minus clearance [m].
+    """
+
+    pairs: Indices
+    gaps: Matrix
+    least: Vector
+    distance: Vector
+    margin: Vector
+
+
+class PairBounds:
+    """Lower bounds of the distances of all pairs, at the machine and over its braking path.
+
+    Parameters
+    ----------
+    influence: margin within which a pair is looked at [m].
+
+    Attributes
+    ----------
+    required: (P,) distance that must be kept [m]: the clearance, or what was proven of a pair
+        that is closer than allowed.
+    inside: indices of the pairs of what stands that are not clear yet.
+    stands: (P,) whether the pair's obstacle stands still.
+    """
+
+    def __init__(self, separation: Separation, *, influence: float) -> None:
+        self._separation = separation
+        self._influence = influence
+        count, classes = len(separation), len(separation.travel)
+        # over the braking path and at its start, each with the odometer at that moment
+        self._proven, self._proven_at = np.full(count, -_FAR), np.zeros(count)
+        self._distance, self._distance_at = np.full(count, -_FAR), np.zeros(count)
+        self.required = separation.clearance.copy()
+        self._renewed_at = np.zeros(count, dtype=np.int64)
+        # how far beyond its clearance a pair is looked at; and slows the machine down
+        self._reach, self._slow_from = np.full(count, influence), np.zeros(count)
+        self.inside: Indices = np.zeros(0, dtype=np.intp)
+        self.stands: Flags = np.ones(count, dtype=bool)
+        self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
+        self._moved_by = np.zeros(classes)
+        self._accepted: tuple[Indices, Vector, Indices] | None = None
+
+    # --- which pairs there are -----------------------------------------------------------
+
+    def extend(self, pairs: Indices, *, slow: float) -> None:
+        """Take in pairs that are new; `slow` is the margin from which they slow the machine down [m]."""
+        count = len(pairs)
+        far, none = np.full(count, -_FAR), np.zeros(count)
+        self._proven, self._proven_at = np.append(self._proven, far), np.append(self._proven_at, none)
+        self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
+        self.required = np.append(self.required, self._separation.clearance[pairs])
+        self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
+        self._slow_from = np.append(self._slow_from, np.full(count, slow))
+        self._reach = np.append(self._reach, np.full(count, max(slow, self._influence)))
+
+    def keep(self, kept: Flags) -> None:
+        """Forget the pairs for which `kept` (P,) is false."""
+        for name in (
+            "_proven", "_proven_at", "_distance", "_distance_at", "required", "_renewed_at", "_reach", "_slow_from",
+        ):  # fmt: skip
+            setattr(self, name, getattr(self, name)[kept])
+
+    def sort(self, stands: Flags, per_step: Vector, per_step_on_path: Vector) -> None:
+        """Tell what stands from what moves, and by how much that may come nearer in a step (P,) [m]."""
+        self.stands = stands
+        self._per_step, self._per_step_on_path = per_step, per_step_on_path
+        self._within = self._separation.clearance + self._reach
+        self._slows = bool(self._slow_from.any())
+
+    def drift(self) -> None:
+        """A step of the obstacles' own motion."""
+        self._distance -= self._per_step
+        self._proven -= self._per_step_on_path
+
+    def measure(self, pairs: Indices, path: BrakingPath, at: Placements, step: int) -> None:
+        """Measure pairs that are new or were moved, and note what the braking path leaves of them."""
+        separation = self._separation
+        self.is_at(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
+        self._renewed_at[pairs] = step
+        bound = self.bounds_on(pairs, path, at, path.time)
+        self.is_proven(pairs, bound)
+        self.required[pairs] = np.minimum(separation.clearance[pairs], bound)
+        self.find_inside()
+
+    def bounds_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
+        """(K,) proven lower bound over the whole path [m], looked at closely where that is below the clearance."""
+        separation = self._separation
+        bound, _ = separation.least_on(pairs, path, at, drift_time)
+        for row in (bound < separation.clearance[pairs]).nonzero()[0].tolist():
+            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, at, drift_time))
+        return bound
+
+    def find_inside(self) -> None:
+        """Find the pairs of what stands that are closer than allowed."""
+        short = self.required < self._separation.clearance - TOLERANCE
+        self.inside = (self.stands & short).nonzero()[0]
+
+    def is_at(self, pairs: Indices, distance: Vector) -> None:
+        """The distances (K,) at the beginning of this step were found [m]."""
+        self._distance[pairs] = distance
+        self._distance_at[pairs] = self._start_odometer[self._separation.classes[pairs]]
+
+    def is_proven(self, pairs: Indices, bound: Vector) -> None:
+        """Distances (K,) were proven over the present braking path [m]."""
+        self._proven[pairs] = bound
+        self._proven_at[pairs] = self._path_odometer[self._separation.classes[pairs]]
+
+    # --- during a step -------------------------------------------------------------------
+
+    def near(self, at: Placements) -> Near:
+        """Pairs that may be within the influence distance, by the placements' row 0."""
+        separation = self._separation
+        odometer = self._start_odometer.take(separation.classes)
+        lower = self._distance + self._distance_at - odometer
+        pairs = (lower < self._within).nonzero()[0]
+        if len(pairs) == 0:
+            return Near(pairs, np.zeros((0, 1)), np.zeros(0), np.zeros(0), np.zeros(0))
+        gaps = separation.gaps(pairs, at, 1)[0]
+        least = gaps.min(axis=1)
+        distance = np.maximum(least, lower.take(pairs))
+        self._distance[pairs] = distance
+        self._distance_at[pairs] = odometer.take(pairs)
+        return Near(pairs, gaps, least, distance, distance - separation.clearance.take(pairs))
+
+    def pace(self, near: Near) -> float:
+        """Part of the wished speed that the zones leave."""
+        if not self._slows:
+            return 1.0
+        slow = self._slow_from[near.pairs]
+        rows = slow.nonzero()[0]
+        rooms = zip(near.margin[rows].tolist(), slow[rows].tolist(), strict=True)
+        return min((pace(left, room) for left, room in rooms), default=1.0)
+
+    def awake(self, change: Vector) -> tuple[Indices, Vector]:
+        """Pairs that could come into question if the braking path's end moves by up to `change` (n,) [rad or m].
+
+        Also by how much points may move by that (C,) [m].
+        """
+        separation = self._separation
+        budget = separation.travel @ change
+        # what is within the buffer is always looked at: else a wish would be held back every other step
+        left = self._proven + self._proven_at - self.required - BUFFER
+        awake = left < (self._path_odometer + budget).take(separation.classes)
+        if len(self.inside):  # these are looked at by themselves
+            awake[self.inside] = False
+        return awake.nonzero()[0], budget
+
+    def accept(self, awake: Indices, proof: Proof) -> None:
+        """A braking path is about to be taken, of which this was proven."""
+        if len(awake) == 0:
+            self._accepted = None
+            return
+        separation = self._separation
+        self._accepted = (awake, proof.bound, separation.classes[awake])
+        lowest = np.where(self.stands[awake], np.maximum(self.required[awake], proof.bound), proof.bound)
+        self.required[awake] = np.minimum(separation.clearance[awake], lowest)
+
+    def advance(self, moved: Vector, end_moved: Vector | None) -> None:
+        """The joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,).
+
+        None where the machine goes on along the braking path that was accepted before.
+        """
+        travel = self._separation.travel
+        if end_moved is not None:
+            self._path_odometer += travel @ np.abs(end_moved)
+            if self._accepted is not None:
+                awake, bound, classes = self._accepted
+                self._proven[awake] = bound
+                self._proven_at[awake] = self._path_odometer[classes]
+        self._moved_by = travel @ np.abs(moved)
+        self._start_odometer += self._moved_by
+
+    def renew(self, near: Near, at: Placements, step: int) -> None:
+        """Measure the planes that are oldest anew, a few at a time, by the placements' row 0."""
+        if len(near.pairs) == 0 or step % _NEAR_RENEWED_EVERY:
+            return
+        # once more: what was measured since the beginning of the step counts too
+        margin = self._distance[near.pairs] - self._separation.clearance[near.pairs]
+        nearest = int(margin.argmin())
+        close = margin[nearest] <= _CLOSE
+        if not close and step % _FAR_RENEWED_EVERY:
+            return
+        # the nearer, the sooner; and every other time the nearest of all
+        value = (step - self._renewed_at[near.pairs]) / (0.02 + np.maximum(margin, 0.0))
+        turn = step // _NEAR_RENEWED_EVERY % 2
+        pair = int(near.pairs[nearest if close and turn else value.argmax()])
+        self._distance[pair] = self._separation.renew(pair, at, 0)
+        self._distance_at[pair] = self._start_odometer[self._separation.classes[pair]]
+        self._renewed_at[pair] = step
+
+    def renew_soon(self, pairs: Indices) -> None:
+        """The planes of these pairs were measured elsewhere than where the machine is."""
+        self._renewed_at[pairs] = 0
+
+    # --- after it ------------------------------------------------------------------------
+
+    def tightest(self, near: Near) -> tuple[int, float]:
+        """The pair with the least margin of those near, and that margin after the step [m]; -1 where none is near."""
+        pairs = near.pairs
+        if len(pairs) == 0:
+            return -1, math.inf
+        separation = self._separation
+        margins = self._distance[pairs] - separation.clearance[pairs] - self._moved_by[separation.classes[pairs]]
+        row = int(margins.argmin())
+        pair, margin = int(pairs[row]), float(margins[row])
+        if margin < 0.0 and self.stands[pair]:  # this much was proven, of this step or of braking before it
+            margin = max(margin, float(self.required[pair] - separation.clearance[pair]))
+        return pair, margin
+
+    def tightest_of_all(self) -> tuple[int, float]:
+        """The same of all pairs, by what is known of them alone."""
+        separation = self._separation
+        margins = self._distance + self._distance_at - self._start_odometer[separation.classes] - separation.clearance
+        if len(margins) == 0:
+            return -1, math.inf
+        pair = int(margins.argmin())
+        return pair, float(margins[pair])

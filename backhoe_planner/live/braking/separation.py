@@ -1,0 +1,363 @@
+"""Planes between the machine and what it must not touch.
+
+The signed distance of two convex bodies is the largest gap that any plane leaves
+between them: with unit normal n from the link to the obstacle,
+
+    d = max_n  (min over the obstacle of n . z) - (max over the link of n . x)
+
+and coal's normal is where the maximum lies, inside too. So one measurement leaves a
+plane that says something about all other configurations as well, without asking coal:
+as long as the obstacle stands still its side of the plane stays its side, and the gap
+to the corners of the link, wherever they are, is a lower bound of the distance. The
+same holds for a plane that moves with the link, and the corners of the obstacle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
+from backhoe_planner.machine.collision_model import self_pairs
+from backhoe_planner.machine.reach import travel_bounds
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.obstacles import Obstacle
+
+__all__ = ["Separation"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+MACHINE = -1  # owner of the pairs of the machine with itself
+_MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
+_FAR = 1e3  # m: where nothing is
+_PLANES = 4
+_AS_NEAR = 0.1  # m: further behind the nearest, a corner has no part in the nearest point
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+_NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, _NEXT))
+
+
+class _Stand:
+    """A piece of an obstacle, and how far it stands from where it was built (3,) [m]."""
+
+    def __init__(self, piece: shapes.Piece) -> None:
+        self.piece = piece
+        self.shift = np.zeros(3)
+        self.corners = piece.hull if 0 < len(piece.hull) <= _MOST_CORNERS else None
+        self._R, self._t = np.array(piece.placement.rotation), np.array(piece.placement.translation)
+        self._placed: tuple[list[float], object] = ([0.0, 0.0, 0.0], shapes.transform(self._R, self._t))
+
+    def place(self) -> object:
+        """Coal's transform, made anew only after a shift."""
+        shift = self.shift.tolist()
+        if self._placed[0] != shift:
+            self._placed = (shift, shapes.transform(self._R, self._t + self.shift))
+        return self._placed[1]
+
+
+class Separation:
+    """All pairs of one machine, itself and a changing set of obstacles, with a plane each.
+
+    It owns its working memory: do not share one between threads.
+
+    Attributes
+    ----------
+    owner: (P,) number of the obstacle that was given when it was added; -1 for the machine itself.
+    clearance: (P,) [m].
+    classes: (P,) row of `travel` that holds for the pair.
+    drift: (P,) rate at which the obstacle's own motion moves its plane along the normal [m/s].
+    travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
+    """
+
+    def __init__(self, robot: Robot, *, self_collision: bool = True) -> None:
+        self.robot = robot
+        self._gauge = shapes.Gauge()
+        self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
+        # of the pieces that move, with a 1 behind each; the others' are never asked for
+        most = max((len(robot.pieces[row].piece.hull) for row in self._moving), default=1)
+        self._corners4 = np.full((len(robot.pieces), most, 4), np.nan)
+        for row in self._moving:
+            self._corners4[row, :, :3] = _padded(robot.pieces[row].piece.hull, most)
+            self._corners4[row, :, 3] = 1.0
+        self._fat = np.array([piece.piece.radius for piece in robot.pieces])
+        self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
+        self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
+        self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
+        radii = travel_bounds(robot)
+        pairs = [_outer_first(robot, pair) for pair in self_pairs(robot)] if self_collision else []
+        rows = [*radii[self._moving]]
+        for outer, inner in pairs:
+            shared = self._support[robot.pieces[inner].joint] > 0.0
+            rows.append(np.where(shared, 0.0, radii[outer]))
+        self.travel, classes = np.unique(np.array(rows).reshape(-1, robot.n), axis=0, return_inverse=True)
+        classes = classes.reshape(-1)
+        self._class_of_piece = np.zeros(len(robot.pieces), dtype=np.intp)
+        self._class_of_piece[self._moving] = classes[: len(self._moving)]
+        self.furthest: list[float] = self.travel.max(axis=0, initial=0.0).tolist()
+        self.turning = np.where(robot.prismatic, 0.0, 1.0)
+        self.owner = np.full(len(pairs), MACHINE, dtype=np.intp)
+        self.clearance = np.zeros(len(pairs))
+        self.classes = np.asarray(classes[len(self._moving) :], dtype=np.intp)
+        self.piece = np.array([outer for outer, _ in pairs], dtype=np.intp)
+        self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
+        self._body: list[_Stand | None] = [None] * len(pairs)
+        self._stands_of: dict[int, list[_Stand]] = {}
+        self.joint = self._joint_of[self.piece]
+        self.other = self._joint_of[self.other_piece]
+        self.normal = np.zeros((len(pairs), 3))  # in the frame of the other body
+        self.offset = np.full(len(pairs), -_FAR)
+        self.velocity = np.zeros((len(pairs), 3))
+        self.drift = np.zeros(len(pairs))
+        self._refresh()
+
+    def __len__(self) -> int:
+        return len(self.owner)
+
+    # --- what there is ---------------------------------------------------------------
+
+    def add(self, number: int, obstacle: Obstacle) -> Indices:
+        """Take an obstacle in; the indices of its pairs. They have no plane yet."""
+        links = [row for row in self._moving if obstacle.links is None or self.robot.pieces[row].link in obstacle.links]
+        first, count = len(self), len(links) * len(obstacle.pieces)
+        pieces = np.tile(np.array(links, dtype=np.intp), len(obstacle.pieces))
+        self.owner = np.append(self.owner, np.full(count, number, dtype=np.intp))
+        self.clearance = np.append(self.clearance, np.full(count, obstacle.clearance))
+        self.classes = np.append(self.classes, self._class_of_piece[pieces])
+        self.piece = np.append(self.piece, pieces)
+        self.other_piece = np.append(self.other_piece, np.full(count, -1, dtype=np.intp))
+        self._stands_of[number] = [_Stand(piece) for piece in obstacle.pieces]
+        for stand in self._stands_of[number]:
+            self._body.extend([stand] * len(links))
+        self.normal = np.vstack((self.normal, np.zeros((count, 3))))
+        self.offset = np.append(self.offset, np.full(count, -_FAR))
+        self.velocity = np.vstack((self.velocity, np.tile(obstacle.velocity, (count, 1))))
+        self.drift = np.append(self.drift, np.zeros(count))
+        self._refresh()
+        return np.arange(first, first + count, dtype=np.intp)
+
+    def remove(self, number: int) -> NDArray[np.bool_]:
+        """Forget an obstacle; (P,) which of the pairs are left."""
+        kept = self.owner != number
+        for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity", "drift"):
+            setattr(self, name, getattr(self, name)[kept])
+        del self._stands_of[number]
+        self._body = [body for body, keep in zip(self._body, kept.tolist(), strict=True) if keep]
+        self._refresh()
+        return np.asarray(kept)
+
+    def place_at(self, number: int, shift: Vector) -> None:
+        """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are.
+
+        The array is kept: what it holds when a distance is measured counts.
+        """
+        for stand in self._stands_of[number]:
+            stand.shift = shift
+
+    def link(self, pair: int) -> str:
+        """Name of the link of a pair."""
+        return self.robot.pieces[int(self.piece[pair])].link
+
+    def inner_link(self, pair: int) -> str:
+        """For a pair of the machine with itself, the link that must not be touched."""
+        return self.robot.pieces[int(self.other_piece[pair])].link
+
+    def _refresh(self) -> None:
+        self.joint = self._joint_of[self.piece]
+        self.other = np.where(self.other_piece >= 0, self._joint_of[self.other_piece], 0)
+        self.mask = self._support[self.joint] - self._support[self.other]
+        self.itself = self.owner == MACHINE
+        self.some_relative = bool(self.other.any())
+        self._corners_of = self._corners4[self.piece]
+        self._fat_of = self._fat[self.piece]
+
+    # --- measuring -------------------------------------------------------------------
+
+    def measure(self, pair: int, at: Placements, sample: int) -> tuple[float, Vector, float, Vector]:
+        """Coal's answer at one configuration: distance, plane (n, offset) in the other's frame, point on the link.
+
+        The point (3,) is in the world [m].
+        """
+        piece = int(self.piece[pair])
+        shape, own = self._own_shapes[piece]
+        here = at.T[sample, self.joint[pair]] @ own
+        other = int(self.other[pair])
+        if self.other_piece[pair] >= 0:
+            second, own = self._own_shapes[int(self.other_piece[pair])]
+            placed = at.T[sample, other] @ own
+            there = shapes.transform(placed[:, :3], placed[:, 3])
+        else:
+            stand = self._body[pair]
+            assert stand is not None
+            second, there = stand.piece.shape, stand.place()
+        distance, n, p_link, p_other = self._gauge.measure(
+            shape, shapes.transform(here[:, :3], here[:, 3]), second, there
+        )
+        if other:
+            R_o = at.R[sample, other]
+            n, p_other = n @ R_o, (p_other - at.t[sample, other]) @ R_o
+        return distance, n, float(n @ p_other), p_link
+
+    def renew(self, pair: int, at: Placements, sample: int) -> float:
+        """Measure, and keep the plane; the signed distance [m]."""
+        distance, n, offset, _ = self.measure(pair, at, sample)
+        self._keep_plane(pair, n, offset)
+        return distance
+
+    def gradients(self, pairs: Indices, at: Placements, sample: int) -> tuple[Vector, Matrix]:
+        """(K,) signed distances [m], and (K, n) how fast they fall with the joints [m/rad], as coal measures them."""
+        distance, n, x = np.zeros(len(pairs)), np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
+        for row, pair in enumerate(pairs.tolist()):
+            distance[row], normal, _, x[row] = self.measure(pair, at, sample)
+            other = int(self.other[pair])
+            n[row] = at.R[sample, other] @ normal if other else normal
+        turn = x[:, _NEXT] * n[:, _LAST] - x[:, _LAST] * n[:, _NEXT]  # x cross n
+        return distance, np.asarray((np.concatenate((n, turn), axis=1) @ at.J[sample]) * self.mask[pairs])
+
+    def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
+        self.normal[pair] = n
+        self.offset[pair] = offset
+        self.drift[pair] = n @ self.velocity[pair]
+
+    # --- gaps ------------------------------------------------------------------------
+
+    def gaps(self, pairs: Indices, at: Placements, samples: int) -> Matrix:
+        """(samples, K, V) gap of every corner of the links to the planes kept for `pairs` [m]."""
+        return self._gaps(pairs, self.normal.take(pairs, axis=0), self.offset.take(pairs), at.T[:samples])
+
+    def _gaps(self, pairs: Indices, n: Matrix, offset: Vector, T: Matrix) -> Matrix:
+        """The same for planes n (K, 3), offset (K,) in the other bodies' frames, at poses T (S, joints, 3, 4)."""
+        n = n[:, None, :]
+        offset = offset - self._fat_of.take(pairs)
+        other = self.other.take(pairs) if self.some_relative else pairs[:0]
+        if np.count_nonzero(other):
+            frames = T.take(other, axis=1)
+            moved = np.matmul(n, frames.transpose(0, 1, 3, 2)[:, :, :3])
+            offset = offset + np.matmul(moved, frames[..., 3:])[:, :, 0, 0]
+            n = moved
+        local = np.matmul(n, T.take(self.joint.take(pairs), axis=1))  # (S, K, 1, 4): n R, and n t
+        along = np.matmul(self._corners_of.take(pairs, axis=0), local.transpose(0, 1, 3, 2))[..., 0]
+        return np.asarray(offset[..., None] - along)
+
+    def least_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> tuple[Vector, Matrix]:
+        """(K,) proven lower bound of the distance over the whole path, and all gaps (samples, K, V).
+
+        Between the samples a corner leaves its chord by no more than `BrakingPath.off_chord`.
+        `drift_time` [s]: how long the obstacles' own motion goes on along the path.
+        """
+        gaps = self.gaps(pairs, at, path.parts + 1)
+        if drift_time > 0.0:
+            drift = np.minimum(self.drift.take(pairs), 0.0)
+            if np.count_nonzero(drift):
+                gaps += (drift_time * np.linspace(0.0, 1.0, path.parts + 1))[:, None, None] * drift[None, :, None]
+        off = path.off_chord(self.travel).take(self.classes.take(pairs))
+        return gaps.min(axis=(0, 2)) - off, gaps
+
+    def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
+        """Lower bound of one pair's distance over the path, with a plane of its own for each part [m].
+
+        Up to `_PLANES` are measured along the path. The tightest is kept.
+        """
+        joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
+        count = path.parts + 1
+        measured = sorted({round(k * path.parts / (_PLANES - 1)) for k in range(_PLANES)})
+        found = [self.measure(pair, at, sample) for sample in measured]
+        distance = [entry[0] for entry in found]
+        normals, offsets = np.array([entry[1] for entry in found]), np.array([entry[2] for entry in found])
+        corners = self._corners4[piece] @ at.T[:count, joint].transpose(0, 2, 1)  # (S, V, 3)
+        if other:
+            corners = np.matmul(corners - at.t[:count, None, other], at.R[:count, other])
+        gaps = (offsets - self._fat[piece] - corners @ normals.T).min(axis=1)  # (S, planes)
+        # a part is clear if any one plane clears both its ends
+        parts = np.minimum(gaps[:-1], gaps[1:]).max(axis=1)
+        off = float(path.off_chord(self.travel[self.classes[pair]][None])[0])
+        tight = distance.index(min(distance))
+        self._keep_plane(pair, normals[tight], float(offsets[tight]))
+        least = max(float(parts.min()) - off, self._from_link(pair, normals[0], found[0][3], path, at))
+        if drift_time > 0.0:
+            least -= float(np.linalg.norm(self.velocity[pair])) * drift_time
+        return least
+
+    def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
+        """The same with the plane of the path's start moving with the link."""
+        stand = self._body[pair]
+        if stand is None or stand.corners is None:
+            return -_FAR
+        corners = stand.corners + stand.shift
+        joint = int(self.joint[pair])
+        local = n @ at.R[0, joint]
+        start = float(local @ ((point - at.t[0, joint]) @ at.R[0, joint]))
+        count = path.parts + 1
+        normals = at.R[:count, joint] @ local  # (S, 3)
+        base = np.einsum("si,si->s", normals, at.t[:count, joint])
+        gaps = normals @ corners.T - base[:, None]
+        gaps -= start + stand.piece.radius
+        # as seen from the link the corners turn the other way round, and further out
+        size = np.abs(path.delta)
+        far = float(np.sqrt(((corners - point) ** 2).sum(axis=1).max())) + float(size @ self.travel[self.classes[pair]])
+        mask = np.abs(self.mask[pair])
+        size = size * mask
+        radius = np.where(self.turning > 0.0, self.travel[self.classes[pair]] + far, 1.0)
+        angle = size * self.turning
+        beyond = angle.sum() - angle.cumsum()
+        sharp = float(radius @ (size * (angle + 2.0 * beyond)))
+        return float(gaps.min()) - sharp / (8.0 * path.parts**2)
+
+    # --- rows ------------------------------------------------------------------------
+
+    def rows(self, pairs: Indices, samples: Indices | int, corners: Indices, at: Placements) -> Matrix:
+        """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
+        return self._rows_of(pairs, samples, self._corners4[self.piece[pairs], corners], at)
+
+    def nearest_rows(self, pairs: Indices, gaps: Matrix, least: Vector, at: Placements) -> Matrix:
+        """(K, n) the same at the first sample for the nearest point of each pair.
+
+        By its corners' gaps (K, V) and their least (K,) [m].
+
+        Corners that are almost as near have a part in the point, so that it does not jump
+        from edge to edge where a flat end passes a wall.
+        """
+        part = np.maximum((least + _AS_NEAR)[:, None] - gaps, 0.0)
+        part *= part
+        points = np.matmul(part[:, None, :], self._corners_of.take(pairs, axis=0))[:, 0]
+        points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
+        return self._rows_of(pairs, 0, points, at)
+
+    def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
+        """The same for points (R, 4) in the links' frames, with a 1 behind each."""
+        n = self.normal.take(pairs, axis=0)
+        other = self.other.take(pairs) if self.some_relative else pairs[:0]
+        if np.count_nonzero(other):
+            n = np.matmul(at.R[samples, other], n[:, :, None])[..., 0]
+        x = np.matmul(at.T[samples, self.joint.take(pairs)], corner[:, :, None])[..., 0]
+        products = x.take(_NEXT_LAST, axis=1) * n.take(_LAST_NEXT, axis=1)
+        both = np.concatenate((n, products[:, :3] - products[:, 3:]), axis=1)  # n, and x cross n
+        rows: Matrix = self.mask.take(pairs, axis=0)
+        rows *= both @ at.J[samples] if isinstance(samples, int) else np.matmul(both[:, None, :], at.J[samples])[:, 0]
+        return rows
+
+    def world_normals(self, pairs: Indices, at: Placements) -> Matrix:
+        """(K, 3) the normals at the first sample, in the world."""
+        n = self.normal[pairs]
+        if self.some_relative:
+            n = np.matmul(at.R[0, self.other[pairs]], n[:, :, None])[..., 0]
+        return np.asarray(n)
+
+
+def _padded(hull: Matrix, count: int) -> Matrix:
+    return np.vstack((hull, np.repeat(hull[:1], count - len(hull), axis=0)))
+
+
+def _outer_first(robot: Robot, pair: tuple[int, int]) -> tuple[int, int]:
+    a, b = pair
+    return (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
+
+
+def _support(robot: Robot, joint: int) -> Vector:
+    """(n,) 1 for every joint that moves the body of `joint`."""
+    mask = np.zeros(robot.n)
+    while joint > 0:
+        mask[robot.model.joints[joint].idx_v] = 1.0
+        joint = int(robot.model.parents[joint])
+    return mask

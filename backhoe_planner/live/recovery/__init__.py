@@ -1,0 +1,1 @@
+"""Out of what is violated."""

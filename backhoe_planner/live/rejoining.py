@@ -1,0 +1,300 @@
+"""From where the machine stands back onto the rest of a motion, round what stands on it now.
+
+The rest of the motion falls into stretches that are proven clear and parts that are not.
+The machine is brought to the earliest place that leads on: the first clear one behind
+what stops it. Where a short search finds no way there, longer ones look for a way to any
+of the stretches, and with less room to spare. First of all it draws back from what it
+stands before.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import JointLimits, Robot
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion.smooth_way import SmoothWay
+from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.motion.timing.timing import time_way
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import Way, sample_way
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.proof.certificate import TOUCH, segment_is_clear
+from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.scene_file import Scene
+
+__all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_still_clear"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_EFFORTS = (2_000, 8_000, 30_000)  # motions between samples that are looked at, from attempt to attempt
+_EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
+_HARD = (0.003, 0.01)  # further ones in turn
+_ROOMY = 0.01  # m beyond every clearance that a place to rejoin at is to have,
+_LOOKS = 100  # samples of a stretch in which that is looked for
+_RETREAT = 0.02  # m beyond every clearance to which the machine draws back first,
+_RETREAT_STEP, _RETREAT_STEPS = 0.002, 30  # m by which a margin grows in a step, and how many
+_PAUSE = 0.02  # s
+_HERE = 0.1  # rad or m within which the machine counts as being at a place
+_PLACES = 6  # of the rest of the motion that are tried
+_WAYS = 3  # of which the shortest is taken, at the first attempt
+_LONGEST = 8.0  # s that one attempt may take
+_DEPTH = 9  # halvings of a segment
+
+
+@dataclass(frozen=True, eq=False)
+class RejoiningQuery:
+    """What is asked; it can be sent to another process.
+
+    Attributes
+    ----------
+    robot, scene, limits: the machine, and what it carries.
+    obstacles: what stands around, each where it is now; what moves is taken to stand there.
+    q: (n,) where the machine stands, at rest [rad or m].
+    motion: that is to be rejoined.
+    since: the moment of the motion that was reached [s].
+    seed: of the sampling, not negative.
+    attempt: from 0; each is more thorough than the one before, up to the third, or another one.
+    """
+
+    robot: Robot
+    scene: Scene
+    limits: JointLimits
+    obstacles: tuple[Obstacle, ...]
+    q: Vector
+    motion: Trajectory
+    since: float
+    seed: int
+    attempt: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Rejoining:
+    """A motion from where the machine stands, from rest to rest, to a place of the other one.
+
+    Attributes
+    ----------
+    motion: keeps every clearance and limit of the query.
+    rejoins_at: the moment of the other motion at whose place it ends [s].
+    around: name of what stands in between; None where nothing does.
+    """
+
+    motion: Trajectory
+    rejoins_at: float
+    around: str | None
+
+
+@dataclass(frozen=True)
+class NoRejoining:
+    """None was found.
+
+    Attributes
+    ----------
+    reason: why, in words, with the obstacle's name.
+    searched: whether there is a place to go to, so that more effort may find a way.
+    """
+
+    reason: str
+    searched: bool
+
+
+def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
+    """A way to the earliest place of the rest of a motion that is clear.
+
+    The same query gives the same answer, unless time cuts the search off, after 8 s. OMPL's
+    global seed is set.
+    """
+    problem = Problem(
+        robot=query.robot,
+        scene=query.scene,
+        limits=query.limits,
+        obstacles=query.obstacles,
+        start_q=query.q,
+        start_target=None,
+        goal=None,
+        path=None,
+    )
+    search = _Search(query, problem, clock.monotonic() + _LONGEST)
+    return search.run()
+
+
+def is_still_clear(robot: Robot, obstacles: tuple[Obstacle, ...], q: Matrix) -> bool:
+    """Whether a way through `q` (K, n) provably keeps clear of `obstacles`, each where it is now."""
+    proximity = Proximity(robot, tuple(_standing(obstacle) for obstacle in obstacles))
+    return all(segment_is_clear(proximity, a, b, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(q))
+
+
+class _Search:
+    def __init__(self, query: RejoiningQuery, problem: Problem, deadline: float) -> None:
+        self._query, self._problem, self._deadline = query, problem, deadline
+        self._proximity = Proximity(query.robot, tuple(_standing(obstacle) for obstacle in query.obstacles))
+        later = query.motion.time > query.since + 1e-9
+        self._time = np.concatenate(([query.since], query.motion.time[later]))
+        self._q = np.vstack((query.motion.at(query.since)[None], query.motion.q[later]))
+        self._start = query.q
+        self._blocker: tuple[str, float] | None = None  # what stands on the motion first, and from when on
+
+    def run(self) -> Rejoining | NoRejoining:
+        link, obstacle, margin = self._tightest(self._query.q)
+        if margin < 0.0 and not MotionCheck(self._problem, self._proximity, [self._query.q], spare=0.0).ends_clear[0]:
+            return NoRejoining(
+                f"{link} is {-margin:.3f} m closer to {obstacle} than allowed where it stands", searched=False
+            )
+        self._start = self._drawn_back(self._query.q)
+        places = list(islice(self._places(), _PLACES if self._query.attempt else 1))
+        found = self._way_to(places) if places else None
+        if found is not None:
+            return found
+        return NoRejoining(self._told(link, obstacle), searched=bool(places))
+
+    def _told(self, link: str, obstacle: str) -> str:
+        _, at_end, margin = self._tightest(self._q[-1])
+        if margin < -TOUCH:
+            return f"{at_end} stands on the end of the plan"
+        if self._blocker is not None:
+            name, since = self._blocker
+            return f"{name} stands on the plan from {since:.1f} s on, and no way round it was found"
+        return f"{link} is held back by {obstacle}"
+
+    # --- where to -------------------------------------------------------------------
+
+    def _places(self) -> Iterator[int]:
+        """Samples of the rest of the motion that lead on, the earliest first."""
+        here = float(np.abs(self._q[0] - self._query.q).max()) < _HERE
+        last = len(self._q) - 1
+        yielded = -1
+        for first, end in self._stretches():
+            if first == 0 and here:
+                ahead = np.abs(self._q[: end + 1] - self._query.q).max(axis=1) > _HERE
+                if not ahead.any():
+                    continue
+                first = int(ahead.argmax())
+            yielded = self._roomiest(first, end)
+            yield yielded
+            if end == last and yielded != last:
+                yield last
+
+    def _stretches(self) -> Iterator[tuple[int, int]]:
+        """First and last sample of every part of the rest that is proven clear."""
+        first = None
+        last = len(self._q) - 1
+        for row in range(last + 1):
+            alone = first is None and self._tightest(self._q[row])[2] >= 0.0
+            if alone:
+                first = row
+            elif first is None:
+                self._note(row)
+            if first is None:
+                continue
+            leads_on = row < last and segment_is_clear(
+                self._proximity, self._q[row], self._q[row + 1], depth=_DEPTH, spare=-TOUCH
+            )
+            if not leads_on:
+                yield first, row
+                first = None
+                if row < last:
+                    self._note(row + 1)
+
+    def _note(self, row: int) -> None:
+        """Something stands on the motion at a sample."""
+        if self._blocker is None:
+            self._blocker = (self._tightest(self._q[row])[1], float(self._time[row]))
+
+    def _roomiest(self, first: int, end: int) -> int:
+        """The first sample of a stretch that has room, or the one of its first that has most."""
+        best, most = first, -np.inf
+        for row in range(first, min(end, first + _LOOKS) + 1):
+            margin = self._tightest(self._q[row])[2]
+            if margin > most:
+                best, most = row, margin
+            if margin >= _ROOMY:
+                break
+        return best
+
+    def _tightest(self, q: Vector) -> tuple[str, str, float]:
+        """Link and obstacle of the least margin at q (n,), and that margin [m]."""
+        proximity = self._proximity
+        if not proximity.pairs:
+            return "", "", np.inf
+        margins = proximity.distances(q) - proximity.clearance
+        pair = int(margins.argmin())
+        return proximity.pairs[pair].link, proximity.pairs[pair].obstacle, float(margins[pair])
+
+    # --- how ------------------------------------------------------------------------
+
+    def _way_to(self, places: list[int]) -> Rejoining | None:
+        query = self._query
+        attempt = query.attempt
+        for spare in _EASY if attempt == 0 else _HARD[(attempt - 1) % len(_HARD) :][:1]:
+            ends = [self._start, *(self._q[place] for place in places)]
+            check = MotionCheck(self._problem, self._proximity, ends, spare=spare, deadline=self._deadline)
+            ways = self._ways(check, ends[1:])
+            if ways:
+                way = min(ways, key=lambda way: way.length(query.limits))
+                motion = self._timed(blend(check, way))
+                place = min(places, key=lambda place: float(np.abs(self._q[place] - way.q[-1]).max()))
+                return Rejoining(motion, float(self._time[place]), self._blocker and self._blocker[0])
+        return None
+
+    def _timed(self, way: SmoothWay) -> Trajectory:
+        """Drawing back, to rest, and along the way."""
+        limits, drive = self._query.limits, drive_of(self._problem)
+        motion = time_way(way, limits, drive=drive)
+        back = np.array([self._query.q, self._start])
+        if not (back[1] != back[0]).any():
+            return motion
+        times = np.linalg.norm(np.diff(back, axis=0) / limits.velocity, axis=1)
+        first = time_way(SmoothWay(back, np.array([0.0, *times]), np.zeros(2)), limits, drive=drive)
+        pause = first.duration + _PAUSE
+        return Trajectory.from_steps(np.concatenate((first.time, pause + motion.time)), np.vstack((first.q, motion.q)))
+
+    def _drawn_back(self, q: Vector) -> Vector:
+        """(n,) near q with more room, if q has little: where the servo holds the machine, it lets it only away."""
+        proximity, limits = self._proximity, self._query.limits
+        found = q
+        for _ in range(_RETREAT_STEPS):
+            nearby = proximity.at(found, margin=2.0 * _RETREAT)
+            short = np.maximum(_RETREAT - nearby.margin, 0.0)
+            if not short.any():
+                break
+            tightest = float(nearby.margin.min())
+            away = (short @ nearby.gradient) * limits.velocity**2
+            gain = float(nearby.gradient[int(nearby.margin.argmin())] @ away)
+            if gain <= 0.0:
+                break
+            there = np.clip(found + (_RETREAT_STEP / gain) * away, limits.lower, limits.upper)
+            if self._tightest(there)[2] <= tightest:
+                break
+            found = there
+        check = MotionCheck(self._problem, proximity, [q, found], spare=0.0)
+        return found if check.segment_is_clear(q, found) else q
+
+    def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[Way]:
+        """Several, shortened; one where it is straight, or long to find."""
+        query = self._query
+        effort = _EFFORTS[min(query.attempt, len(_EFFORTS) - 1)]
+        found: list[Way] = []
+        for turn in range(_WAYS):
+            seed = (query.seed + query.attempt) * _WAYS + turn
+            way = sample_way(check, self._start, targets, seed=seed, deadline=self._deadline, most_motions=effort)
+            if way is None:
+                break
+            found.append(shorten(check, way, seed=seed))
+            if len(found[-1].q) == 2 or query.attempt > 0:
+                break
+        return found
+
+
+def _standing(obstacle: Obstacle) -> Obstacle:
+    """The same, standing where it is."""
+    return replace(obstacle, appears_at=0.0, velocity=np.zeros(3))

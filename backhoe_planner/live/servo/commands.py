@@ -1,0 +1,93 @@
+"""The hand's commands: understood, held until the next one, and ended by a watchdog."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.live.servo.servo_state import Command
+from backhoe_planner.machine.robot import Robot
+
+__all__ = ["Commands"]
+
+Vector = NDArray[np.float64]
+
+_FASTEST_WISH = 100.0  # m/s or rad/s
+
+
+class Commands:
+    """The wish that holds now.
+
+    Parameters
+    ----------
+    dt: time between two steps [s].
+    watchdog: without a command for this long there is no wish any more [s].
+
+    Attributes
+    ----------
+    tip: (3,) wished for the tip [m/s], world, or None.
+    joints: (n,) wished for the joints [rad/s or m/s], or None.
+    pitch: wished for the bucket's pitch [rad/s], or None.
+    """
+
+    def __init__(self, robot: Robot, *, dt: float, watchdog: float) -> None:
+        self._n, self._has_pitch = robot.n, robot.has_pitch
+        self._dt, self._watchdog = dt, watchdog
+        self._since = math.inf
+        self.tip: Vector | None = None
+        self.joints: Vector | None = None
+        self.pitch: float | None = None
+
+    def understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
+        """What becomes of a step's command, see `Servo.step`. Nothing is raised."""
+        if tip_velocity is None and joint_velocity is None and pitch_rate is None:
+            found = Command.HELD
+        elif self._take(tip_velocity, joint_velocity, pitch_rate):
+            self._since = 0.0
+            return Command.NEW
+        else:
+            found = Command.INVALID
+        self._since += self._dt
+        if self._since > self._watchdog:
+            self.tip = self.joints = self.pitch = None
+            return Command.TIMED_OUT if found is Command.HELD else found
+        return found
+
+    def _take(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> bool:
+        """Whether it was understood, and is the wish from now on."""
+        tip = None if tip_velocity is None else _numbers(tip_velocity, 3)
+        joints = None if joint_velocity is None else _numbers(joint_velocity, self._n)
+        pitch = None if pitch_rate is None else _numbers(pitch_rate, 1)
+        understood = (
+            (tip is not None) != (joints is not None)
+            and (tip_velocity is None or tip is not None)
+            and (joint_velocity is None or joints is not None)
+            and (pitch_rate is None or (pitch is not None and tip is not None and self._has_pitch))
+        )
+        if understood:
+            self.tip, self.joints = _capped(tip), _capped(joints)
+            self.pitch = None if pitch is None else float(pitch[0])
+        return understood
+
+
+def _numbers(values: object, count: int) -> Vector | None:
+    """(count,) finite numbers, or None."""
+    try:
+        found = np.array(values, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    if count == 1 and found.ndim == 0:
+        found = found.reshape(1)
+    if found.shape != (count,) or not all(map(math.isfinite, found.tolist())):
+        return None
+    return found
+
+
+def _capped(wish: Vector | None) -> Vector | None:
+    """The same direction, no larger than any machine moves."""
+    if wish is None:
+        return None
+    largest = max(map(abs, wish.tolist()))
+    return wish if largest <= _FASTEST_WISH else wish / largest * _FASTEST_WISH

@@ -1,0 +1,192 @@
+"""What the servo's wish means for the joints: the completed law, live."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.law.completed import CompletedLaw
+from backhoe_planner.live.braking.braking_path import Placements
+from backhoe_planner.live.braking.joint_bounds import JointBounds
+from backhoe_planner.live.braking.pair_bounds import Near
+from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.servo.commands import Commands
+from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
+from backhoe_planner.machine.kinematics.target import movable_rows
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.proximity import Nearby
+
+__all__ = ["TipTask", "Wished"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_INFLUENCE = 0.3  # m: further away the null space need not care
+_UP = np.array([0.0, 0.0, 1.0])
+_NOTHING = np.zeros((0, 3))
+_NONE = np.zeros((0, 0), dtype=bool)
+_NOBODY = Nearby(
+    pair=np.zeros(0, dtype=np.intp),
+    distance=np.zeros(0),
+    margin=np.zeros(0),
+    normal=_NOTHING,
+    point_link=_NOTHING,
+    point_obstacle=_NOTHING,
+    gradient=_NOTHING,
+    drift=np.zeros(0),
+    moves=_NONE,
+)
+
+
+class Wished(NamedTuple):
+    """A step's wish.
+
+    Attributes
+    ----------
+    v: (n,) joint velocity that is wished, within the joints' rates.
+    tip: (3,) velocity that is wished for the tip [m/s], world.
+    task: (m, n) Jacobian of what is wished for the tip; None where joints are wished for.
+    beside: (n,) the part of v in its null space.
+    singular: whether near a singularity.
+    """
+
+    v: Vector
+    tip: Vector
+    task: Matrix | None
+    beside: Vector
+    singular: bool
+
+
+class TipTask:
+    """The tip of one machine, and how the joints serve it.
+
+    Parameters
+    ----------
+    influence: margin within which an obstacle acts on the null space [m].
+    at: placements, of which row 0 is where the machine is.
+    circulate: whether a tip that is pushed straight into an obstacle goes round it.
+
+    Attributes
+    ----------
+    circulate: as above; may be set.
+    position: (3,) of the tip [m], world, after `place`.
+    jacobian: (6, n) of the tip, world axes, after `place`.
+    blocking: (3,) unit vector into what holds the tip back; zeros where nothing does.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        separation: Separation,
+        bounds: JointBounds,
+        at: Placements,
+        *,
+        influence: float,
+        circulate: bool,
+    ) -> None:
+        self._robot, self._separation, self._bounds, self._at = robot, separation, bounds, at
+        self.circulate = circulate
+        self.law = CompletedLaw(robot, influence=min(influence, _INFLUENCE))
+        frame = robot.model.frames[robot.tip_frame]
+        self._joint = int(frame.parentJoint)
+        self._t = np.append(frame.placement.translation, 1.0)
+        self._to_tip = np.eye(6)  # takes a twist at the world's origin to the tip
+        self.jacobian = np.zeros((6, robot.n))
+        self.position = np.zeros(3)
+        self._rows = _movable_tip_rows(robot)
+        self._all_rows = bool(self._rows.all())
+        self.blocking = np.zeros(3)
+        self._sense = np.zeros(3)
+
+    def place(self, q: Vector) -> None:
+        """Forward kinematics at q (n,), and the tip's Jacobian."""
+        at = self._at
+        at.place(0, q)
+        self.position = at.T[0, self._joint] @ self._t
+        x, y, z = self.position.tolist()
+        to = self._to_tip  # its upper right part is omega -> omega x tip
+        to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
+        np.matmul(to, at.J[0], out=self.jacobian)
+
+    def wished(self, q: Vector, command: Commands, near: Near) -> Wished:
+        """What is wished of the joints at q (n,), where the machine was placed."""
+        n = self._robot.n
+        if command.joints is not None:
+            joints = command.joints
+            return Wished(joints / self._bounds.over_rates(q, joints), self.jacobian[:3] @ joints, None, joints, False)
+        if command.tip is None:
+            return Wished(np.zeros(n), np.zeros(3), self.jacobian[:3], np.zeros(n), False)
+        J, xdot = self.jacobian[:3], self._around(command.tip)
+        if not self._all_rows:
+            J, xdot = J[self._rows], xdot[self._rows]
+        if command.pitch is not None:
+            turn = self.jacobian[3:]
+            J = np.vstack((J, self._robot.pitch_sense * turn[:, -1] @ turn))
+            xdot = np.append(xdot, command.pitch)
+        nearby, damped = self._nearby(near), False
+        quick = self.law.wish_with_one_spare(q, J, xdot, nearby)
+        if quick is None:
+            at = Configuration(self._robot, q, None, self.jacobian, self._at.J[0], _NOTHING)
+            wish = self.law.wish(at, J, xdot, nearby)
+            v, beside, damped = wish.v, wish.null, wish.resolved.damping > 0.0
+        else:
+            v, beside = quick
+        over = self._bounds.over_rates(q, v)
+        if over > 1.0 and np.count_nonzero(beside):
+            # the tip comes first here too: what is beside it has the rates that are left
+            first = v - beside
+            first /= self._bounds.over_rates(q, first)
+            beside = self._bounds.room_for(beside, first) * beside
+            over = self._bounds.over_rates(q, first + beside)
+            return Wished((first + beside) / over, command.tip, J, beside / over, damped)
+        return Wished(v / over, command.tip, J, beside / over, damped)
+
+    def _nearby(self, near: Near) -> Nearby:
+        """What is near as the law wants it: one row each, of the nearest point."""
+        acts = (near.margin < self.law.influence).nonzero()[0]
+        if len(acts) == 0:
+            return _NOBODY
+        pairs = near.pairs[acts]
+        return Nearby(
+            pair=pairs,
+            distance=near.distance[acts],
+            margin=near.margin[acts],
+            normal=_NOTHING,
+            point_link=_NOTHING,
+            point_obstacle=_NOTHING,
+            gradient=-self._separation.nearest_rows(pairs, near.gaps[acts], near.least[acts], self._at),
+            drift=self._separation.drift.take(pairs),
+            moves=_NONE,
+        )
+
+    def _around(self, tip: Vector) -> Vector:
+        """The tip's wish, turned along the surface that blocks it where that is asked for."""
+        if not self.circulate:
+            return tip
+        normal = self.blocking
+        into = float(tip @ normal)
+        if into <= 0.0:
+            self._sense = np.zeros(3)
+            return tip
+        along = tip - into * normal
+        size = math.sqrt(float(along @ along))
+        if size > 0.2 * into:
+            self._sense = along / size
+        else:
+            sense = self._sense - (self._sense @ normal) * normal
+            if not sense.any():
+                sense = _UP - normal[2] * normal
+                if abs(normal[2]) > 0.9 or not self._rows[2]:
+                    sense = np.array([-normal[1], normal[0], 0.0])
+            self._sense = sense / max(math.sqrt(float(sense @ sense)), 1e-9)
+        return np.asarray(tip + into * self._sense)
+
+
+def _movable_tip_rows(robot: Robot) -> NDArray[np.bool_]:
+    """(3,) which directions any joint can move the tip in at all."""
+    rng, kinematics = np.random.default_rng(0), Kinematics(robot)
+    found = [movable_rows(kinematics.at(robot.random_q(rng)).jacobian[:3]) for _ in range(8)]
+    return np.asarray(np.any(found, axis=0))

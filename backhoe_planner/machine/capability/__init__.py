@@ -1,0 +1,1 @@
+"""What a machine can do: envelope, digging forces, Denavit-Hartenberg table."""

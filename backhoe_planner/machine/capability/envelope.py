@@ -1,0 +1,158 @@
+"""The working envelope: how far, how deep and how high the machine reaches.
+
+For a machine that works in one upright plane, figures as on a data sheet (in the spirit
+of ISO 7135 and SAE J1193), from the URDF alone:
+
+- digging depth: the greatest depth of the tip below the ground z = 0;
+- reach at ground level: the greatest horizontal distance of the tip from the first
+  joint's axis while the tip is on the ground;
+- loading height: height of the tip with every joint but the last at its upper limit and
+  the bucket tipped to the dump pitch; loading reach: its distance from the axis there;
+- bucket rotation and swing arc: the ranges of the last and the first joint.
+
+The sheet does not give the dump pitch; -80 degrees is ours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from backhoe_planner.machine.kinematics.kinematics import Kinematics, wrap_angle
+from backhoe_planner.machine.robot import Robot
+
+__all__ = ["DUMP_PITCH", "Envelope", "reachable_points", "working_envelope"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+DUMP_PITCH = np.radians(-80.0)
+_GRID = 9  # points per joint
+_SEEDS = 4
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Figures of a machine that works in an upright plane; see the module's text.
+
+    Attributes
+    ----------
+    digging_depth, reach_at_ground, loading_height, loading_reach: [m]; None where the
+        machine cannot be in the posture that defines it.
+    largest_reach: greatest horizontal distance of the tip from the axis [m].
+    largest_height: greatest height of the tip [m].
+    bucket_rotation, swing_arc: [rad]
+    """
+
+    digging_depth: float
+    reach_at_ground: float | None
+    loading_height: float | None
+    loading_reach: float | None
+    largest_reach: float
+    largest_height: float
+    bucket_rotation: float
+    swing_arc: float | None
+
+
+def working_envelope(robot: Robot) -> Envelope | None:
+    """The envelope, or None for a machine that does not work in an upright plane."""
+    if not robot.has_pitch:
+        return None
+    plane = _Plane(robot)
+    reach, height = plane.largest(0), plane.largest(1)
+    depth = -plane.largest(1, sign=-1.0)
+    loading = plane.loading()
+    limits = robot.limits
+    return Envelope(
+        digging_depth=depth,
+        reach_at_ground=plane.reach_at_ground(),
+        loading_height=None if loading is None else loading[1],
+        loading_reach=None if loading is None else loading[0],
+        largest_reach=reach,
+        largest_height=height,
+        bucket_rotation=float(limits.upper[-1] - limits.lower[-1]),
+        swing_arc=float(limits.upper[0] - limits.lower[0]) if plane.swings else None,
+    )
+
+
+def reachable_points(robot: Robot, *, count: int = 20_000, seed: int = 0) -> Matrix:
+    """(count, 3) positions of the tip at seeded random joint positions [m]."""
+    kinematics, rng = Kinematics(robot), np.random.default_rng(seed)
+    return np.array([kinematics.at(robot.random_q(rng)).tip_position for _ in range(count)])
+
+
+class _Plane:
+    """The tip in the upright plane: radius from the first axis, and height."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._kinematics = Kinematics(robot)
+        middle = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
+        at = self._kinematics.at(middle)
+        # a first joint that does not raise anything swings the plane
+        self.swings = bool(abs(at.J_world[5, 0]) > 0.99)
+        self._first = 1 if self.swings else 0
+        self._held = middle
+        finite = np.isfinite(robot.limits.lower) & np.isfinite(robot.limits.upper)
+        self._lower = np.where(finite, robot.limits.lower, -np.pi)[self._first :]
+        self._upper = np.where(finite, robot.limits.upper, np.pi)[self._first :]
+        self._axis = at.points[0][:2]
+
+    def point(self, angles: Vector) -> Vector:
+        """(2,) radius and height [m] for the joints in the plane."""
+        q = self._held.copy()
+        q[self._first :] = angles
+        tip = self._kinematics.at(q).tip_position
+        return np.array([tip[0] - self._axis[0], tip[2]])
+
+    def largest(self, axis: int, *, sign: float = 1.0) -> float:
+        """The largest (sign 1) or smallest (-1) radius (axis 0) or height (axis 1) [m]."""
+        return float(self.point(self._best(axis, sign))[axis])
+
+    def reach_at_ground(self) -> float | None:
+        """Greatest radius with the tip on the ground [m]."""
+        radius, height = self.point(self._best(0, 1.0, on_ground=True))
+        return float(radius) if abs(height) < 1e-6 else None
+
+    def loading(self) -> tuple[float, float] | None:
+        """Radius and height of the tip raised and tipped [m]."""
+        angles = self._upper.copy()
+        for turn in (0.0, -2.0 * np.pi, 2.0 * np.pi):
+            angles[-1] = 0.0
+            last = wrap_angle(DUMP_PITCH - self._pitch(angles)) + turn
+            if self._lower[-1] <= last <= self._upper[-1]:
+                angles[-1] = last
+                radius, height = self.point(angles)
+                return float(radius), float(height)
+        return None
+
+    def _pitch(self, angles: Vector) -> float:
+        q = self._held.copy()
+        q[self._first :] = angles
+        return self._kinematics.at(q).pitch
+
+    def _best(self, axis: int, sign: float, *, on_ground: bool = False) -> Vector:
+        """(k,) joints with the largest sign * point[axis]: from a grid's best, then SLSQP."""
+        axes = [np.linspace(lo, hi, _GRID) for lo, hi in zip(self._lower, self._upper, strict=True)]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+        points = np.array([self.point(row) for row in grid])
+        score = sign * points[:, axis] - (np.abs(points[:, 1]) if on_ground else 0.0)
+        constraints = [{"type": "eq", "fun": lambda angles: self.point(angles)[1]}] if on_ground else []
+        best, value = grid[int(np.argmax(score))], -np.inf
+        for row in np.argsort(-score)[:_SEEDS]:
+            found = minimize(
+                lambda angles: -sign * self.point(angles)[axis],
+                grid[row],
+                bounds=np.column_stack((self._lower, self._upper)),
+                constraints=constraints,
+                method="SLSQP",
+                options={"ftol": 1e-12, "maxiter": 200},
+            )
+            reached = self.point(found.x)
+            if on_ground and abs(reached[1]) > 1e-6:
+                continue
+            if sign * reached[axis] > value:
+                best, value = found.x, sign * reached[axis]
+        return np.asarray(np.clip(best, self._lower, self._upper))

@@ -1,0 +1,375 @@
+"""Reading a machine's hydraulic description, a YAML file beside its URDF.
+
+The records below are the schema. `read_hydraulics` is the only door: what comes out of it
+closes, moves and bears in every posture that the URDF's limits allow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yourdfpy
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError, model_validator
+
+from backhoe_planner.errors import RobotError, nearest_name
+from backhoe_planner.files.records import Record, explain
+from backhoe_planner.files.yaml_text import read_yaml
+from backhoe_planner.machine.description.urdf import Urdf
+from backhoe_planner.machine.hydraulics.cylinder import Cylinder
+from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
+from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
+
+__all__ = [
+    "CylinderRecord",
+    "EngineRecord",
+    "HydraulicsRecord",
+    "PumpRecord",
+    "RockerRecord",
+    "description_beside",
+    "read_hydraulics",
+]
+
+Vector = NDArray[np.float64]
+
+_LARGEST = 1e9
+_SAMPLES = 1441  # of a joint's range, in which a linkage is tried
+_ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever
+_NO_LEVER = 2e-3  # of the longest; between two samples a lever falls by less
+
+Length = Annotated[float, Field(strict=True, gt=0.0, le=1e3, allow_inf_nan=False)]
+Coordinate = Annotated[float, Field(strict=True, ge=-1e3, le=1e3, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+Part = Annotated[float, Field(strict=True, gt=0.0, le=1.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class PumpRecord(Record):
+    """The pump that all cylinders share."""
+
+    flow: Positive
+    """What it delivers at most [m^3/s]."""
+    pressure: Positive
+    """At which relief valves open [Pa]."""
+
+
+class EngineRecord(Record):
+    """What drives the pump."""
+
+    power: Positive
+    """[W]"""
+    efficiency: Part = 1.0
+    """What of it arrives in the oil."""
+
+
+class RockerRecord(Record):
+    """A rocker between cylinder and link, as on a bucket.
+
+    Its pins are given as they lie with the joint at `drawn_at`, in the frame of the link
+    above the joint, which also says on which side the mechanism stands.
+    """
+
+    pivot: Point
+    """The pin about which it turns [m]."""
+    cylinder: Point
+    """The pin of the cylinder's rod [m]."""
+    link: Point
+    """The pin of the link to the body below the joint [m]."""
+    drawn_at: Coordinate = 0.0
+    """Position of the joint for which the two pins above are given [rad]."""
+
+
+class CylinderRecord(Record):
+    """A cylinder. It moves the joint below the link that carries its `parent` pin."""
+
+    name: Annotated[str, Field(min_length=1)]
+    """Unique."""
+    joint: str
+    """The joint that it moves."""
+    bore: Length
+    """Diameter of the piston [m]."""
+    rod: Length
+    """Diameter of the rod [m]."""
+    closed: Length
+    """Pin-to-pin length, retracted [m]."""
+    open: Length
+    """Pin-to-pin length, extended [m]."""
+    parent: Point
+    """Pin on the link above the joint, in that link's frame [m]."""
+    child: Point
+    """Pin on the link below the joint, in that link's frame [m]: of the rod or, with a rocker, of its link."""
+    rocker: RockerRecord | None = None
+    """Between cylinder and joint; left out: the cylinder lies straight across the joint."""
+    flow: Positive | None = None
+    """The most that its valve passes [m^3/s]; left out: all that the pump delivers."""
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> CylinderRecord:
+        if self.rod >= self.bore:
+            raise ValueError(f"rod is not thinner than bore; found {self.rod:g}; allowed: less than {self.bore:g} m")
+        if self.open <= self.closed:
+            raise ValueError(f"open is not longer than closed; found {self.open:g}; allowed: over {self.closed:g} m")
+        return self
+
+
+class HydraulicsRecord(Record):
+    """The file as a whole."""
+
+    version: Literal[1]
+    pump: PumpRecord
+    engine: EngineRecord
+    cylinders: Annotated[tuple[CylinderRecord, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _unique_names(self) -> HydraulicsRecord:
+        names = [cylinder.name for cylinder in self.cylinders]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise ValueError(f"two cylinders are named {name!r}")
+        return self
+
+
+def description_beside(urdf: Path) -> Path:
+    """Where the description of a URDF lies if it has one: ``NAME.hydraulics.yaml``."""
+    return urdf.with_name(f"{urdf.stem}.hydraulics.yaml")
+
+
+def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydraulics:
+    """Read and check a description against its URDF.
+
+    Parameters
+    ----------
+    joint_names: the joints of interest; cylinders of others are checked, and left out.
+
+    Raises
+    ------
+    RobotError: names the file, the key, what was found and what is allowed. A joint that
+        the URDF does not have or that does not turn between limits; a linkage that does
+        not close, or comes to a dead centre, within the joint's limits; a stroke that the
+        pins do not allow, or that does not reach the joint's limits.
+    """
+    content, lines = read_yaml(
+        file, what="hydraulic description", keys="version, pump, cylinders, ...", error=RobotError
+    )
+    try:
+        record = HydraulicsRecord.model_validate(content)
+    except ValidationError as error:
+        raise RobotError(explain(error, content, lines, root=HydraulicsRecord), file=file) from None
+    joints = {joint.name: joint for joint in urdf.robot.joints}
+    cylinders = []
+    for index, spec in enumerate(record.cylinders):
+        place = _Place(file, f"cylinders[{index}]", spec.name)
+        joint = _turning_joint(spec.joint, joints, place)
+        linkage = _linkage(spec, joint, place)
+        cylinders.append(
+            Cylinder(
+                name=spec.name,
+                joint=spec.joint,
+                bore=spec.bore,
+                rod=spec.rod,
+                closed=spec.closed,
+                open=spec.open,
+                linkage=linkage,
+                flow=record.pump.flow if spec.flow is None else min(spec.flow, record.pump.flow),
+            )
+        )
+    places = [_Place(file, f"cylinders[{index}]", spec.name) for index, spec in enumerate(record.cylinders)]
+    ranges = {}
+    for name in dict.fromkeys(cylinder.joint for cylinder in cylinders):
+        mine = [(c, place) for c, place in zip(cylinders, places, strict=True) if c.joint == name]
+        limit = joints[name].limit
+        ranges[name] = _range_of_strokes(mine, float(limit.lower), float(limit.upper))
+    kept = tuple(cylinder for cylinder in cylinders if cylinder.joint in joint_names)
+    joint_ranges = np.array([ranges[cylinder.joint] for cylinder in kept]).reshape(-1, 2)
+    joint_ranges.setflags(write=False)
+    return Hydraulics(
+        file=file,
+        joint_names=tuple(joint_names),
+        joint_ranges=joint_ranges,
+        cylinders=kept,
+        pump_flow=record.pump.flow,
+        pressure=record.pump.pressure,
+        engine_power=record.engine.power,
+        efficiency=record.engine.efficiency,
+    )
+
+
+class _Place:
+    """Where in the file a cylinder stands; makes its errors."""
+
+    def __init__(self, file: Path, key: str, name: str) -> None:
+        self._file, self._key, self._name = file, key, name
+
+    def wrong(self, problem: str, *, key: str = "", found: Any = None, allowed: str | None = None) -> RobotError:
+        where = f"{self._key}.{key}" if key else self._key
+        return RobotError(problem, file=self._file, key=f"{where} ({self._name})", found=found, allowed=allowed)
+
+
+def _turning_joint(name: str, joints: Mapping[str, yourdfpy.Joint], place: _Place) -> yourdfpy.Joint:
+    turning = [joint.name for joint in joints.values() if joint.type == "revolute"]
+    if name not in joints:
+        near = nearest_name(name, turning)
+        hint = f"; did you mean {near!r}?" if near else ""
+        raise place.wrong(
+            f"the URDF has no such joint{hint}", key="joint", found=name, allowed=", ".join(turning) or "none"
+        )
+    if name not in turning:
+        raise place.wrong(
+            "a cylinder moves a joint that turns between limits",
+            key="joint",
+            found=f"{name}, {joints[name].type}",
+            allowed=", ".join(turning) or "none",
+        )
+    return joints[name]
+
+
+# --- pins into the plane of the joint -----------------------------------------------
+
+
+class _Plane:
+    """The plane across a joint's axis, with the axis at the origin."""
+
+    def __init__(self, joint: yourdfpy.Joint) -> None:
+        self._T_parent_joint = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=float)
+        axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
+        self._axis = axis / np.linalg.norm(axis)
+        first = np.eye(3)[int(np.argmin(np.abs(self._axis)))]
+        u = first - (first @ self._axis) * self._axis
+        self._u = u / np.linalg.norm(u)
+        self._v = np.cross(self._axis, self._u)
+
+    def of_parent(self, pin: Point) -> Vector:
+        """(3,) a pin in the frame of the link above: in the plane, then along the axis."""
+        R, p = self._T_parent_joint[:3, :3], self._T_parent_joint[:3, 3]
+        return self.of_child(R.T @ (np.array(pin) - p))
+
+    def of_child(self, pin: Point | Vector) -> Vector:
+        """(3,) a pin in the frame of the link below, with the joint at 0."""
+        point = np.asarray(pin, dtype=float)
+        return np.array([point @ self._u, point @ self._v, point @ self._axis])
+
+
+def _linkage(spec: CylinderRecord, joint: yourdfpy.Joint, place: _Place) -> Triangle | FourBar:
+    plane = _Plane(joint)
+    base, moved = plane.of_parent(spec.parent), plane.of_child(spec.child)
+    if spec.rocker is None:
+        return _triangle(base, moved, place, "parent", "child")
+    rocker = spec.rocker
+    pivot, R, C = plane.of_parent(rocker.pivot), plane.of_parent(rocker.link), plane.of_parent(rocker.cylinder)
+    drive = _triangle(base - pivot, C - pivot, place, "parent", "rocker.cylinder")
+    r = R[:2] - pivot[:2]
+    if np.hypot(*r) < _ALONG_AXIS:
+        raise place.wrong("the link's pin lies on the rocker's pivot", key="rocker.link", found=list(rocker.link))
+    if np.hypot(*moved[:2]) < _ALONG_AXIS:
+        raise place.wrong("the pin lies on the joint's axis", key="child", found=list(spec.child))
+    cos, sin = math.cos(rocker.drawn_at), math.sin(rocker.drawn_at)
+    B = np.array([cos * moved[0] - sin * moved[1], sin * moved[0] + cos * moved[1]])
+    AB = B - pivot[:2]
+    return FourBar(
+        pivot=(float(pivot[0]), float(pivot[1])),
+        rocker=float(np.hypot(*r)),
+        link=float(np.hypot(*(R[:2] - B))),
+        pin=float(np.hypot(*moved[:2])),
+        pin_angle=math.atan2(moved[1], moved[0]),
+        side=1.0 if AB[0] * r[1] - AB[1] * r[0] >= 0.0 else -1.0,
+        # the drive's own angle counts from the cylinder's pin, theta from the link's
+        drive=Triangle(drive.a, drive.b, drive.phi0 - math.atan2(r[1], r[0]), drive.offset),
+    )
+
+
+def _triangle(base: Vector, moved: Vector, place: _Place, base_key: str, moved_key: str) -> Triangle:
+    a, b = float(np.hypot(base[0], base[1])), float(np.hypot(moved[0], moved[1]))
+    for length, key in ((a, base_key), (b, moved_key)):
+        if length < _ALONG_AXIS:
+            raise place.wrong("the pin has no lever: it lies on the axis about which the cylinder turns", key=key)
+    phi0 = math.atan2(moved[1], moved[0]) - math.atan2(base[1], base[0])
+    return Triangle(a, b, math.remainder(phi0, 2.0 * math.pi), float(moved[2] - base[2]))
+
+
+# --- what the strokes allow -----------------------------------------------------------
+
+
+def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float, upper: float) -> tuple[float, float]:
+    """The range of a joint in which all its cylinders are within their strokes [rad]."""
+    _check_linkages(cylinders, lower, upper)
+    alone = len(cylinders) == 1
+    middle = 0.5 * (lower + upper)
+    ends: list[float] = []
+    for cylinder, place in cylinders:
+        shortest, longest = cylinder.linkage.length_range
+        # beside another cylinder, one may pass the dead centre at which it is shortest
+        if alone and cylinder.closed < shortest:
+            raise place.wrong(
+                "is shorter than the pins come together",
+                key="closed",
+                found=cylinder.closed,
+                allowed=f"{shortest:.4f} m or more",
+            )
+        if cylinder.open > longest:
+            raise place.wrong(
+                "is longer than the pins come apart",
+                key="open",
+                found=cylinder.open,
+                allowed=f"{longest:.4f} m or less",
+            )
+        at_limits = cylinder.linkage.length(np.linspace(lower, upper, _SAMPLES))
+        for key, end, beyond in (
+            ("closed", cylinder.closed, float(np.min(at_limits))),
+            ("open", cylinder.open, float(np.max(at_limits))),
+        ):
+            if (beyond < end - 1e-9) if key == "closed" else (beyond > end + 1e-9):
+                raise place.wrong(
+                    f"the stroke does not reach the joint's limits in the URDF, {_degrees(lower)} to {_degrees(upper)}",
+                    key=key,
+                    found=end,
+                    allowed=f"{beyond:.4f} m or {'less' if key == 'closed' else 'more'}",
+                )
+            found = cylinder.linkage.angles(np.array(end))
+            found = found + 2.0 * np.pi * np.round((middle - found) / (2.0 * np.pi))
+            on_branch = np.abs(cylinder.linkage.length(found) - end) < 1e-7
+            ends += [float(angle) for angle in found[on_branch]]
+    below = [end for end in ends if end <= lower + 1e-9]
+    above = [end for end in ends if end >= upper - 1e-9]
+    if not below or not above:
+        raise cylinders[0][1].wrong(
+            "the strokes do not end the joint's range on either side: the linkage stops first",
+            found=f"ends at {', '.join(_degrees(end) for end in sorted(ends)) or 'no angle'}",
+            allowed=f"one at {_degrees(lower)} or below, one at {_degrees(upper)} or above",
+        )
+    reached = (max(below), min(above))
+    _check_linkages(cylinders, *reached)
+    return reached
+
+
+def _check_linkages(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float, upper: float) -> None:
+    """Every linkage closes from `lower` to `upper`, and one of them always has a lever."""
+    angles = np.linspace(lower, upper, _SAMPLES)
+    arms = np.stack([cylinder.linkage.arm(angles) for cylinder, _ in cylinders])
+    for arm, (_, place) in zip(arms, cylinders, strict=True):
+        if np.any(np.isnan(arm)):
+            at = float(angles[int(np.argmax(np.isnan(arm)))])
+            raise place.wrong(
+                f"the pins cannot close the four-bar at {_degrees(at)}",
+                key="rocker",
+                found=f"open at {at:.4f} rad",
+                allowed=f"closed from {_degrees(lower)} to {_degrees(upper)}",
+            )
+    # one cylinder alone is stuck where its lever changes sides; of two, one may help the other over
+    alone = len(cylinders) == 1
+    sense, levers = np.sign(arms[0]), np.max(np.abs(arms), axis=0)
+    stuck = sense != sense[len(angles) // 2] if alone else levers < _NO_LEVER * np.max(levers)
+    if np.any(stuck):
+        at = float(angles[int(np.argmin(np.where(stuck, np.abs(angles - angles[len(angles) // 2]), np.inf)))])
+        raise cylinders[0][1].wrong(
+            f"the linkage passes a dead centre near {_degrees(at)}, where the cylinder has no lever",
+            found=f"{at:.4f} rad",
+            allowed=f"a lever from {_degrees(lower)} to {_degrees(upper)}",
+        )
+
+
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.1f} deg"

@@ -1,0 +1,472 @@
+"""Reading a URDF: found, parsed and checked by yourdfpy before Pinocchio sees it.
+
+`read_urdf` is the only door. What comes out of it has a name for every link and
+joint, finite numbers, only joint types this package plans with, and meshes that
+exist on disk.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import math
+import os
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import yourdfpy
+from lxml import etree
+
+from backhoe_planner.errors import RobotError, nearest_name
+
+__all__ = ["Urdf", "example_names", "read_urdf", "shipped"]
+
+_MOVING = ("revolute", "continuous", "prismatic")
+_REFUSED = {
+    "floating": "a floating joint has no limits to plan within",
+    "planar": "a planar joint has no limits to plan within",
+    "spherical": "a spherical joint is not described by one angle",
+}
+
+# Names for robots of example-robot-data whose file is called otherwise.
+_EXAMPLE_ALIASES = {
+    "panda": "panda_description/urdf/panda.urdf",
+    "ur3": "ur_description/urdf/ur3_robot.urdf",
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "ur10": "ur_description/urdf/ur10_robot.urdf",
+    "xarm7": "xarm_description/urdf/xarm7.urdf",
+    "z1": "z1_description/urdf/z1.urdf",
+    "kinova": "kinova_description/robots/kinova.urdf",
+}
+
+# What a shipped model may be looked for as.
+_ALSO_CALLED = {"excavator": "backhoe", "backhoe loader": "backhoe", "digger": "backhoe", "bagger": "backhoe"}
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A URDF that was read and checked.
+
+    Attributes
+    ----------
+    source: what the user asked for, a path or ``example:NAME``.
+    path: the file itself.
+    xml: its text, with comments stripped.
+    sha256: of the file's bytes.
+    robot: yourdfpy's records of links and joints.
+    acceleration: `<limit acceleration>` by joint name [rad/s^2 or m/s^2], where given.
+    """
+
+    source: str
+    path: Path
+    xml: bytes
+    sha256: str
+    robot: yourdfpy.Robot
+    acceleration: dict[str, float]
+
+    @cached_property
+    def joint_of_child(self) -> dict[str, yourdfpy.Joint]:
+        """The joint above each link but the root."""
+        return {joint.child: joint for joint in self.robot.joints}
+
+    @cached_property
+    def root(self) -> str:
+        """The link that hangs on no joint."""
+        return next(str(link.name) for link in self.robot.links if link.name not in self.joint_of_child)
+
+    @cached_property
+    def leaves(self) -> tuple[str, ...]:
+        """Links that carry no other link."""
+        parents = {joint.parent for joint in self.robot.joints}
+        return tuple(str(link.name) for link in self.robot.links if link.name not in parents)
+
+    def chain(self, tip: str) -> tuple[yourdfpy.Joint, ...]:
+        """The joints from the root to link `tip`, fixed ones included."""
+        joints = []
+        link = tip
+        while link in self.joint_of_child:
+            joint = self.joint_of_child[link]
+            joints.append(joint)
+            link = joint.parent
+        return tuple(reversed(joints))
+
+    def mesh_path(self, uri: str) -> Path | None:
+        """Where a mesh's file lies, or None where it is nowhere to be found."""
+        for candidate in _mesh_candidates(uri, self.path):
+            if candidate.is_file():
+                return candidate
+        return None
+
+
+def shipped(folder: str) -> Path:
+    """The folder `models` or `scenes` that comes with the package.
+
+    In a wheel it lies inside the package, in a clone beside it.
+    """
+    package = Path(__file__).resolve().parents[2]
+    inside = package / folder
+    return inside if inside.is_dir() else package.parent / folder
+
+
+def example_names() -> list[str]:
+    """Names that ``example:NAME`` understands, sorted."""
+    own = {path.stem for path in shipped("models").glob("*.urdf")}
+    root = _example_root()
+    found: set[str] = set()
+    if root is not None:
+        found = {path.stem for path in root.glob("*/*/*.urdf")}
+        found |= {name for name, rel in _EXAMPLE_ALIASES.items() if (root / rel).is_file()}
+    return sorted(own | found)
+
+
+def read_urdf(source: str | os.PathLike[str]) -> Urdf:
+    """Read and check a URDF.
+
+    Parameters
+    ----------
+    source: a path, or ``example:NAME`` for a robot of example-robot-data (or one of
+        the models that come with this package: ``example:backhoe``).
+
+    Raises
+    ------
+    RobotError: the file is missing, not XML, not a tree of links and joints, has a
+        joint of a kind that is not supported, no limits, a number that is not
+        finite, or names a mesh that is not there. The message names file and element.
+    """
+    path = _locate(os.fspath(source))
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RobotError(f"cannot be read: {error.strerror}", file=path) from error
+    root = _parse_xml(data, path)
+    _check_numbers(root, path)
+    _check_complete(root, path)
+    parsed = _parse_robot(root, path)
+    _check_tree(parsed.robot, path)
+    for joint in parsed.robot.joints:
+        _check_joint(joint, path)
+    if not parsed.validate():
+        problems = "; ".join(str(getattr(error, "msg", error)) for error in parsed.errors)
+        raise RobotError(f"is not a valid URDF: {problems}", file=path)
+    urdf = Urdf(
+        source=os.fspath(source),
+        path=path,
+        xml=etree.tostring(root),
+        sha256=hashlib.sha256(data).hexdigest(),
+        robot=parsed.robot,
+        acceleration=_acceleration_limits(root, path),
+    )
+    _check_meshes(urdf)
+    return urdf
+
+
+# --- finding the file ---------------------------------------------------------
+
+
+def _locate(source: str) -> Path:
+    if source.startswith("example:"):
+        return _locate_example(source.removeprefix("example:"))
+    path = Path(source)
+    if path.is_file():
+        return path
+    if path.is_dir():
+        raise RobotError("is a folder, not a URDF file", file=path)
+    own = shipped("models") / path.name
+    if path.parent in (Path("models"), Path()) and own.is_file():
+        return own
+    raise RobotError(
+        "no such URDF file",
+        file=path,
+        allowed="a path to a URDF, or example:NAME",
+        hint="example:backhoe is the backhoe that comes with the package",
+    )
+
+
+def _locate_example(name: str) -> Path:
+    own = shipped("models") / f"{name}.urdf"
+    if own.is_file():
+        return own
+    root = _example_root()
+    if root is None:
+        raise RobotError(
+            "example-robot-data is not installed", key=f"example:{name}", hint="pip install example-robot-data"
+        )
+    alias = _EXAMPLE_ALIASES.get(name)
+    candidates = [root / alias] if alias else []
+    candidates += sorted(root.glob(f"*/*/{name}.urdf"))
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    names = example_names()
+    near = nearest_name(name, (*names, *_ALSO_CALLED))
+    shipped_names = [path.stem for path in sorted(shipped("models").glob("*.urdf"))]
+    others = [known for known in names if known not in shipped_names]
+    raise RobotError(
+        "no such example robot",
+        key=f"example:{name}",
+        allowed=f"{', '.join(shipped_names)}, or of example-robot-data "
+        + (f"one of {len(others)} robots" if near else ", ".join(others)),
+        hint=f"did you mean example:{_ALSO_CALLED.get(near, near)}?" if near else "the backhoe is example:backhoe",
+    )
+
+
+def _example_root() -> Path | None:
+    """`share/example-robot-data/robots` of the prefix in which it is installed."""
+    prefixes = [Path(sys.prefix)]
+    prefixes += [Path(entry) / "cmeel.prefix" for entry in sys.path if entry]
+    for prefix in prefixes:
+        robots = prefix / "share" / "example-robot-data" / "robots"
+        if robots.is_dir():
+            return robots
+    return None
+
+
+def _mesh_candidates(uri: str, urdf: Path) -> Iterator[Path]:
+    if uri.startswith("package://"):
+        package, _, rest = uri.removeprefix("package://").partition("/")
+        root = _example_root()
+        if root is not None and package == "example-robot-data":
+            yield root.parent / rest
+        for folder in urdf.resolve().parents:
+            if folder.name == package:
+                yield folder / rest
+            yield folder / package / rest
+        for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
+            if entry:
+                yield Path(entry) / package / rest
+    elif uri.startswith("file://"):
+        yield Path(uri.removeprefix("file://"))
+    else:
+        yield urdf.parent / uri
+
+
+# --- checking it --------------------------------------------------------------
+
+
+def _parse_xml(data: bytes, path: Path) -> etree._Element:
+    if not data.strip():
+        raise RobotError("the file is empty", file=path, allowed="a URDF")
+    parser = etree.XMLParser(remove_comments=True, remove_pis=True, resolve_entities=False)
+    try:
+        root = etree.fromstring(data, parser=parser)
+    except etree.XMLSyntaxError as error:
+        raise RobotError(f"is not well-formed XML: {error.msg}", file=path) from error
+    if root.tag != "robot":
+        raise RobotError("the outermost element is not a robot", file=path, found=f"<{root.tag}>", allowed="<robot>")
+    if not root.get("name"):
+        raise RobotError("the robot has no name", file=path, key="robot @name")
+    return root
+
+
+def _element_key(element: etree._Element) -> str:
+    """Where an element stands, by the names of the link or joint around it."""
+    parts = []
+    node: etree._Element | None = element
+    while node is not None and node.tag != "robot":
+        name = node.get("name")
+        parts.append(f"{node.tag} {name!r}" if name else str(node.tag))
+        node = node.getparent()
+    return " > ".join(reversed(parts))
+
+
+def _check_numbers(root: etree._Element, path: Path) -> None:
+    numeric = {
+        "xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", "velocity", "effort",
+        "acceleration", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "damping", "friction", "multiplier", "offset",
+    }  # fmt: skip
+    inside = {"link", "joint"}
+    for element in root.iter():
+        if not isinstance(element.tag, str):
+            continue
+        top = next((a.tag for a in element.iterancestors() if a.getparent() is root), element.tag)
+        if top not in inside:
+            continue
+        for attribute, text in element.attrib.items():
+            if attribute not in numeric or (attribute == "value" and element.tag != "mass"):
+                continue
+            key = f"{_element_key(element)} @{attribute}"
+            try:
+                numbers = [float(word) for word in str(text).split()]
+            except ValueError:
+                raise RobotError("is not a number", file=path, key=key, found=repr(text)) from None
+            if not numbers or not all(math.isfinite(number) for number in numbers):
+                raise RobotError("is not a finite number", file=path, key=key, found=repr(text))
+            wanted = {"xyz": (3,), "rpy": (3,), "size": (3,), "scale": (1, 3)}.get(str(attribute), (1,))
+            if len(numbers) not in wanted:
+                allowed = " or ".join(map(str, wanted))
+                raise RobotError(f"has {len(numbers)} numbers", file=path, key=key, found=repr(text), allowed=allowed)
+            if attribute in ("radius", "length", "size") and min(numbers) <= 0.0:
+                raise RobotError("must be greater than 0", file=path, key=key, found=repr(text))
+            if attribute == "scale" and 0.0 in numbers:
+                raise RobotError("must not be 0", file=path, key=key, found=repr(text))
+            if (attribute == "effort" or element.tag == "mass") and min(numbers) < 0.0:
+                raise RobotError("is negative", file=path, key=key, found=repr(text))
+
+
+_GEOMETRY = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length"), "mesh": ("filename",)}
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def _check_complete(root: etree._Element, path: Path) -> None:
+    """That shapes and inertias have all their parts; a half one would be dropped silently."""
+    for link in root.findall("link"):
+        for shape in (*link.findall("collision"), *link.findall("visual")):
+            geometry = shape.find("geometry")
+            kinds = [] if geometry is None else [child for child in geometry if isinstance(child.tag, str)]
+            if len(kinds) != 1 or kinds[0].tag not in _GEOMETRY:
+                raise RobotError(
+                    "needs one shape in its <geometry>",
+                    file=path,
+                    key=_element_key(shape),
+                    found=", ".join(f"<{kind.tag}>" for kind in kinds) or "none",
+                    allowed=", ".join(_GEOMETRY),
+                )
+            _need(kinds[0], _GEOMETRY[kinds[0].tag], path)
+        for inertial in link.findall("inertial"):
+            for tag, attributes in (("mass", ("value",)), ("inertia", _INERTIA)):
+                element = inertial.find(tag)
+                if element is None:
+                    raise RobotError(f"has no <{tag}>", file=path, key=_element_key(inertial))
+                _need(element, attributes, path)
+
+
+def _need(element: etree._Element, attributes: tuple[str, ...], path: Path) -> None:
+    for attribute in attributes:
+        if not element.get(attribute):
+            raise RobotError(f"has no {attribute}", file=path, key=_element_key(element))
+
+
+def _parse_robot(root: etree._Element, path: Path) -> yourdfpy.URDF:
+    for element in root:
+        if element.tag not in ("link", "joint"):
+            continue
+        if not element.get("name"):
+            raise RobotError(f"a <{element.tag}> has no name", file=path)
+        if element.tag == "joint":
+            for child in ("parent", "child"):
+                node = element.find(child)
+                if node is None or not node.get("link"):
+                    raise RobotError(f"has no <{child} link=...>", file=path, key=_element_key(element))
+    quiet = logging.getLogger("yourdfpy")
+    level = quiet.level
+    quiet.setLevel(logging.CRITICAL)
+    try:
+        return yourdfpy.URDF(
+            robot=yourdfpy.URDF._parse_robot(xml_element=root), build_scene_graph=False, load_meshes=False
+        )
+    except Exception as error:  # yourdfpy raises whatever its parsing runs into
+        raise RobotError(f"yourdfpy cannot read it: {error}", file=path) from error
+    finally:
+        quiet.setLevel(level)
+
+
+def _check_tree(robot: yourdfpy.Robot, path: Path) -> None:
+    links = [link.name for link in robot.links]
+    if not links:
+        raise RobotError("has no link", file=path)
+    for kind, names in (("link", links), ("joint", [joint.name for joint in robot.joints])):
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise RobotError(f"two {kind}s have the same name", file=path, found=", ".join(sorted(twice)))
+    children: dict[str, str] = {}
+    for joint in robot.joints:
+        for end, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                near = nearest_name(link, links)
+                raise RobotError(
+                    f"{end} link does not exist",
+                    file=path,
+                    key=f"joint {joint.name!r}",
+                    found=link,
+                    hint=f"did you mean {near!r}?" if near else None,
+                )
+        if joint.child in children:
+            raise RobotError(
+                f"link {joint.child!r} hangs on two joints: {children[joint.child]!r} and {joint.name!r}", file=path
+            )
+        children[joint.child] = joint.name
+    roots = [name for name in links if name not in children]
+    if len(roots) != 1:
+        raise RobotError(
+            "the links do not form one tree", file=path, found=f"roots: {', '.join(roots) or 'none (a loop)'}"
+        )
+    reached = {roots[0]}
+    grown = True
+    while grown:
+        new = {joint.child for joint in robot.joints if joint.parent in reached} - reached
+        reached |= new
+        grown = bool(new)
+    if len(reached) != len(links):
+        raise RobotError("joints form a loop", file=path, found=", ".join(sorted(set(links) - reached)))
+
+
+def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
+    key = f"joint {joint.name!r}"
+    if joint.type in _REFUSED:
+        raise RobotError(
+            f"{_REFUSED[joint.type]}", file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING)
+        )
+    if joint.type not in (*_MOVING, "fixed"):
+        raise RobotError(
+            "unknown joint type", file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING)
+        )
+    if joint.type == "fixed":
+        return
+    if joint.axis is not None and float(np.linalg.norm(joint.axis)) < 1e-9:
+        raise RobotError("the axis has no direction", file=path, key=key, found="0 0 0")
+    limit = joint.limit
+    if joint.type in ("revolute", "prismatic"):
+        if limit is None:
+            raise RobotError("has no <limit>", file=path, key=key, allowed="lower, upper, velocity, effort")
+        if limit.lower is None or limit.upper is None:
+            raise RobotError("the <limit> has no lower and upper", file=path, key=key)
+        if limit.lower >= limit.upper:
+            raise RobotError(
+                "lower limit is not below upper", file=path, key=key, found=f"lower {limit.lower}, upper {limit.upper}"
+            )
+    if limit is not None and (limit.velocity is None or limit.effort is None):
+        missing = [name for name in ("velocity", "effort") if getattr(limit, name) is None]
+        raise RobotError(f"the <limit> has no {' and no '.join(missing)}", file=path, key=key)
+    if limit is not None and limit.velocity < 0.0:
+        raise RobotError("velocity limit is negative", file=path, key=key, found=limit.velocity)
+
+
+def _acceleration_limits(root: etree._Element, path: Path) -> dict[str, float]:
+    limits = {}
+    for joint in root.iter("joint"):
+        limit = joint.find("limit")
+        if limit is None or limit.get("acceleration") is None:
+            continue
+        value = float(limit.get("acceleration"))
+        if value <= 0.0:
+            raise RobotError(
+                "must be greater than 0",
+                file=path,
+                key=f"joint {joint.get('name')!r} > limit @acceleration",
+                found=value,
+            )
+        limits[str(joint.get("name"))] = value
+    return limits
+
+
+def _check_meshes(urdf: Urdf) -> None:
+    for link in urdf.robot.links:
+        for kind, shapes in (("collision", link.collisions), ("visual", link.visuals)):
+            for shape in shapes:
+                mesh = None if shape.geometry is None else shape.geometry.mesh
+                if mesh is None or urdf.mesh_path(mesh.filename) is not None:
+                    continue
+                package = mesh.filename.startswith("package://")
+                raise RobotError(
+                    "mesh file not found",
+                    file=urdf.path,
+                    key=f"link {link.name!r} > {kind}",
+                    found=mesh.filename,
+                    hint="the package's folder must be above the URDF or in ROS_PACKAGE_PATH"
+                    if package
+                    else "mesh paths are relative to the URDF",
+                )

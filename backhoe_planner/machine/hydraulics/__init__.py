@@ -1,0 +1,1 @@
+"""Cylinders, linkages, pump and engine."""

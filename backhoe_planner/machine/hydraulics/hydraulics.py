@@ -1,0 +1,289 @@
+"""The hydraulics of a machine: cylinders between the joints, and the pump that drives them.
+
+With l the pin-to-pin lengths of m cylinders and q the n joint positions,
+
+    r = dl/dq,    l' = r v,    tau = r^T F,    F . l' = tau . v   (virtual work).
+
+A cylinder extends with the oil on the piston (A_cap) and retracts with the oil on the
+piston less the rod (A_ann), so that every limit of speed and force has two sides.
+Forces push positive, lengths grow positive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError, nearest_name
+from backhoe_planner.machine.hydraulics.cylinder import Cylinder
+
+__all__ = ["BothWays", "Hydraulics"]
+
+Array = NDArray[np.float64]
+
+_CLOSES = 1e-7  # m: an angle whose length is this far off is on another branch
+_BESIDE = 1e-7  # rad: this far beyond the end of the stroke is still the end
+
+
+@dataclass(frozen=True)
+class BothWays:
+    """A limit with two sides, both as magnitudes, of the same shape.
+
+    Attributes
+    ----------
+    positive: while joints turn forward or are turned forward, or cylinders extend.
+    negative: while joints turn back, or cylinders retract.
+    """
+
+    positive: Array
+    negative: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Hydraulics:
+    """The cylinders of a machine; every method is vectorised over (..., n) arrays of q.
+
+    A joint that no cylinder moves has a moment arm of 0, no lengths, and no hydraulic
+    limit: its entries are infinite in limits, and nan in `joints`.
+
+    Attributes
+    ----------
+    file: the description from which it was read.
+    joint_names: the n joints.
+    joint_ranges: (m, 2) the range of each cylinder's joint that its strokes allow [rad].
+    cylinders: the m cylinders.
+    pump_flow: what the pump delivers at most [m^3/s].
+    pressure: at which relief valves open [Pa].
+    engine_power: [W]; efficiency: what of it arrives in the oil, 0 to 1.
+    """
+
+    file: Path
+    joint_names: tuple[str, ...]
+    joint_ranges: Array
+    cylinders: tuple[Cylinder, ...]
+    pump_flow: float
+    pressure: float
+    engine_power: float
+    efficiency: float
+
+    def __repr__(self) -> str:
+        return f"Hydraulics({', '.join(self.cylinder_names)})"
+
+    @property
+    def cylinder_names(self) -> tuple[str, ...]:
+        """The m names."""
+        return tuple(cylinder.name for cylinder in self.cylinders)
+
+    @cached_property
+    def joint_of(self) -> NDArray[np.int64]:
+        """(m,) index of the joint that each cylinder moves."""
+        return np.array([self.joint_names.index(cylinder.joint) for cylinder in self.cylinders], dtype=np.int64)
+
+    @cached_property
+    def force_limits(self) -> BothWays:
+        """(m,) push (positive) and pull (negative) at relief pressure [N]."""
+        return BothWays(self.pressure * self._cap, self.pressure * self._annulus)
+
+    @cached_property
+    def stroke_limits(self) -> Array:
+        """(m, 2) closed and open length [m]."""
+        return np.array([(c.closed, c.open) for c in self.cylinders]).reshape(-1, 2)
+
+    @property
+    def power_limit(self) -> float:
+        """What the engine can put into the oil [W]."""
+        return self.efficiency * self.engine_power
+
+    @cached_property
+    def _cap(self) -> Array:
+        return np.array([cylinder.cap_area for cylinder in self.cylinders])
+
+    @cached_property
+    def _annulus(self) -> Array:
+        return np.array([cylinder.annulus_area for cylinder in self.cylinders])
+
+    @cached_property
+    def _valve_flow(self) -> Array:
+        return np.array([cylinder.flow for cylinder in self.cylinders])
+
+    @cached_property
+    def _driven(self) -> NDArray[np.bool_]:
+        """(n,) which joints a cylinder moves."""
+        driven = np.zeros(len(self.joint_names), dtype=bool)
+        driven[self.joint_of] = True
+        return driven
+
+    # --- geometry ---------------------------------------------------------------
+
+    def lengths(self, q: Array) -> Array:
+        """(..., m) pin-to-pin lengths [m] at q (..., n)."""
+        q = np.asarray(q, dtype=float)
+        columns = [c.linkage.length(q[..., j]) for c, j in zip(self.cylinders, self.joint_of, strict=True)]
+        return _stacked(columns, q)
+
+    def moment_arms(self, q: Array) -> Array:
+        """(..., m, n) r = dl/dq [m/rad] at q (..., n)."""
+        arms = self._arms(q)
+        matrix = np.zeros((*arms.shape, len(self.joint_names)))
+        matrix[..., np.arange(len(self.cylinders)), self.joint_of] = arms
+        return matrix
+
+    def joints(self, lengths: Array) -> Array:
+        """(..., n) the joint positions [rad] with these lengths (..., m), the inverse of `lengths`.
+
+        Within `joint_range`. Where several cylinders move one joint they must agree: nan
+        where they do not, and where a length is none that the joint's range has.
+        """
+        lengths = np.asarray(lengths, dtype=float)
+        q = np.full((*lengths.shape[:-1], len(self.joint_names)), np.nan)
+        for joint in np.flatnonzero(self._driven):
+            mine = np.flatnonzero(self.joint_of == joint)
+            own = lengths[..., mine]
+            found = np.concatenate([self.cylinders[i].linkage.angles(own[..., k]) for k, i in enumerate(mine)])
+            lower, upper = self.joint_ranges[mine[0]]
+            found = found + 2.0 * np.pi * np.round((0.5 * (lower + upper) - found) / (2.0 * np.pi))
+            off = sum(np.abs(self.cylinders[i].linkage.length(found) - own[..., k]) for k, i in enumerate(mine))
+            outside = np.maximum(lower - found, found - upper) > _BESIDE
+            off = np.where(np.isnan(off) | outside | (off > _CLOSES), np.inf, off)
+            best = np.argmin(off, axis=0, keepdims=True)
+            value = np.take_along_axis(found, best, axis=0)[0]
+            q[..., joint] = np.where(np.isinf(np.take_along_axis(off, best, axis=0)[0]), np.nan, value)
+        return q
+
+    def joint_range(self, joint: str) -> tuple[float, float]:
+        """Lowest and highest position of a joint that its cylinders' strokes allow [rad].
+
+        Raises
+        ------
+        InputError: no cylinder moves such a joint.
+        """
+        for cylinder, (lower, upper) in zip(self.cylinders, self.joint_ranges, strict=True):
+            if cylinder.joint == joint:
+                return float(lower), float(upper)
+        driven = list(dict.fromkeys(cylinder.joint for cylinder in self.cylinders))
+        near = nearest_name(joint, driven)
+        raise InputError(
+            "no cylinder moves this joint",
+            key="joint",
+            found=joint,
+            allowed=", ".join(driven),
+            hint=f"did you mean {near!r}?" if near else None,
+        )
+
+    # --- speed and flow ---------------------------------------------------------
+
+    def rod_speeds(self, q: Array, v: Array) -> Array:
+        """(..., m) l' = r v [m/s], extending positive, at q, v (..., n)."""
+        return np.asarray(self._arms(q) * np.asarray(v)[..., self.joint_of])
+
+    def flows(self, q: Array, v: Array) -> Array:
+        """(..., m) oil that the pump feeds into each cylinder [m^3/s], 0 or more."""
+        speed = self.rod_speeds(q, v)
+        return np.asarray(np.abs(speed) * np.where(speed > 0.0, self._cap, self._annulus))
+
+    def total_flow(self, q: Array, v: Array) -> Array:
+        """(...) oil that the pump feeds [m^3/s]; to be kept within `pump_flow`."""
+        return np.asarray(np.sum(self.flows(q, v), axis=-1))
+
+    def velocity_limits(self, q: Array) -> BothWays:
+        """(..., n) the fastest that each joint can turn either way [rad/s], the others at rest.
+
+        By what the valve of each of its cylinders passes, and by the pump, which these
+        share; infinite where no cylinder moves the joint or all are at a dead centre.
+        """
+        arms = self._arms(q)
+        sides = []
+        for sign in (1.0, -1.0):
+            area = np.where(sign * arms > 0.0, self._cap, self._annulus)
+            swept = area * np.abs(arms)  # m^3/rad
+            share = self._by_joint(swept)
+            with np.errstate(divide="ignore"):
+                limit = np.where(share > 0.0, self.pump_flow / share, np.inf)
+                for i, joint in enumerate(self.joint_of):
+                    own = np.where(swept[..., i] > 0.0, self._valve_flow[i] / swept[..., i], np.inf)
+                    limit[..., joint] = np.minimum(limit[..., joint], own)
+            sides.append(limit)
+        return BothWays(*sides)
+
+    # --- force and pressure -----------------------------------------------------
+
+    def joint_torques(self, q: Array, force: Array) -> Array:
+        """(..., n) tau = r^T F [N m] of cylinder forces F (..., m) [N], push positive."""
+        return self._by_joint(self._arms(q) * np.asarray(force))
+
+    def cylinder_forces(self, q: Array, tau: Array) -> Array:
+        """(..., m) the forces F [N] that give the torques tau (..., n) [N m], push positive.
+
+        Where several cylinders move one joint, those of least norm: F = r tau / (r . r).
+        A torque on a joint without a cylinder is none of theirs.
+        """
+        arms = self._arms(q)
+        share = self._by_joint(arms * arms)[..., self.joint_of]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(arms * np.asarray(tau)[..., self.joint_of] / share)
+
+    def pressures(self, q: Array, tau: Array) -> Array:
+        """(..., m) pressure [Pa] in the chamber that bears the torques tau (..., n) [N m].
+
+        The other chamber is at tank pressure, 0.
+        """
+        force = self.cylinder_forces(q, tau)
+        return np.asarray(np.abs(force) / np.where(force > 0.0, self._cap, self._annulus))
+
+    def torque_limits(self, q: Array) -> BothWays:
+        """(..., n) the greatest joint torque either way at relief pressure [N m].
+
+        Every cylinder of a joint helps, each from the side on which it does. Infinite
+        where no cylinder moves the joint.
+        """
+        arms = self._arms(q)
+        push, pull = self.force_limits.positive, self.force_limits.negative
+        sides = []
+        for sign in (1.0, -1.0):
+            limit = self._by_joint(np.abs(arms) * np.where(sign * arms > 0.0, push, pull))
+            sides.append(np.where(self._driven, limit, np.inf))
+        return BothWays(*sides)
+
+    # --- power ------------------------------------------------------------------
+
+    def power(self, q: Array, v: Array, tau: Array) -> Array:
+        """(...) what the oil must put in: the sum of p A |l'| [W], 0 for loads that drive their cylinder.
+
+        To be kept within `power_limit`.
+        """
+        return np.asarray(np.sum(self._driving_pressures(q, v, tau) * self.flows(q, v), axis=-1))
+
+    def load_sensing_power(self, q: Array, v: Array, tau: Array) -> Array:
+        """(...) what a load-sensing pump puts in: the highest pressure asked for times the whole flow [W].
+
+        Flow to the lighter loads is throttled down from that pressure, so it is never
+        less than `power`.
+        """
+        highest = np.max(self._driving_pressures(q, v, tau), axis=-1, initial=0.0)
+        return np.asarray(highest * self.total_flow(q, v))
+
+    def _driving_pressures(self, q: Array, v: Array, tau: Array) -> Array:
+        """(..., m) pressures of the cylinders that move against their load, 0 for the others [Pa]."""
+        against = self.cylinder_forces(q, tau) * self.rod_speeds(q, v) > 0.0
+        return np.where(against, self.pressures(q, tau), 0.0)
+
+    def _arms(self, q: Array) -> Array:
+        """(..., m) dl/dq of each cylinder along its own joint [m/rad]."""
+        q = np.asarray(q, dtype=float)
+        columns = [c.linkage.arm(q[..., j]) for c, j in zip(self.cylinders, self.joint_of, strict=True)]
+        return _stacked(columns, q)
+
+    def _by_joint(self, values: Array) -> Array:
+        """(..., n) sums of (..., m) over the cylinders of each joint."""
+        total = np.zeros((*values.shape[:-1], len(self.joint_names)))
+        for i, joint in enumerate(self.joint_of):
+            total[..., joint] += values[..., i]
+        return total
+
+
+def _stacked(columns: list[Array], q: Array) -> Array:
+    return np.stack(columns, axis=-1) if columns else np.zeros((*q.shape[:-1], 0))

@@ -1,0 +1,223 @@
+"""Solids as sets of convex pieces that never miss a point of the solid.
+
+Distances between convex pieces are exact and cheap; a plain convex hull would
+close a bucket's cavity, and a plain convex decomposition may shave off a corner.
+`convex_cover` takes the decomposition (V-HACD, through trimesh's own dependency)
+and grows its pieces until every triangle of the mesh lies inside one of them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+from vhacdx import compute_vhacd
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.shape.shapes import is_flat, thickened
+
+__all__ = ["convex_cover", "load_mesh", "terrain_columns", "voxel_boxes"]
+
+Points = NDArray[np.float64]
+
+_RESOLUTION = 60_000
+_FURTHEST = 1e7  # m from the origin of a mesh: as far as map coordinates go
+
+
+def load_mesh(path: Path) -> trimesh.Trimesh:
+    """One triangle mesh from a file (STL, OBJ, PLY, DAE, ...), as its author placed it.
+
+    Raises
+    ------
+    InputError: the file is missing, empty, or not a mesh.
+    """
+    if not path.is_file():
+        raise InputError("no such mesh file", file=path)
+    if path.stat().st_size == 0:
+        raise InputError("the mesh file is empty", file=path)
+    try:
+        mesh = trimesh.load_mesh(path)
+    except Exception as error:  # trimesh raises whatever its format readers run into
+        raise InputError(f"is not a mesh that can be read: {error}", file=path) from error
+    if isinstance(mesh, trimesh.Scene):
+        mesh = mesh.to_mesh()
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError("holds no triangles", file=path)
+    if not np.all(np.isfinite(mesh.vertices)):
+        raise InputError("holds a vertex that is not finite", file=path)
+    return mesh
+
+
+def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.08) -> list[Points]:
+    """Corner points of convex pieces whose union contains every triangle of `mesh`.
+
+    Parameters
+    ----------
+    mesh: any triangle mesh, closed or not [m].
+    pieces: the most pieces the decomposition may use.
+    excess: a mesh whose convex hull has at most this times its volume is taken whole.
+
+    Returns
+    -------
+    One (k, 3) array of hull vertices per piece, in the frame of the mesh; one piece a
+    little thicker than the mesh where that is flat.
+
+    Raises
+    ------
+    InputError: the mesh reaches further than any map.
+    """
+    vertices = np.asarray(mesh.vertices, dtype=float)
+    faces = np.asarray(mesh.faces)
+    used = np.unique(faces)
+    furthest = float(np.max(np.abs(vertices[used])))
+    if furthest > _FURTHEST:
+        raise InputError(
+            "the mesh is too large",
+            found=f"a vertex {furthest:.4g} m from the origin",
+            allowed=f"up to {_FURTHEST:.0e} m",
+            hint="its scale takes the units of the file to metres",
+        )
+    hull = None if is_flat(vertices[used]) else _hull(vertices[used])
+    if hull is None:
+        return [thickened(vertices[used])]
+    if hull.volume <= excess * abs(mesh.volume):
+        return [hull.points[hull.vertices]]
+    padded = np.column_stack((np.full(len(faces), 3), faces)).ravel().astype(np.uint32)
+    parts = [
+        np.asarray(points, dtype=float)
+        for points, _ in compute_vhacd(
+            vertices, padded, maxConvexHulls=pieces, resolution=_RESOLUTION, asyncACD=False, maxNumVerticesPerCH=48
+        )
+    ]
+    hulls = [part for part in map(_hull, parts) if part is not None]
+    if not hulls:
+        return [hull.points[hull.vertices]]
+    return _grown_over_triangles(hulls, vertices[faces])
+
+
+def _hull(points: Points) -> ConvexHull | None:
+    try:
+        return ConvexHull(points)
+    except QhullError:
+        return None
+
+
+def _grown_over_triangles(hulls: list[ConvexHull], triangles: Points) -> list[Points]:
+    """Add each triangle that sticks out to the piece that it sticks out of least."""
+    outside = np.stack(
+        [np.max(triangles @ hull.equations[:, :3].T + hull.equations[:, 3], axis=(1, 2)) for hull in hulls]
+    )
+    owner = np.argmin(outside, axis=0)
+    grown = []
+    for index, hull in enumerate(hulls):
+        missing = triangles[(owner == index) & (outside[index] > 0.0)].reshape(-1, 3)
+        points = np.vstack((hull.points[hull.vertices], missing))
+        larger = _hull(points)
+        grown.append(points if larger is None else larger.points[larger.vertices])
+    return grown
+
+
+def voxel_boxes(points: Points, resolution: float) -> list[tuple[Points, Points]]:
+    """Boxes that fill exactly the voxels in which a point lies.
+
+    Neighbouring voxels are merged into larger boxes, first along x, then y, then z.
+
+    Parameters
+    ----------
+    points: (n, 3) [m].
+    resolution: edge of a voxel [m].
+
+    Returns
+    -------
+    (centre (3,), size (3,)) of each box [m].
+    """
+    cells = np.unique(np.floor(points / resolution).astype(int), axis=0)
+    boxes: list[_Box] = [(tuple(int(c) for c in cell), (1, 1, 1)) for cell in cells]
+    for axis in range(3):
+        boxes = _merged_along(boxes, axis)
+    return [
+        (
+            resolution * (np.array(corner, dtype=float) + 0.5 * np.array(extent, dtype=float)),
+            resolution * np.array(extent, dtype=float),
+        )
+        for corner, extent in boxes
+    ]
+
+
+_Box = tuple[tuple[int, ...], tuple[int, ...]]
+
+
+def _merged_along(boxes: list[_Box], axis: int) -> list[_Box]:
+    def line(box: _Box) -> tuple[tuple[int, ...], tuple[int, ...], int]:
+        corner, extent = box
+        rest = tuple(c for i, c in enumerate(corner) if i != axis)
+        across = tuple(e for i, e in enumerate(extent) if i != axis)
+        return rest, across, corner[axis]
+
+    merged: list[_Box] = []
+    for box in sorted(boxes, key=line):
+        if merged:
+            corner, extent = merged[-1]
+            if line(box)[:2] == line(merged[-1])[:2] and corner[axis] + extent[axis] == box[0][axis]:
+                longer = tuple(e + box[1][axis] if i == axis else e for i, e in enumerate(extent))
+                merged[-1] = (corner, longer)
+                continue
+        merged.append(box)
+    return merged
+
+
+def terrain_columns(heights: Points, size: tuple[float, float], *, tolerance: float, depth: float) -> list[Points]:
+    """Convex columns under a height map, none of whose surface is left uncovered.
+
+    Blocks of cells are merged as long as the hull of their surface points rises at
+    most `tolerance` above the surface at any grid point.
+
+    Parameters
+    ----------
+    heights: (rows, columns) [m]; rows run along y, columns along x, both ascending,
+        and the map is centred on the origin.
+    size: extent in x and y [m].
+    tolerance: how much of the ground's roughness may be filled up [m].
+    depth: how far below the lowest point the columns reach [m].
+    """
+    rows, columns = heights.shape
+    x = np.linspace(-size[0] / 2.0, size[0] / 2.0, columns)
+    y = np.linspace(-size[1] / 2.0, size[1] / 2.0, rows)
+    floor = float(heights.min()) - depth
+    found: list[Points] = []
+    stack = [(0, rows - 1, 0, columns - 1)]
+    while stack:
+        r0, r1, c0, c1 = stack.pop()
+        xs, ys = np.meshgrid(x[c0 : c1 + 1], y[r0 : r1 + 1])
+        top = np.column_stack((xs.ravel(), ys.ravel(), heights[r0 : r1 + 1, c0 : c1 + 1].ravel()))
+        single = r1 - r0 <= 1 and c1 - c0 <= 1
+        if single or _rise_of_hull(top) <= tolerance:
+            base = top.copy()
+            base[:, 2] = floor
+            corners = np.vstack((top, base))
+            hull = _hull(corners)
+            found.append(corners if hull is None else hull.points[hull.vertices])
+            continue
+        if r1 - r0 >= c1 - c0:
+            middle = (r0 + r1) // 2
+            stack += [(r0, middle, c0, c1), (middle, r1, c0, c1)]
+        else:
+            middle = (c0 + c1) // 2
+            stack += [(r0, r1, c0, middle), (r0, r1, middle, c1)]
+    return found
+
+
+def _rise_of_hull(top: Points) -> float:
+    """How far the upper convex hull of surface points rises above any of them [m]."""
+    spread = np.ptp(top[:, 2])
+    if spread == 0.0:
+        return 0.0
+    hull = _hull(top)
+    if hull is None:  # all in one tilted plane
+        return 0.0
+    upper = hull.equations[hull.equations[:, 2] > 1e-9]
+    ceiling = np.min(-(top[:, :2] @ upper[:, :2].T + upper[:, 3]) / upper[:, 2], axis=1)
+    return float(np.max(ceiling - top[:, 2]))

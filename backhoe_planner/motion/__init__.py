@@ -1,0 +1,1 @@
+"""A motion: its path, its timing under all limits, what it costs."""

@@ -1,0 +1,162 @@
+"""The specified path of the tip: straight legs between waypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics.kinematics import wrap_angle
+from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.site.scene_file import Waypoint
+
+__all__ = ["TipPath", "step_lengths"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_TURN_LENGTH = 0.5  # m per rad: how long a leg counts on which the tip only turns
+_JOINT_TURN_LENGTH = 0.1  # m that a radian of the joints counts as, so that a motion goes on where the tip stands
+
+
+def step_lengths(stations: Vector, q: Matrix, *, least: float) -> Vector:
+    """(K-1,) what the steps along a path count [m]: the way of the tip, and some for the turning of the joints.
+
+    Parameters
+    ----------
+    stations: (K,) arc lengths of the samples [m]; q: (K, n) joints there.
+    least: what a step counts at least [m].
+    """
+    turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    return np.asarray(np.maximum(np.diff(stations) + _JOINT_TURN_LENGTH * turn, least))
+
+
+class TipPath:
+    """A path that is evaluated by arc length.
+
+    Attributes
+    ----------
+    points: (W, 3) waypoints [m], world.
+    stations: (W,) arc length at each waypoint [m].
+    """
+
+    def __init__(self, waypoints: Sequence[Waypoint]) -> None:
+        self.waypoints = tuple(waypoints)
+        self.points = np.array([waypoint.position for waypoint in self.waypoints], dtype=float)
+        self._rotations = [waypoint.rotation for waypoint in self.waypoints]
+        self._pitches = [waypoint.pitch_range for waypoint in self.waypoints]
+        lengths = [self._leg_length(leg) for leg in range(len(self.waypoints) - 1)]
+        self.stations = np.concatenate(([0.0], np.cumsum(lengths)))
+
+    @property
+    def length(self) -> float:
+        """[m]"""
+        return float(self.stations[-1])
+
+    @property
+    def asks_orientation(self) -> bool:
+        """Whether any waypoint asks for a pitch or an orientation."""
+        return any(r is not None for r in self._rotations) or any(p is not None for p in self._pitches)
+
+    def __call__(self, s: float, order: int = 0) -> Vector:
+        """(3,) position [m] (order 0) or direction of travel (order 1) at arc length `s` [m]."""
+        leg, part = self._locate(s)
+        step = self.points[leg + 1] - self.points[leg]
+        if order == 0:
+            return np.asarray(self.points[leg] + part * step)
+        length = self.stations[leg + 1] - self.stations[leg]
+        return np.asarray(step / length if length > 0.0 else step)
+
+    def target(self, s: float) -> TipTarget:
+        """All that is asked of the tip at arc length `s` [m].
+
+        Between a waypoint with a pitch and one without, the range opens until any
+        pitch is allowed.
+        """
+        leg, part = self._locate(s)
+        position = (1.0 - part) * self.points[leg] + part * self.points[leg + 1]
+        before, after = self._rotations[leg], self._rotations[leg + 1]
+        rotation = before if before is not None else after
+        if before is not None and after is not None:
+            rotation = before @ pin.exp3(part * pin.log3(before.T @ after))
+        return TipTarget(position=position, pitch=self._pitch(leg, part), rotation=rotation)
+
+    def nearest(self, point: Vector, *, low: float = 0.0, high: float | None = None) -> tuple[float, float]:
+        """(arc length [m], distance [m]) of the path's point nearest to `point` (3,).
+
+        Only the part from arc length `low` to `high` is looked at.
+        """
+        high = self.length if high is None else high
+        best = (low, float(np.linalg.norm(point - self(low))))
+        for leg in range(len(self.points) - 1):
+            s0, s1 = max(float(self.stations[leg]), low), min(float(self.stations[leg + 1]), high)
+            if s1 < s0:
+                continue
+            a, b = self(s0) if s0 > self.stations[leg] else self.points[leg], self.points[leg + 1]
+            if s1 < self.stations[leg + 1]:
+                b = self(s1)
+            step = b - a
+            square = float(step @ step)
+            part = float(np.clip((point - a) @ step / square, 0.0, 1.0)) if square > 0.0 else 0.0
+            distance = float(np.linalg.norm(point - a - part * step))
+            if distance < best[1] - 1e-12:
+                best = (s0 + part * (s1 - s0), distance)
+        return best
+
+    def turn(self, a: float, b: float) -> float:
+        """How far the asked orientation turns from arc length `a` to `b` [rad]; 0 where none is asked."""
+        before, after = self.target(a), self.target(b)
+        if before.rotation is not None and after.rotation is not None:
+            return float(np.linalg.norm(pin.log3(before.rotation.T @ after.rotation)))
+        if before.pitch is not None and after.pitch is not None:
+            return abs(wrap_angle(0.5 * sum(after.pitch) - 0.5 * sum(before.pitch)))
+        return 0.0
+
+    def corners(self, angle: float) -> Vector:
+        """(C,) arc lengths at which the path bends by more than `angle` [rad], [m]."""
+        found = []
+        for mark in self.stations[1:-1].tolist():
+            before, after = self(mark - 1e-6, 1), self(mark + 1e-6, 1)
+            size = float(np.linalg.norm(before) * np.linalg.norm(after))
+            if size < 1e-12 or float(before @ after) / size < np.cos(angle):
+                found.append(mark)
+        return np.array(found)
+
+    def _locate(self, s: float) -> tuple[int, float]:
+        s = float(np.clip(s, 0.0, self.length))
+        leg = int(np.clip(np.searchsorted(self.stations, s, side="right") - 1, 0, len(self.points) - 2))
+        span = self.stations[leg + 1] - self.stations[leg]
+        return leg, float((s - self.stations[leg]) / span) if span > 0.0 else 0.0
+
+    def _leg_length(self, leg: int) -> float:
+        length = float(np.linalg.norm(self.points[leg + 1] - self.points[leg]))
+        if length > 1e-9:
+            return length
+        before, after = self._rotations[leg], self._rotations[leg + 1]
+        turn = 0.0
+        if before is not None and after is not None:
+            turn = float(np.linalg.norm(pin.log3(before.T @ after)))
+        low, high = self._pitches[leg], self._pitches[leg + 1]
+        if low is not None and high is not None:
+            turn = abs(wrap_angle(0.5 * sum(high) - 0.5 * sum(low)))
+        return _TURN_LENGTH * turn
+
+    def _pitch(self, leg: int, part: float) -> tuple[float, float] | None:
+        before, after = self._pitches[leg], self._pitches[leg + 1]
+        if before is None and after is None:
+            return None
+        if before is None or after is None:
+            asked = before if before is not None else after
+            assert asked is not None
+            opened = part if before is not None else 1.0 - part
+            if opened >= 1.0:
+                return None
+            middle, half = 0.5 * (asked[0] + asked[1]), 0.5 * (asked[1] - asked[0])
+            half += opened * max(np.pi - half, 0.0)
+            return (middle - half, middle + half)
+        turn = wrap_angle(0.5 * sum(after) - 0.5 * sum(before))
+        middle = 0.5 * sum(before) + part * turn
+        half = 0.5 * ((1.0 - part) * (before[1] - before[0]) + part * (after[1] - after[0]))
+        return (middle - half, middle + half)

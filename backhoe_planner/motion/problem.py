@@ -1,0 +1,143 @@
+"""Machine and scene brought together and checked against each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import SceneError, nearest_name
+from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.machine.robot import JointLimits, Robot
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.site.limits import scaled_limits, within_sectors
+from backhoe_planner.site.obstacles import Obstacle, build_obstacles
+from backhoe_planner.site.scene_file import Gains, Goal, Pose, Scene
+
+__all__ = ["Problem", "build_problem", "hand_set_gains"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be planned.
+
+    Attributes
+    ----------
+    robot: the machine, moved at the scene's tip.
+    scene: as it was given.
+    limits: the machine's, with what the scene takes off them.
+    obstacles: the site, as convex pieces.
+    start_q: (n,) where the joints stand; None where the start is given by the tip, or
+        left to the planner.
+    start_target: the tip's pose at the start, where that is how it is given.
+    goal: where the tip is to arrive, or None.
+    path: what the tip is to follow, or None.
+    """
+
+    robot: Robot
+    scene: Scene
+    limits: JointLimits
+    obstacles: tuple[Obstacle, ...]
+    start_q: Vector | None
+    start_target: TipTarget | None
+    goal: TipTarget | None
+    path: TipPath | None
+
+
+def build_problem(robot: Robot, scene: Scene) -> Problem:
+    """Check a scene against a machine, and build what stands in it.
+
+    Raises
+    ------
+    SceneError: a joint or link that the machine does not have, a pitch or an
+        orientation that it cannot have, soil or an objective for which it lacks something,
+        a file of the scene that cannot be used.
+    RobotError: the scene's tip is not a link of the machine.
+    """
+    robot = within_sectors(robot.with_tip(scene.tip), scene)
+    _check_joint_names(robot, scene, "limits.acceleration", scene.limits.acceleration)
+    if scene.gains != "auto":
+        _check_joint_names(robot, scene, "gains.s_k", scene.gains.s_k)
+    if scene.soil is not None and not robot.has_pitch:
+        raise SceneError(
+            "soil acts on a bucket, whose last joint's axis stays level; this arm has none",
+            file=scene.file,
+            key="soil",
+            found=robot.name,
+        )
+    if scene.objective == "hydraulic" and robot.hydraulics is None:
+        raise SceneError(
+            "the machine has no hydraulic description (a file beside its URDF, NAME.hydraulics.yaml)",
+            file=scene.file,
+            key="objective",
+            found=scene.objective,
+            allowed="velocity_norm, kinetic, effort, work, time",
+        )
+    start_q, start_target = _start(robot, scene)
+    goal = None if scene.task.goal is None else _target(robot, scene, scene.task.goal, "task.goal")
+    path = None
+    if scene.task.path is not None:
+        waypoints = scene.waypoints()
+        for index, waypoint in enumerate(waypoints):
+            _target(robot, scene, waypoint, f"task.path.waypoints[{index}]")
+        different = [b for a, b in zip((None, *waypoints), waypoints, strict=False) if a != b]
+        path = TipPath(different if len(different) > 1 else waypoints)  # one that stands twice adds nothing
+    return Problem(
+        robot=robot,
+        scene=scene,
+        limits=scaled_limits(robot, scene),
+        obstacles=build_obstacles(scene, robot),
+        start_q=start_q,
+        start_target=start_target,
+        goal=goal,
+        path=path,
+    )
+
+
+def hand_set_gains(problem: Problem) -> Gains | None:
+    """The gains that the scene sets by hand; None where it leaves them to the criterion."""
+    gains = problem.scene.gains
+    return None if gains == "auto" else gains
+
+
+def _check_joint_names(robot: Robot, scene: Scene, key: str, names: dict[str, float]) -> None:
+    for name in names:
+        if name not in robot.joint_names:
+            near = nearest_name(name, robot.joint_names)
+            raise SceneError(
+                "the machine has no such joint",
+                file=scene.file,
+                key=key,
+                found=name,
+                allowed=", ".join(robot.joint_names),
+                hint=f"did you mean {near!r}?" if near else None,
+            )
+
+
+def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]:
+    if scene.start is None:
+        return None, None
+    if scene.start.tip is not None:
+        return None, _target(robot, scene, scene.start.tip, "start.tip")
+    joints = scene.start.joints
+    assert joints is not None
+    _check_joint_names(robot, scene, "start.joints", joints)
+    missing = [name for name in robot.joint_names if name not in joints]
+    if missing:
+        raise SceneError(f"joints are missing: {', '.join(missing)}", file=scene.file, key="start.joints")
+    return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints"), None
+
+
+def _target(robot: Robot, scene: Scene, pose: Pose | Goal, key: str) -> TipTarget:
+    target = TipTarget(position=np.array(pose.position), pitch=pose.pitch_range, rotation=pose.rotation)
+    if target.pitch is not None and not robot.has_pitch:
+        raise SceneError(
+            "pitch is not defined for this arm: the axis of its last joint does not stay horizontal",
+            file=scene.file,
+            key=f"{key}.pitch",
+            allowed="rpy, quaternion, or the position alone",
+        )
+    return target

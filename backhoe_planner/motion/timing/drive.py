@@ -1,0 +1,156 @@
+"""What moves the joints of a machine, and how much of it there is.
+
+Torques follow from inverse dynamics with payload and soil; they are bounded by the
+joints' effort and, with hydraulics, by the relief pressure. Speeds are bounded by the
+valves, the shared pump and the engine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.dynamics import Dynamics
+from backhoe_planner.machine.hydraulics.hydraulics import BothWays, Hydraulics
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.motion.between import Between
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.site.scene_file import Soil
+from backhoe_planner.site.soil import SoilReaction
+
+__all__ = ["Drive", "DriveUse", "drive_of"]
+
+Array = NDArray[np.float64]
+
+_BRISK = 1.0  # 1/s: a speed along a path at which the soil's force is fully there
+MOST = 1e6  # ratios beyond are not told apart
+
+
+@dataclass(frozen=True, eq=False)
+class DriveUse:
+    """How much of what drives the machine a motion uses, at K moments; 1 at the limit.
+
+    Attributes
+    ----------
+    torque: (K, n) the torques [N m or N].
+    effort: (K, n) torque over what the joint has that way.
+    rod_speed: (K, n) of each joint's cylinders over what valves and pump allow that way.
+    flow, power: (K,) of all cylinders over what pump and engine give.
+    """
+
+    torque: Array
+    effort: Array
+    rod_speed: Array
+    flow: Array
+    power: Array
+
+
+class Drive:
+    """The drive of one machine with its load; own working memory.
+
+    Parameters
+    ----------
+    effort: (n,) greatest torque of each joint either way [N m or N], the machine's own by
+        default; infinite for no limit.
+    payload: at the tip [kg].
+    soil: in which the tip moves.
+
+    Raises
+    ------
+    InputError: see `SoilReaction`.
+    """
+
+    def __init__(
+        self, robot: Robot, *, effort: Array | None = None, payload: float = 0.0, soil: Soil | None = None
+    ) -> None:
+        self.joint_names = robot.joint_names
+        self.hydraulics: Hydraulics | None = robot.hydraulics
+        self._effort = robot.limits.effort if effort is None else effort
+        self._dynamics = Dynamics(robot, payload=payload)
+        self._soil = None if soil is None else SoilReaction(robot, soil)
+
+    @property
+    def limited(self) -> bool:
+        """Whether there is any limit at all."""
+        return self.hydraulics is not None or bool(np.any(np.isfinite(self._effort)))
+
+    @property
+    def digs(self) -> bool:
+        """Whether there is soil."""
+        return self._soil is not None
+
+    def torque_limits(self, q: Array) -> BothWays:
+        """(..., n) the greatest torques either way at q (..., n) [N m or N]."""
+        own = np.broadcast_to(self._effort, np.shape(q))
+        if self.hydraulics is None:
+            return BothWays(own, own)
+        oil = self.hydraulics.torque_limits(q)
+        return BothWays(np.minimum(own, oil.positive), np.minimum(own, oil.negative))
+
+    def rigid_torques(self, q: Array, v: Array, a: Array) -> Array:
+        """(K, n) torques against inertia and gravity at q, v, a (K, n) [N m or N]."""
+        return np.array([self._dynamics.torques(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape)
+
+    def soil_torques(self, q: Array, v: Array) -> Array:
+        """(K, n) torques against the soil at q, v (K, n) [N m or N]."""
+        return np.zeros(np.shape(q)) if self._soil is None else -self._soil.torques(q, v)
+
+    def soil_torques_towards(self, q: Array, direction: Array) -> Array:
+        """(K, n) the same for a brisk motion in a `direction` (K, n), dq/ds; slower, they are a part of it."""
+        if self._soil is None:
+            return np.zeros(np.shape(q))
+        return self.soil_torques(q, direction * (_BRISK / np.maximum(np.max(np.abs(direction)), 1e-12)))
+
+    def rod_speed_use(self, q: Array, v: Array) -> Array:
+        """(..., n) speed over what valves and pump allow each joint alone, at q, v (..., n)."""
+        if self.hydraulics is None:
+            return np.zeros(np.shape(q))
+        limits = self.hydraulics.velocity_limits(q)
+        return np.asarray(np.abs(v) / np.where(v > 0.0, limits.positive, limits.negative))
+
+    def flow_use(self, q: Array, v: Array) -> Array:
+        """(...) flow over what the pump delivers."""
+        if self.hydraulics is None:
+            return np.zeros(np.shape(q)[:-1])
+        return np.asarray(self.hydraulics.total_flow(q, v) / self.hydraulics.pump_flow)
+
+    def effort_use(self, q: Array, torque: Array) -> Array:
+        """(..., n) torque over what each joint has that way."""
+        limits = self.torque_limits(q)
+        there = np.where(torque > 0.0, limits.positive, limits.negative)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, MOST)))
+
+    def power_use(self, q: Array, v: Array, torque: Array) -> Array:
+        """(...) power in the oil over what the engine puts in."""
+        if self.hydraulics is None:
+            return np.zeros(np.shape(q)[:-1])
+        return np.asarray(self.hydraulics.power(q, v, torque) / self.hydraulics.power_limit)
+
+    def use(self, q: Array, v: Array, a: Array) -> DriveUse:
+        """What a motion uses at q, v, a (K, n)."""
+        torque = self.rigid_torques(q, v, a) + self.soil_torques(q, v)
+        return DriveUse(
+            torque=torque,
+            effort=self.effort_use(q, torque),
+            rod_speed=self.rod_speed_use(q, v),
+            flow=self.flow_use(q, v),
+            power=self.power_use(q, v, torque),
+        )
+
+    def use_between(self, between: Between) -> tuple[Array, Array]:
+        """Inside the long segments of a motion, where nothing is accelerated.
+
+        Returns
+        -------
+        (K, n) torque over limit; (K, n + 2) rod speed of each joint, flow, power: 1 at the limit.
+        """
+        use = self.use(between.q, between.v, np.zeros_like(between.q))
+        return use.effort, np.minimum(np.column_stack((use.rod_speed, use.flow, use.power)), MOST)
+
+
+def drive_of(problem: Problem) -> Drive:
+    """The drive of a problem's machine with the scene's payload and soil."""
+    return Drive(problem.robot, effort=problem.limits.effort, payload=problem.scene.payload, soil=problem.scene.soil)

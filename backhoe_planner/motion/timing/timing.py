@@ -1,0 +1,240 @@
+"""When to be where: joint positions along a path made into a motion from rest to rest.
+
+The time-optimal speed along a smooth curve through the samples, see `path_limits`. What
+is sampled from it is checked, and slowed by as much as it is over.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.motion.path import step_lengths
+from backhoe_planner.motion.smooth_way import SmoothWay
+from backhoe_planner.motion.timing.drive import Drive
+from backhoe_planner.motion.timing.path_limits import PathShape, time_path
+from backhoe_planner.motion.timing.retiming import retimed
+from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
+
+__all__ = ["time_along", "time_polyline", "time_way"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_MANY = 5000  # samples of one motion; of more, only those are kept that get on
+_MOST = 1_000_000  # of which these are chosen
+_LEAST_STEP = 2.5e-3  # rad or m of a joint from sample to sample then
+_LEAST_TIP_STEP = 5e-4  # m of the tip
+_SPARE = 0.999
+_SAME_PLACE = 1e-9
+_PER_PIECE = 12  # intervals on every leg and corner of a way
+_PER_WAY = 300  # intervals on a way between two stops, at least about
+_LEAST_GRID = 1000
+_HALVINGS = 6  # of the first and the last interval
+
+
+def time_along(
+    stations: Vector,
+    q: Matrix,
+    limits: JointLimits,
+    *,
+    speed: float | None = None,
+    period: float = SAMPLE_PERIOD,
+    drive: Drive | None = None,
+    intervals: int = _LEAST_GRID,
+) -> Trajectory:
+    """The fastest motion through samples of a joint path, from rest to rest.
+
+    Where a load cannot be held even at rest, it is timed as if it just could.
+
+    Parameters
+    ----------
+    stations: (K,) arc lengths of the tip [m], not decreasing: it may stand while the
+        joints turn; q: (K, n) joints there.
+    speed: of the tip along the path at most [m/s], None for no such limit.
+    period: between the samples of the result [s].
+    drive: what moves the joints, None for no limits but those of the joints.
+    intervals: at whose ends limits are looked at, at least about.
+    """
+    if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
+        return Trajectory.from_steps(np.zeros(1), q[:1])
+    along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
+    # arc length rides along as one more coordinate, so that its rate is the tip's speed
+    curve = CubicSpline(
+        along, np.column_stack((q, stations)), bc_type="not-a-knot" if len(along) > 3 else "natural", axis=0
+    )
+    grid = _denser_at_ends(_refined(along, max(2 * (len(along) - 1), intervals)))
+    slope, bend = curve(grid, 1), curve(grid, 2)[:, :-1]
+    shape = PathShape(grid, curve(grid)[:, :-1], slope[:, :-1], bend[:-1], bend[1:], tip_slope=slope[:, -1])
+    law = time_path(shape, limits, drive=drive, tip_speed=speed)
+    if law is None:
+        time, samples = _ramp(along, q, limits)
+        return retimed(Trajectory.from_steps(time, samples), limits, drive=drive)
+    time, samples = _getting_on(
+        _samples(law.duration, period),
+        lambda moments: np.asarray(curve(law.at(moments)[0])),
+        np.append(np.full(q.shape[1], _LEAST_STEP), _LEAST_TIP_STEP),
+    )
+    samples = samples[:, :-1]
+    samples[0], samples[-1] = q[0], q[-1]
+    # a spline may swing a little beyond a limit at which its samples stand
+    return _kept(Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper)), limits, drive)
+
+
+def _refined(along: Vector, count: int) -> Vector:
+    """The samples' places, with about `count` intervals between them as even as may be."""
+    steps = np.diff(along)
+    parts = np.maximum(np.ceil(count * steps / (along[-1] - along[0]) - 1e-9).astype(int), 1)
+    pieces = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(along[:-1], along[1:], parts, strict=True)]
+    return np.append(np.concatenate(pieces), along[-1])
+
+
+def _denser_at_ends(grid: Vector) -> Vector:
+    """The same places and more of them towards both ends, where a slow machine is at full speed soon."""
+    halves = 0.5 ** np.arange(_HALVINGS, 0, -1)
+    first, last = grid[1] - grid[0], grid[-1] - grid[-2]
+    return np.concatenate((grid[:1], grid[0] + first * halves, grid[1:-1], grid[-1] - last * halves[::-1], grid[-1:]))
+
+
+def _kept(trajectory: Trajectory, limits: JointLimits, drive: Drive | None) -> Trajectory:
+    """The motion, slowed where its samples are over a limit."""
+    over = _over(trajectory, limits)
+    if over > 1.0:
+        trajectory = Trajectory.from_steps(trajectory.time * (over * (1.0 + 1e-9)), trajectory.q)
+    return retimed(trajectory, limits, drive=drive)
+
+
+def time_polyline(q: Matrix, limits: JointLimits) -> Trajectory:
+    """A motion straight from sample to sample of `q` (K, n), one smooth ramp slowed to fit.
+
+    It keeps to the samples whatever their shape, and is far from time-optimal.
+    """
+    way = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(q, axis=0)), axis=1))))
+    if way[-1] < 1e-12:
+        return Trajectory.from_steps(np.zeros(1), q[:1])
+    time, samples = _ramp(way, q, limits)
+    return Trajectory.from_steps(time, samples)
+
+
+def _ramp(stations: Vector, q: Matrix, limits: JointLimits) -> tuple[Vector, Matrix]:
+    part = np.linspace(0.0, 1.0, max(4 * len(stations), 50))
+    along = stations[0] + (stations[-1] - stations[0]) * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    samples = np.column_stack([np.interp(along, stations, column) for column in q.T])
+    time = part * 10.0
+    return time * _over(Trajectory.from_steps(time, samples), limits) / _SPARE, samples
+
+
+def _over(trajectory: Trajectory, limits: JointLimits) -> float:
+    """By how much time must be stretched so that every limit of the joints is kept."""
+    velocity = float(np.max(np.abs(trajectory.segment_velocities()) / limits.velocity))
+    acceleration = float(np.max(np.abs(trajectory.accelerations()) / limits.acceleration))
+    return max(velocity, float(np.sqrt(acceleration)))
+
+
+# --- ways with round corners ------------------------------------------------------
+
+
+def time_way(way: SmoothWay, limits: JointLimits, *, drive: Drive | None = None) -> Trajectory:
+    """The fastest motion along a way, at rest at its ends and wherever it stops.
+
+    The samples lie on the way. Between two of them the motion is straight: on the way
+    on a leg, off it by at most `blending.chord_sagitta` on a corner. Where no time law
+    is found the motion goes into the corners and stops there.
+
+    Parameters
+    ----------
+    drive: what moves the joints, None for no limits but those of the joints.
+    """
+    if way.length == 0.0:
+        return Trajectory.from_steps(np.zeros(1), way.corners[:1])
+    limited = drive is not None and drive.limited
+    times, samples = [np.zeros(1)], [way.corners[:1]]
+    for begin, end in zip(way.stops[:-1], way.stops[1:], strict=True):
+        for time, q in _parts(way, float(begin), float(end), limits, drive if limited else None):
+            times.append(times[-1][-1] + time[1:])
+            samples.append(q[1:])
+    time, q = np.concatenate(times), np.vstack(samples)
+    q[-1] = way.corners[-1]
+    return _kept(Trajectory.from_steps(time, q), limits, drive)
+
+
+def _parts(
+    way: SmoothWay, begin: float, end: float, limits: JointLimits, drive: Drive | None
+) -> list[tuple[Vector, Matrix]]:
+    """Motions from rest to rest, one or several, from one stop of a way to the next."""
+    inside = (way.stations > begin) & (way.stations < end)
+    timed = _along_smooth(way, begin, end, limits, drive) if inside.any() or drive is not None else None
+    if timed is not None:
+        return [timed]
+    corners = way.corners[(way.stations >= begin) & (way.stations <= end)]
+    return [_straight(a, b, limits) for a, b in itertools.pairwise(corners)]
+
+
+def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Matrix]:
+    """Speeding up, even speed, slowing down: the fastest straight motion from rest to rest."""
+    dq = np.abs(q_b - q_a)
+    moving = dq > 0.0
+    rate = _SPARE * float(np.min(limits.velocity[moving] / dq[moving]))
+    gain = _SPARE * float(np.min(limits.acceleration[moving] / dq[moving]))
+    ramp = min(rate / gain, float(np.sqrt(1.0 / gain)))
+    duration = 1.0 / (gain * ramp) + ramp
+    time = _samples(duration, SAMPLE_PERIOD)
+    early = 0.5 * gain * np.minimum(time, ramp) ** 2 + gain * ramp * np.clip(time - ramp, 0.0, duration - 2.0 * ramp)
+    late = np.maximum(time - (duration - ramp), 0.0)
+    part = early + late * (gain * ramp - 0.5 * gain * late)
+    part[0], part[-1] = 0.0, 1.0
+    return time, q_a + part[:, None] * (q_b - q_a)
+
+
+def _samples(duration: float, period: float) -> Vector:
+    return np.linspace(0.0, duration, min(max(int(np.ceil(duration / period)) + 1, 3), _MOST))
+
+
+def _getting_on(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector) -> tuple[Vector, Matrix]:
+    """Samples (T,), (T, m) of a motion; of a very slow one only those by which it gets on.
+
+    Parameters
+    ----------
+    place: (K, m) the coordinates at (K,) times.
+    least_step: (m,) of each of them between two samples of a slow motion.
+    """
+    samples = place(time)
+    if len(time) <= _MANY:
+        return time, samples
+    way = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(samples, axis=0)) / least_step, axis=1))))
+    kept = np.concatenate(([True], np.floor(way[1:-1]) > np.floor(way[:-2]), [True]))
+    return time[kept], samples[kept]
+
+
+def _along_smooth(
+    way: SmoothWay, begin: float, end: float, limits: JointLimits, drive: Drive | None
+) -> tuple[Vector, Matrix] | None:
+    """The fastest motion between two stops, round corners between or none; None where there is no time law."""
+    knots = way.knots
+    apart = _SAME_PLACE * way.length  # where corners share a leg, they may end in one place but for rounding
+    knots = knots[(knots > begin + apart) & (knots < end - apart)]
+    knots = np.concatenate(([begin], knots[np.diff(knots, prepend=begin) > apart], [end]))
+    grid = [begin]
+    for a, b in itertools.pairwise(knots):
+        count = max(_PER_PIECE, int(np.ceil(_PER_WAY * (b - a) / (end - begin))))
+        grid.extend(np.linspace(a, b, count + 1)[1:].tolist())
+    places = _denser_at_ends(np.array(grid))
+    bend = way(0.5 * (places[:-1] + places[1:]), 2)  # constant between two knots
+    slope = way(places, 1)
+    # at the end of the way the slope is that of the last leg
+    slope[-1] = way(places[-2] + (1.0 - 1e-9) * (places[-1] - places[-2]), 1)
+    law = time_path(PathShape(places, way(places), slope, bend, bend), limits, drive=drive)
+    if law is None:
+        return None
+    time, q = _getting_on(
+        _samples(law.duration, SAMPLE_PERIOD),
+        lambda moments: way(np.clip(law.at(moments)[0], begin, end)),
+        np.full(way.corners.shape[1], _LEAST_STEP),
+    )
+    q[0], q[-1] = way(begin), way(end)
+    return time * max(_over(Trajectory.from_steps(time, q), limits) / _SPARE, 1.0), q

@@ -1,0 +1,319 @@
+"""How well the tip keeps to its task, from the samples of a motion alone.
+
+Between two samples the tip leaves the straight line between its two positions by at
+most 1/8 (sum_j |dq_j|) (sum_j |dq_j| r_j): its acceleration under constant joint rates
+is at most that product. This sagitta is added to what the samples show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.motion.between import between_samples
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.trajectory import Trajectory
+
+__all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "progress", "track_goal", "track_path"]
+
+Vector = NDArray[np.float64]
+
+GOAL_TOLERANCE = 1e-3  # m
+ANGLE_TOLERANCE = 1e-2  # rad
+_BEGINNING = 0.1  # of the path: while less is done, the tip may still be approaching
+_BESIDE = 10.0  # tolerances from where a detour begins or ends, in which the tip swings out or in
+_LOOK_AHEAD = 0.5  # m of path in which the tip is looked for while it follows
+
+
+@dataclass(frozen=True)
+class Detour:
+    """A part of the motion that leaves the specified path and comes back to it.
+
+    Attributes
+    ----------
+    time_from, time_to: when [s].
+    path_from, path_to: where the tip leaves the path and where it rejoins it [m].
+    length: way of the tip in between [m].
+    max_deviation: largest distance from the path [m].
+    """
+
+    time_from: float
+    time_to: float
+    path_from: float
+    path_to: float
+    length: float
+    max_deviation: float
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """What the tip made of its task.
+
+    Attributes
+    ----------
+    done: goal reached, or path followed to its end.
+    shortfall: in words, what is missing where not done.
+    max_error, mean_error: of the tip's position [m]: at the goal, or over the followed
+        parts of the path with what may happen between the samples.
+    max_angle_error: [rad]
+    path_length: of the specified path [m]; 0 for a goal.
+    followed: part of it that was followed [m].
+    approach_time: when the tip first is on the path [s].
+    detours: where it left the path.
+    max_speed, max_speed_time: of the tip on the followed parts [m/s], and when [s];
+        10 tolerances next to a detour, where it swings out and in again, do not count.
+    """
+
+    done: bool
+    shortfall: str
+    max_error: float
+    mean_error: float
+    max_angle_error: float
+    path_length: float = 0.0
+    followed: float = 0.0
+    approach_time: float = 0.0
+    detours: tuple[Detour, ...] = ()
+    max_speed: float = 0.0
+    max_speed_time: float = 0.0
+
+
+def track_goal(goal: TipTarget, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
+    """How close the last sample is to `goal`."""
+    position, angle = goal.distances(kinematics.at(trajectory.q[-1]))
+    missing = []
+    if position > GOAL_TOLERANCE:
+        missing.append(f"the tip ends {position:.3f} m from the goal")
+    if angle > ANGLE_TOLERANCE:
+        missing.append(f"the bucket ends {np.degrees(angle):.1f} deg from the asked angle")
+    return Tracking(not missing, " and ".join(missing), position, position, angle)
+
+
+def track_path(
+    path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics, reach: Vector
+) -> Tracking:
+    """How the samples keep to `path`, with a bound for what lies between them.
+
+    Parameters
+    ----------
+    tolerance: within which the tip counts as on the path [m].
+    reach: (n,) bound on the tip's travel per joint, as by `tip_travel_bound`.
+    """
+    station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
+    step = np.abs(np.diff(trajectory.q, axis=0))
+    sagitta = 0.125 * step.sum(axis=1) * (step @ reach)
+    between = np.zeros(len(trajectory))
+    between[:-1] = sagitta
+    between[1:] = np.maximum(between[1:], sagitta)
+    between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
+    on = (error + between <= tolerance) & (angle <= ANGLE_TOLERANCE)
+    if not on.any():
+        nearest = int(np.argmin(error))
+        return Tracking(
+            False, f"the tip never comes onto the path; nearest {error[nearest]:.3f} m", float(error[nearest]),
+            float(error[nearest]), float(angle[nearest]), path.length,
+        )  # fmt: skip
+    # the approach ends where the tip comes nearest to the path's beginning
+    at_begin = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
+    begins = np.flatnonzero(on & at_begin & (station <= _beginning(path, tolerance)))
+    if not len(begins):
+        begins = np.flatnonzero(on)[:1]
+    first, last = int(begins[np.argmin(error[begins])]), len(on) - 1 - int(np.argmax(on[::-1]))
+    on[:first] = False  # brushing past during the approach is not following
+    _close_gaps(on, first, last, station, 2.0 * tolerance)
+    detours = _detours(on, first, last, station, error, tips, trajectory.time)
+    detours += _skips(on, first, station, tips, trajectory.time, tolerance)
+    detours.sort(key=lambda detour: detour.time_from)
+    skipped = sum(detour.path_to - detour.path_from for detour in detours)
+    edges = np.array([edge for detour in detours for edge in (detour.path_from, detour.path_to)])
+    max_speed, max_speed_time = _max_speed(on, station, tips, trajectory, kinematics, edges, _BESIDE * tolerance)
+    missing = []
+    if station[first] > tolerance:
+        missing.append(f"the path is joined at {station[first]:.2f} m instead of at its start")
+    if station[last] < path.length - tolerance or last < len(on) - 1:
+        missing.append(f"the path is followed to {station[last]:.2f} m of {path.length:.2f} m")
+    return Tracking(
+        done=not missing,
+        shortfall=" and ".join(missing),
+        max_error=float(np.max((error + between)[on])),
+        mean_error=float(np.mean(error[on])),
+        max_angle_error=float(np.max(angle[on])),
+        path_length=path.length,
+        followed=float(station[last] - station[first] - skipped),
+        approach_time=float(trajectory.time[first]),
+        detours=tuple(detours),
+        max_speed=max_speed,
+        max_speed_time=max_speed_time,
+    )
+
+
+def _max_speed(
+    on: NDArray[np.bool_],
+    station: Vector,
+    tips: NDArray[np.float64],
+    trajectory: Trajectory,
+    kinematics: Kinematics,
+    edges: Vector,
+    beside: float,
+) -> tuple[float, float]:
+    """The tip's greatest speed on the followed segments [m/s] and when [s].
+
+    On long segments it is that between many moments.
+    """
+    time = trajectory.time
+    followed = on[:-1] & on[1:]
+    for edge in edges.tolist():
+        followed &= ~((station[:-1] < edge + beside) & (station[1:] > edge - beside))
+    if not followed.any():
+        return 0.0, 0.0
+    speed = np.where(followed, np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(time), 0.0)
+    worst = int(np.argmax(speed))
+    found = (float(speed[worst]), float(time[worst]))
+    between = between_samples(trajectory)
+    for segment in np.unique(between.segment[followed[between.segment]]).tolist():
+        inside = between.segment == segment
+        moments = np.concatenate((time[segment : segment + 1], between.time[inside], time[segment + 1 : segment + 2]))
+        reached = [kinematics.at(q).tip_position for q in between.q[inside]]
+        places = np.vstack((tips[segment], *reached, tips[segment + 1]))
+        faster = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(moments)
+        worst = int(np.argmax(faster))
+        if faster[worst] > found[0]:
+            found = (float(faster[worst]), float(moments[worst]))
+    return found
+
+
+def progress(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:
+    """Arc length up to which a motion has followed a path [m]; None where it has not begun to.
+
+    Parameters
+    ----------
+    tolerance: within which the tip counts as on the path [m].
+    """
+    station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
+    begun = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
+    if not begun.any():
+        return None
+    on = (error <= tolerance) & (angle <= ANGLE_TOLERANCE)
+    on[: int(np.argmax(begun))] = False
+    return float(np.max(station[on], initial=0.0))
+
+
+def _follow(
+    path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics
+) -> tuple[Vector, Vector, Vector, NDArray[np.float64]]:
+    """Per sample: arc length, distance from the path, angle error, and tip position."""
+    count = len(trajectory)
+    station, error, angle = np.zeros(count), np.zeros(count), np.zeros(count)
+    tips = np.zeros((count, 3))
+    reached = 0.0
+    joined = False
+    beginning = _beginning(path, tolerance)
+    for row in range(count):
+        at = kinematics.at(trajectory.q[row])
+        tips[row] = at.tip_position
+        from_begin = float(np.linalg.norm(at.tip_position - path.points[0]))
+        if from_begin <= tolerance and reached <= beginning:
+            # an approach may brush along the path before it settles on its beginning
+            reached, joined = 0.0, True
+        if not joined:
+            s, distance = 0.0, from_begin
+        else:
+            s, distance = path.nearest(at.tip_position, low=reached, high=min(reached + _LOOK_AHEAD, path.length))
+            if distance > tolerance:  # it may rejoin further on
+                further, nearer = path.nearest(at.tip_position, low=reached)
+                s, distance = (further if nearer <= tolerance else s), nearer
+            if distance <= tolerance:
+                reached = s
+        station[row], error[row] = s, distance
+        angle[row] = path.target(s).distances(at)[1] if path.asks_orientation else 0.0
+    return station, error, angle, tips
+
+
+def _beginning(path: TipPath, tolerance: float) -> float:
+    """Arc length up to which a tip at the path's first point counts as only now beginning [m].
+
+    Where the path itself comes back to its first point that is less.
+    """
+    usual = _BEGINNING * path.length
+    raster = np.arange(0.0, 2.0 * usual, max(tolerance, 1e-3, usual / 5000.0))
+    places = np.column_stack([np.interp(raster, path.stations, column) for column in path.points.T])
+    away = np.linalg.norm(places - path.points[0], axis=1) > 2.0 * tolerance
+    back = np.flatnonzero(~away & (np.cumsum(away) > 0))
+    return min(usual, 0.5 * float(raster[back[0]])) if len(back) else usual
+
+
+def _cut_corners(path: TipPath, station: Vector, tips: NDArray[np.float64]) -> Vector:
+    """(T - 1,) how far the chord from sample to sample passes from the path's corners [m]."""
+    found = np.zeros(len(station) - 1)
+    for mark, corner in zip(path.stations[1:-1], path.points[1:-1], strict=True):
+        for row in np.flatnonzero((station[:-1] < mark) & (station[1:] > mark)):
+            step = tips[row + 1] - tips[row]
+            square = float(step @ step)
+            part = float(np.clip((corner - tips[row]) @ step / square, 0.0, 1.0)) if square > 0.0 else 0.0
+            found[row] = max(found[row], float(np.linalg.norm(tips[row] + part * step - corner)))
+    return found
+
+
+def _skips(
+    on: NDArray[np.bool_], first: int, station: Vector, tips: NDArray[np.float64], time: Vector, tolerance: float
+) -> list[Detour]:
+    """Where the tip gets on along the path by more than it moves: that part was not followed."""
+    way = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    skips = on[:-1] & on[1:] & (np.diff(station) > 1.5 * way + 4.0 * tolerance)
+    return [
+        Detour(
+            time_from=float(time[row]),
+            time_to=float(time[row + 1]),
+            path_from=float(station[row]),
+            path_to=float(station[row + 1]),
+            length=float(way[row]),
+            max_deviation=0.0,
+        )
+        for row in np.flatnonzero(skips).tolist()
+        if row >= first
+    ]
+
+
+def _close_gaps(on: NDArray[np.bool_], first: int, last: int, station: Vector, shortest: float) -> None:
+    """Touching the path for less than `shortest` [m] between two detours is one detour."""
+    edges = np.flatnonzero(np.diff(on[first : last + 1].astype(int))) + first + 1
+    for start, end in pairwise([first, *edges.tolist(), last + 1]):
+        if on[start] and start > first and end <= last and station[end - 1] - station[start] < shortest:
+            on[start:end] = False
+
+
+def _detours(
+    on: NDArray[np.bool_],
+    first: int,
+    last: int,
+    station: Vector,
+    error: Vector,
+    tips: NDArray[np.float64],
+    time: Vector,
+) -> list[Detour]:
+    found = []
+    row = first
+    while row <= last:
+        if on[row]:
+            row += 1
+            continue
+        end = row
+        while not on[end]:
+            end += 1
+        way = np.diff(tips[row - 1 : end + 1], axis=0)
+        found.append(
+            Detour(
+                time_from=float(time[row - 1]),
+                time_to=float(time[end]),
+                path_from=float(station[row - 1]),
+                path_to=float(station[end]),
+                length=float(np.sum(np.linalg.norm(way, axis=1))),
+                max_deviation=float(np.max(error[row:end])),
+            )
+        )
+        row = end
+    return found

@@ -1,0 +1,105 @@
+"""A motion: joint positions over time, straight lines between the samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.robot import JointLimits
+
+__all__ = ["SAMPLE_PERIOD", "Trajectory", "chord_sagitta"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+SAMPLE_PERIOD = 0.02  # s between the samples of a planned motion
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Samples of a motion; between them the joints move linearly in time.
+
+    Attributes
+    ----------
+    time: (T,) strictly increasing, starting at 0 [s].
+    q: (T, n) joint positions [rad or m].
+    v: (T, n) joint velocities at the samples [rad/s or m/s]: the mean of the
+        velocities before and after, 0 at both ends of a motion from rest to rest.
+    """
+
+    time: Vector
+    q: Matrix
+    v: Matrix
+
+    def __post_init__(self) -> None:
+        count = len(self.time)
+        if count == 0:
+            raise InputError("a trajectory needs at least one sample", key="trajectory.time")
+        if self.q.ndim != 2 or self.q.shape[0] != count or self.v.shape != self.q.shape:
+            raise InputError(
+                "the samples do not fit together",
+                key="trajectory",
+                found=f"time {self.time.shape}, q {self.q.shape}, v {self.v.shape}",
+                allowed="(T,), (T, n), (T, n)",
+            )
+        for name, values in (("time", self.time), ("q", self.q), ("v", self.v)):
+            if not np.all(np.isfinite(values)):
+                raise InputError("holds a number that is not finite", key=f"trajectory.{name}")
+            values.setflags(write=False)
+        if self.time[0] != 0.0:
+            raise InputError("does not start at 0", key="trajectory.time", found=float(self.time[0]))
+        if np.any(np.diff(self.time) <= 0.0):
+            raise InputError("does not increase", key="trajectory.time")
+
+    @classmethod
+    def from_steps(cls, time: Vector, q: Matrix) -> Trajectory:
+        """The motion through samples `q` (T, n) at `time` (T,), from rest to rest."""
+        time, q = np.array(time, dtype=float), np.array(q, dtype=float)
+        v = np.zeros_like(q)
+        if len(time) > 2:
+            segment = np.diff(q, axis=0) / np.diff(time)[:, None]
+            v[1:-1] = 0.5 * (segment[:-1] + segment[1:])
+        return cls(time=time, q=q, v=v)
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return float(self.time[-1] - self.time[0])
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def at(self, time: float | Vector) -> Matrix:
+        """(n,) joint positions at `time` [s], or (k, n) at (k,) times.
+
+        At rest before the start and after the end.
+        """
+        return np.stack([np.interp(time, self.time, column) for column in self.q.T], axis=-1)
+
+    def segment_velocities(self) -> Matrix:
+        """(T - 1, n) the constant velocity between neighbouring samples."""
+        return np.asarray(np.diff(self.q, axis=0) / np.diff(self.time)[:, None])
+
+    def accelerations(self) -> Matrix:
+        """(T, n) change of velocity at each sample over the half segments beside it.
+
+        The motion starts and ends at rest: the first and the last row are the change
+        from and to rest over one segment.
+        """
+        if len(self) < 2:
+            return np.zeros_like(self.q)
+        step = np.diff(self.time)
+        padded = np.vstack((np.zeros(self.q.shape[1]), self.segment_velocities(), np.zeros(self.q.shape[1])))
+        spans = np.concatenate(([step[0]], 0.5 * (step[:-1] + step[1:]), [step[-1]]))
+        return np.asarray(np.diff(padded, axis=0) / spans[:, None])
+
+
+def chord_sagitta(limits: JointLimits) -> Vector:
+    """(n,) how far a motion can be from the straight line between two of its samples.
+
+    a T^2 / 8 for an acceleration of a held over the period T; on a straight leg it is 0.
+    """
+    return np.asarray(limits.acceleration * SAMPLE_PERIOD**2 / 8.0)

@@ -1,1 +1,0 @@
-"""Plans that are followed while things turn up, and motions that were driven."""

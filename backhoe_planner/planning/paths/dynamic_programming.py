@@ -1,0 +1,316 @@
+"""Resolved stretches made cheaper: the redundancy searched ever more finely around a route.
+
+The route through the layered graph is the optimum of a coarse grid. Here every knot k of
+a stretch gets a few neighbours in its null space, q_k + i delta d_k with i = -3 ... 3,
+and the cheapest way through these layers is found by Bellman's recursion; then again
+around what was found, with a smaller delta. This is iterative dynamic programming
+(R. Luus, Optimal control by dynamic programming using systematic reduction in grid
+size, Int. J. Control 51, 1990). It needs no gradients, which an objective like the
+integral of max(tau v, 0) does not have where it matters: at the kinks, where a joint rests.
+
+Between knots the joints follow a smooth curve that is put on the path sample by sample.
+Only what is cheaper over all samples, clear, and within the limits is taken.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.motion.objectives import Nodes, Objective
+from backhoe_planner.motion.path import TipPath, step_lengths
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.planning.paths.corners import SHARP
+from backhoe_planner.planning.paths.smoothing import null_bases, strict_targets
+from backhoe_planner.proof.certificate import TOUCH, path_segment_is_clear
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = ["cheapen_stretch", "monotone_curve"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_WIDTH = 3  # neighbours on either side of a knot
+# rad or m between neighbours, and m of path between knots, one level after the other: first
+# for the curve through the knots, then for one that is added to what was found
+_LEVELS = (
+    ((0.12, 0.2), (0.06, 0.1), (0.024, 0.05), (0.01, 0.05), (0.004, 0.025), (1.6e-3, 0.025)),
+    ((0.03, 0.2), (0.012, 0.1), (5e-3, 0.05), (2e-3, 0.025), (6e-4, 0.025)),
+)
+_KNOT_TURN = 3.0  # rad or m that a joint moves between knots for 1 m of path
+_ENOUGH = 1e-3  # relative fall of the cost below which neighbours are taken closer
+_ROUNDS = 15  # at one distance of the neighbours
+_TRIES = 3  # to go on where something is in the way
+_STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for
+_ROOM = 0.005  # m of margin that is not used up
+_AHEAD = 0.2  # m beyond what is asked up to which distances are measured
+
+
+def cheapen_stretch(
+    problem: Problem,
+    path: TipPath,
+    stations: Vector,
+    q: Matrix,
+    *,
+    objective: Objective,
+    proximity: Proximity,
+    time: float = 0.0,
+    free_start: bool = False,
+    free_end: bool = False,
+    deadline: float = np.inf,
+) -> Matrix:
+    """(K, n) joint positions with the same tip positions as `q` whose cost is not higher.
+
+    Parameters
+    ----------
+    stations: (K,) arc lengths of the samples [m]; q: (K, n) clear joints there.
+    objective: by which the cost is measured.
+    time: at which the obstacles are taken to be where they are [s].
+    free_start, free_end: whether the first and the last sample may move too.
+    deadline: on `time.monotonic`.
+    """
+    if len(q) < 3:
+        return q
+    descent = _Descent(problem, path, stations, q, objective=objective, proximity=proximity, time=time)
+    for added, (delta, spacing) in [(bool(turn), level) for turn, levels in enumerate(_LEVELS) for level in levels]:
+        descent.tie(spacing, added=added, free_start=free_start, free_end=free_end)
+        directions = descent.directions()
+        for _ in range(_ROUNDS if len(directions) > 1 else min(1, len(directions))):
+            before = descent.cost
+            for direction in directions:
+                for _ in range(_ROUNDS):
+                    if clock.monotonic() > deadline:
+                        return descent.q
+                    if descent.step(delta, direction) <= _ENOUGH * abs(descent.cost):
+                        break
+            if before - descent.cost <= 5.0 * _ENOUGH * abs(descent.cost):
+                break
+    return descent.q
+
+
+class _Descent:
+    """One stretch on its way down.
+
+    Attributes
+    ----------
+    q: (K, n) the best so far; cost: its.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        path: TipPath,
+        stations: Vector,
+        q: Matrix,
+        *,
+        objective: Objective,
+        proximity: Proximity,
+        time: float,
+    ) -> None:
+        self._objective = objective
+        self._proximity = proximity
+        self._time = time
+        self._kinematics = BatchKinematics(problem.robot)
+        self._stations = stations
+        self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
+        self._corners = np.isin(np.round(stations, 9), np.round(path.corners(SHARP), 9))
+        self._measure = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-9))))
+        self._in_soil = problem.scene.soil is not None
+        self.q = q
+        self.cost = objective.driven(stations, q)
+        asked = proximity.clearance + _AHEAD
+        self._lower = np.array([self._measured(row, asked) for row in q]).reshape(len(q), -1)
+        margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
+        self._floor = np.minimum(margin, _ROOM) - TOUCH
+
+    def tie(self, spacing: float, *, added: bool, free_start: bool, free_end: bool) -> None:
+        """Choose the knots, `spacing` [m] apart, and which of them move; `added`: see `_LEVELS`."""
+        self._added = added
+        self._knots = _knots(self._stations, self.q, self._corners, spacing)
+        self._knot_targets = self._targets.take(self._knots)
+        self._strict = strict_targets(self._knot_targets)
+        corners = np.flatnonzero(self._corners[self._knots])
+        self._legs = np.unique(np.concatenate(([0], corners, [len(self._knots) - 1])))
+        self._held = np.zeros(len(self._knots), dtype=bool)
+        self._held[0], self._held[-1] = not free_start, not free_end
+        self._velocities: tuple[Matrix, Matrix] | None = None
+        if self._in_soil:
+            velocity = self._objective.tip_velocity(self._kinematics.at(self.q[self._knots]).tip_position)
+            self._velocities = np.vstack((velocity[:1], velocity)), np.vstack((velocity, velocity[-1:]))
+
+    def directions(self) -> list[Vector | None]:
+        """Directions in joint space, (n,), to go in one by one; None where there is one only."""
+        free = null_bases(self._kinematics, self._strict, self.q[self._knots]).shape[2]
+        return [] if free == 0 else [None] if free == 1 else list(np.eye(self.q.shape[1]))
+
+    def step(self, delta: float, direction: Vector | None) -> float:
+        """Look once around the knots, `delta` [rad or m] apart; how much the cost fell."""
+        here = self.q[self._knots]
+        neighbours, usable = self._neighbours(here, delta, direction)
+        nodes = self._nodes(neighbours)
+        spans = np.diff(self._stations[self._knots])[:, None, None]
+        steps = self._objective.between(nodes[:-1, :, None], nodes[1:, None, :], spans)
+        turns = None
+        if self._objective.holds_rates and len(here) > 2:
+            rates = self._objective.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
+            turns = self._objective.turning(rates[:, :-1, :, :, None], rates[:, 1:, None])
+            for end in (0, -1):  # from rest, and to rest
+                steps[end] += self._objective.turning(np.zeros_like(rates[:, end]), rates[:, end])
+        for _ in range(_TRIES):
+            chosen = _cheapest(steps, usable) if turns is None else _cheapest_driven(steps, turns, usable)
+            if np.all(chosen == _WIDTH):
+                return 0.0
+            moved = self._between_knots(neighbours[np.arange(len(here)), chosen])
+            if moved is None:
+                return 0.0
+            cost = self._objective.driven(self._stations, moved)
+            if not cost < self.cost:
+                return 0.0
+            bad, lower = self._bad_knots(moved)
+            if not bad.any():
+                fallen = self.cost - cost
+                self.q, self.cost, self._lower = moved, cost, lower
+                return fallen
+            usable[bad] = False
+            usable[:, _WIDTH] = True
+        return 0.0
+
+    # --- neighbours -----------------------------------------------------------------
+
+    def _neighbours(self, here: Matrix, delta: float, direction: Vector | None) -> tuple[NDArray[np.float64], Mask]:
+        """(M, C, n) what lies beside each knot in its null space, itself in the middle; (M, C) which are usable."""
+        N = null_bases(self._kinematics, self._strict, here)
+        if direction is None:
+            d = N[:, :, 0]
+        else:
+            d = np.einsum("mnr,mkr,k->mn", N, N, direction)
+            size = np.linalg.norm(d, axis=1, keepdims=True)
+            d = np.where(size > 0.05, d / np.maximum(size, 1e-9), 0.0)
+        offsets = delta * np.arange(-_WIDTH, _WIDTH + 1)
+        guesses = here[:, None, :] + offsets[None, :, None] * d[:, None, :]
+        count, width, n = guesses.shape
+        rows = np.repeat(np.arange(count), width)
+        found, reached = solve_batch(
+            self._kinematics, self._knot_targets.take(rows), guesses.reshape(-1, n), iterations=6
+        )
+        found, usable = found.reshape(guesses.shape), reached.reshape(count, width)
+        usable &= np.max(np.abs(found - guesses), axis=2) < min(_STRAY, 4.0 * _WIDTH * delta)
+        usable[self._held] = False
+        found[:, _WIDTH], usable[:, _WIDTH] = here, True
+        if self._proximity.pairs:
+            self._keep_clear(here, found, usable)
+        return found, usable
+
+    def _keep_clear(self, here: Matrix, found: NDArray[np.float64], usable: Mask) -> None:
+        """Take out the neighbours that are too near to something."""
+        asked = self._proximity.clearance + self._floor[self._knots][:, None]
+        reach = np.abs(found - here[:, None, :]) @ self._proximity.travel.T
+        unsure = (self._lower[self._knots][:, None, :] - reach < asked[:, None, :]).any(axis=2) & usable
+        unsure[:, _WIDTH] = False
+        for k, c in np.argwhere(unsure).tolist():
+            usable[k, c] = bool(np.all(self._measured(found[k, c], asked[k]) >= asked[k]))
+
+    def _nodes(self, neighbours: NDArray[np.float64]) -> Nodes:
+        count, width, n = neighbours.shape
+        before = after = None
+        if self._velocities is not None:
+            before, after = (np.repeat(velocity, width, axis=0) for velocity in self._velocities)
+        return self._objective.nodes(neighbours.reshape(-1, n), before=before, after=after).shaped(count, width)
+
+    # --- samples --------------------------------------------------------------------
+
+    def _between_knots(self, at_knots: Matrix) -> Matrix | None:
+        """(K, n) the samples of a smooth curve through the knots, on the path; None where it cannot be put there."""
+        at = self._measure[self._knots]
+        guess = np.empty_like(self.q)
+        through = at_knots - self.q[self._knots] if self._added else at_knots
+        for first, last in pairwise(self._legs.tolist()):
+            rows = slice(self._knots[first], self._knots[last] + 1)
+            guess[rows] = monotone_curve(at[first : last + 1], through[first : last + 1], self._measure[rows])
+        if self._added:
+            guess += self.q
+        moved, reached = solve_batch(self._kinematics, self._targets, guess, iterations=6)
+        moved[self._knots] = at_knots
+        if not reached.all() or np.max(np.abs(moved - guess)) > _STRAY:
+            return None
+        return moved
+
+    def _bad_knots(self, moved: Matrix) -> tuple[Mask, Matrix]:
+        """(M,) the knots beside which a way is not clear; (K, P) lower bounds of the distances along `moved`."""
+        bad = np.zeros(len(self._knots), dtype=bool)
+        clearance, travel = self._proximity.clearance, self._proximity.travel
+        asked = clearance + self._floor[:, None]
+        lower = self._lower - np.abs(moved - self.q) @ travel.T
+        for k in np.flatnonzero((lower < asked).any(axis=1)).tolist():
+            lower[k] = self._measured(moved[k], asked[k] + _AHEAD)
+        tight = (lower < asked).any(axis=1)
+        swept = np.abs(np.diff(moved, axis=0)) @ travel.T
+        unsure = (0.5 * (lower[1:] + lower[:-1] - swept) < clearance - TOUCH).any(axis=1)
+        for k in np.flatnonzero(unsure).tolist():
+            if not path_segment_is_clear(self._proximity, moved[k], moved[k + 1], time=self._time):
+                tight[k] = True
+        after = np.searchsorted(self._knots, np.flatnonzero(tight))
+        for shift in (-2, -1, 0, 1):  # the curve between two knots hangs on four
+            bad[np.clip(after + shift, 0, len(bad) - 1)] = True
+        return bad, lower
+
+    def _measured(self, q: Vector, floor: Vector) -> Vector:
+        """(P,) lower bounds of the distances at q (n,), exact where they are below `floor` (P,) [m]."""
+        lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
+        return np.where(self._proximity.appears_at <= self._time, lower, np.inf)
+
+
+def monotone_curve(x: Vector, y: Matrix, at: Vector) -> Matrix:
+    """(K, n) a smooth curve through y (M, n) at x (M,), read at `at` (K,); it overshoots nowhere."""
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # where y hardly changes
+        return np.asarray(PchipInterpolator(x, y)(at))
+
+
+def _knots(stations: Vector, q: Matrix, corners: Mask, spacing: float) -> NDArray[np.intp]:
+    """(M,) rows that are knots: both ends, every corner, and between as many as are needed."""
+    found = [0]
+    for row in range(1, len(stations) - 1):
+        last = found[-1]
+        far = stations[row] - stations[last] > spacing - 1e-9
+        if corners[row] or far or np.max(np.abs(q[row] - q[last])) > _KNOT_TURN * spacing:
+            found.append(row)
+    return np.array([*found, len(stations) - 1])
+
+
+def _cheapest(steps: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
+    """(M,) one neighbour of every knot, so that the sum of `steps` (M - 1, C, C) is least."""
+    value = np.where(usable[0], 0.0, np.inf)
+    sources = []
+    for row, cost in enumerate(steps):
+        total = value[:, None] + cost
+        source = np.argmin(total, axis=0)
+        value = np.where(usable[row + 1], total[source, np.arange(len(source))], np.inf)
+        sources.append(source)
+    chosen = [int(np.argmin(value))]
+    for source in reversed(sources):
+        chosen.append(int(source[chosen[-1]]))
+    return np.array(chosen[::-1])
+
+
+def _cheapest_driven(steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
+    """The same with `turns` (M - 2, C, C, C) that hang on three knots in a row: Bellman's recursion over pairs."""
+    closed = np.where(usable, 0.0, np.inf)
+    value = closed[0][:, None] + steps[0] + closed[1][None, :]
+    sources = []
+    for row, turn in enumerate(turns):
+        total = value[:, :, None] + turn
+        source = np.argmin(total, axis=0)
+        value = np.min(total, axis=0) + steps[row + 1] + closed[row + 2][None, :]
+        sources.append(source)
+    a, b = np.unravel_index(int(np.argmin(value)), value.shape)
+    chosen = [int(b), int(a)]
+    for source in reversed(sources):
+        chosen.append(int(source[chosen[-1], chosen[-2]]))
+    return np.array(chosen[::-1])

@@ -1,0 +1,167 @@
+"""Resolved stretches made smooth: the grid's steps taken out, within the null space.
+
+A route through the layered graph jumps from grid value to grid value. Here every sample
+is moved within its null space, q_k + N_k z_k, so that the cost
+
+    sum_k w_k |q_{k+1} - q_k|^2
+
+falls: Gauss-Newton on z, a banded system, with the tip put back on the path after each
+step. A sample that would come too near to something is held back by a growing price on
+its own z. Only what is cheaper, clear, and within the limits is taken.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.motion.path import TipPath, step_lengths
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.proof.certificate import TOUCH, path_segment_is_clear
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = ["null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_ROUNDS = 20
+_ENOUGH = 1e-3  # relative fall of the cost below which it is left
+_LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round
+_ROOM = 0.005  # m of margin that smoothing does not use up
+
+
+def stretch_cost(stations: Vector, q: Matrix) -> float:
+    """Sum |dq|^2 / dh with h the arc length, and a little for the turning of the joints."""
+    return float(np.sum(_weights(stations, q) * np.sum(np.diff(q, axis=0) ** 2, axis=1)))
+
+
+def _weights(stations: Vector, q: Matrix) -> Vector:
+    return np.asarray(1.0 / step_lengths(stations, q, least=1e-6))
+
+
+def smooth_stretch(
+    problem: Problem,
+    path: TipPath,
+    stations: Vector,
+    q: Matrix,
+    *,
+    proximity: Proximity,
+    time: float = 0.0,
+    free_start: bool = False,
+    free_end: bool = False,
+    deadline: float = np.inf,
+) -> Matrix:
+    """(K, n) joint positions with the same tip positions as `q` and a cost that is not higher.
+
+    Parameters
+    ----------
+    stations: (K,) arc lengths of the samples [m]; q: (K, n) clear joints there.
+    time: at which the obstacles are taken to be where they are [s].
+    free_start, free_end: whether the first and the last sample may move too.
+    deadline: on `time.monotonic`.
+    """
+    if len(q) < 3:
+        return q
+    kinematics = BatchKinematics(problem.robot)
+    targets = TargetBatch.of([path.target(float(s)) for s in stations])
+    strict = strict_targets(targets)
+    weights = _weights(stations, q)
+    held = np.zeros(len(q), dtype=bool)
+    held[0], held[-1] = not free_start, not free_end
+    price = np.zeros(len(q))
+    floor = np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH
+    cost = _cost(weights, q)
+    for _ in range(_ROUNDS):
+        if clock.monotonic() > deadline:
+            break
+        N = null_bases(kinematics, strict, q)
+        if N.shape[2] == 0:
+            break
+        z = _step(weights, q, N, price, held)
+        moved, reached = solve_batch(kinematics, targets, q + np.einsum("knr,kr->kn", N, z), iterations=8)
+        moved[held] = q[held]
+        bad = ~(reached | held)
+        bad |= _margins(proximity, moved, time, floor=floor) < floor
+        if not bad.any() and _cost(weights, moved) < cost:
+            clear = [path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(moved)]
+            bad[:-1] |= ~np.array(clear)
+            bad[1:] |= ~np.array(clear)
+            if not bad.any():
+                fallen = cost - _cost(weights, moved)
+                q, cost = moved, cost - fallen
+                floor = np.maximum(floor, np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH)
+                price *= 0.3
+                if fallen < _ENOUGH * cost:
+                    break
+                continue
+        scale = np.concatenate((weights[:1], np.maximum(weights[1:], weights[:-1]), weights[-1:]))
+        near = bad.copy()
+        near[:-1] |= bad[1:]
+        near[1:] |= bad[:-1]
+        rises = near if bad.any() else np.ones(len(q), dtype=bool)
+        price = np.where(rises, np.maximum(10.0 * price, 0.1 * scale), price)
+    return q
+
+
+def _cost(weights: Vector, q: Matrix) -> float:
+    return float(np.sum(weights * np.sum(np.diff(q, axis=0) ** 2, axis=1)))
+
+
+def strict_targets(targets: TargetBatch) -> TargetBatch:
+    """The targets without the pitch ranges that leave room."""
+    return TargetBatch(
+        targets.position, targets.rotation, targets.turned, targets.pitch_middle, targets.pitch_half,
+        targets.pitched & (targets.pitch_half < 1e-9),
+    )  # fmt: skip
+
+
+def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None = None) -> Vector:
+    """(K,) least margin of each sample [m], or a lower bound of it that is above `floor` (K,)."""
+    found = np.full(len(q), np.inf)
+    wanted = np.full(len(q), _ROOM) if floor is None else floor
+    for row, joints in enumerate(q):
+        lower, _ = proximity.lower_bounds(joints, time=time, floor=proximity.clearance + wanted[row])
+        lower = np.where(proximity.appears_at <= time, lower, np.inf)
+        found[row] = np.min(lower - proximity.clearance, initial=np.inf)
+    return found
+
+
+def null_bases(kinematics: BatchKinematics, targets: TargetBatch, q: Matrix) -> NDArray[np.float64]:
+    """(K, n, r) orthonormal bases of the null spaces, with the r that all samples have at least."""
+    J = targets.jacobians(kinematics.at(q))
+    _, size, Vt = np.linalg.svd(J)
+    rank = int(np.max(np.sum(size > 1e-6, axis=1)))
+    return np.asarray(np.swapaxes(Vt[:, rank:, :], 1, 2))
+
+
+def _step(weights: Vector, q: Matrix, N: NDArray[np.float64], price: Vector, held: Mask) -> Matrix:
+    """(K, r) the Gauss-Newton step in null-space coordinates."""
+    count, r = len(q), N.shape[2]
+    pull = weights[:, None] * np.diff(q, axis=0)
+    force = np.zeros_like(q)
+    force[:-1] += pull
+    force[1:] -= pull
+    gradient = np.einsum("knr,kn->kr", N, force)
+    diagonal = np.zeros(count)
+    diagonal[:-1] += weights
+    diagonal[1:] += weights
+    diagonal = diagonal + price
+    diagonal[held] = 1e12 * float(np.max(diagonal))
+    coupling = -weights[:, None, None] * np.einsum("kna,knb->kab", N[:-1], N[1:])
+    band = np.zeros((2 * r, count * r))
+    band[0] = np.repeat(diagonal, r) * (1.0 + 1e-9)
+    for a in range(r):
+        for b in range(r):
+            # entry (r k + a, r (k + 1) + b), kept in the lower form at row r k + a
+            band[r + b - a, a : (count - 1) * r : r] = coupling[:, a, b]
+    z = solveh_banded(band, gradient.ravel(), lower=True).reshape(count, r)
+    largest = float(np.max(np.abs(z)))
+    return np.asarray(z * min(1.0, _LARGEST_MOVE / max(largest, 1e-12)))

@@ -1,0 +1,111 @@
+"""A plan's motion in the formats of other tools."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import OutputError
+from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.planning.plan.plan import Plan
+
+__all__ = ["FORMATS", "export_plan"]
+
+Matrix = NDArray[np.float64]
+
+
+def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
+    """Write the motion as the file's ending says, whole or not at all.
+
+    ``.csv``: a header, then time [s], position and velocity of every joint; where the
+    machine has a hydraulic description, then length [m], speed [m/s] and flow [m^3/s] of
+    every cylinder.
+    ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,); with a hydraulic
+    description also lengths, rod_speeds and flows (T, m), cylinders (m,).
+    ``.yaml``: a ROS 2 trajectory_msgs/JointTrajectory message.
+
+    Raises
+    ------
+    OutputError: unknown ending, or the file cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in FORMATS:
+        raise OutputError("unknown format", file=Path(path), found=suffix or "no ending", allowed=", ".join(FORMATS))
+    write, mode = FORMATS[suffix]
+    with whole_file(path, mode) as stream:
+        write(plan, stream)
+
+
+def _write_csv(plan: Plan, stream: IO[Any]) -> None:
+    motion, names = plan.trajectory, plan.robot.joint_names
+    header = ["time", *(f"{name}.position" for name in names), *(f"{name}.velocity" for name in names)]
+    columns = [motion.time[:, None], motion.q, motion.v]
+    hydraulics = plan.robot.hydraulics
+    if hydraulics is not None:
+        for quantity, values in _cylinders(plan).items():
+            header += [f"{name}.{_CSV_NAMES[quantity]}" for name in hydraulics.cylinder_names]
+            columns.append(values)
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    for row in np.hstack(columns).tolist():
+        writer.writerow([repr(number) for number in row])
+
+
+def _write_npz(plan: Plan, stream: IO[Any]) -> None:
+    motion, hydraulics = plan.trajectory, plan.robot.hydraulics
+    arrays = {"time": motion.time, "q": motion.q, "v": motion.v, "joints": np.array(plan.robot.joint_names)}
+    if hydraulics is not None:
+        arrays |= _cylinders(plan) | {"cylinders": np.array(hydraulics.cylinder_names)}
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
+
+
+_CSV_NAMES = {"lengths": "length", "rod_speeds": "speed", "flows": "flow"}
+
+
+def _cylinders(plan: Plan) -> dict[str, Matrix]:
+    """Lengths, speeds and flows (T, m) of the cylinders."""
+    motion, hydraulics = plan.trajectory, plan.robot.hydraulics
+    if hydraulics is None:
+        return {}
+    return {
+        "lengths": hydraulics.lengths(motion.q),
+        "rod_speeds": hydraulics.rod_speeds(motion.q, motion.v),
+        "flows": hydraulics.flows(motion.q, motion.v),
+    }
+
+
+def _write_ros(plan: Plan, stream: IO[Any]) -> None:
+    motion = plan.trajectory
+    points = []
+    rows = zip(motion.time.tolist(), motion.q.tolist(), motion.v.tolist(), motion.accelerations().tolist(), strict=True)
+    for time, q, v, a in rows:
+        nanoseconds = round(time * 1e9)
+        points.append(
+            {
+                "positions": q,
+                "velocities": v,
+                "accelerations": a,
+                "effort": [],
+                "time_from_start": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9},
+            }
+        )
+    message = {
+        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": plan.robot.urdf.root},
+        "joint_names": list(plan.robot.joint_names),
+        "points": points,
+    }
+    yaml.safe_dump(message, stream, sort_keys=False, default_flow_style=None, width=200)
+
+
+FORMATS: dict[str, tuple[Callable[[Plan, IO[Any]], None], str]] = {
+    ".csv": (_write_csv, "w"),
+    ".npz": (_write_npz, "wb"),
+    ".yaml": (_write_ros, "w"),
+}

@@ -1,1 +1,0 @@
-"""What is said of a motion after the fact."""

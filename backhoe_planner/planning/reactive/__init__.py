@@ -1,0 +1,1 @@
+"""Motions of the law, step by step."""

@@ -1,0 +1,335 @@
+"""Planning with the completed law: step by step, with nothing but what is near.
+
+A goal is first approached with the tip straight for it. Where that does not arrive, the
+joints are sent towards configurations that put the tip on the goal; and where the tip's
+own way is blocked, it circulates along the surface of what blocks it, in each sense in
+turn. The first attempt that arrives ends the search.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.law.completed import CompletedLaw
+from backhoe_planner.machine.kinematics.kinematics import Configuration
+from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
+from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.motion.problem import hand_set_gains
+from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.site.proximity import Nearby
+
+__all__ = ["Attempt", "approach_goal"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_ARRIVED = 2e-5  # m and rad
+_AT_GOAL = 1e-4  # m and rad, with all that is asked
+_LONGEST = 40.0  # s of motion per attempt
+_PATIENCE = 1.5  # s without progress after which an attempt counts as stuck
+_PROGRESS = 0.002  # m (or rad) that counts as progress,
+_NOTICEABLE = 0.02  # or this part of what is left, where that is more
+_POSTURES_FIRST = 3  # quick to try, and quick motions where they arrive
+_STILL = 0.03  # m that the tip must get on within the patience while it circulates
+_LONGEST_TURN = 12.0  # s
+_BRAKING_PART = 0.5  # of the acceleration is planned with while slowing down
+_SETTLE = 10.0  # 1/s, slowest mode at the end of a motion
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One try at a goal.
+
+    Attributes
+    ----------
+    arrived: the tip is on the goal, at rest.
+    stepper: the motion that was made.
+    distance: of the tip from the goal at the end [m].
+    blocker: (link, obstacle) that held the motion back at the end, if any.
+    way: how it was tried, in words.
+    """
+
+    arrived: bool
+    stepper: Stepper
+    distance: float
+    blocker: tuple[str, str] | None
+    way: str
+
+
+class Sense(Enum):
+    """Which way to go round: the direction of the circulation along a surface."""
+
+    UP = "over the top"
+    LEFT = "round the left"
+    RIGHT = "round the right"
+    DOWN = "underneath"
+
+
+_Way = tuple[str, Vector | None, Sense | None]
+
+
+def approach_goal(
+    stepper: Stepper,
+    goal: TipTarget,
+    configurations: Sequence[Vector],
+    *,
+    deadline: float,
+    all_ways: bool = False,
+    null_space: bool = True,
+) -> Iterator[Attempt]:
+    """Attempts to bring the tip to `goal`, the simplest first; ends once one arrives.
+
+    Parameters
+    ----------
+    stepper: a motion that is at rest; every attempt is a branch of it.
+    configurations: (n,) known to put the tip on the goal, the preferred one first.
+    deadline: on `time.monotonic`, after which no further attempt is begun.
+    all_ways: go on after an attempt that arrives, for whoever wants another one.
+    null_space: whether the null-space terms of the law take part; to compare without.
+    """
+    at, _ = stepper.look()
+    postures: list[_Way] = [(f"to posture {index}", q, None) for index, q in enumerate(configurations, start=1)]
+    turns: list[_Way] = [(sense.value, None, sense) for sense in _senses(at)]
+    straight: _Way = ("straight", None, None)
+    ways = [straight, *postures[:_POSTURES_FIRST], *turns, *postures[_POSTURES_FIRST:]]
+    for number, (name, posture, sense) in enumerate(ways, start=1):
+        branch = stepper.branch(attempt=number)
+        if posture is None:
+            attempt = _drive_tip(branch, goal, sense, name, deadline, null_space=null_space)
+        else:
+            attempt = _drive_joints(branch, posture, goal, name, deadline)
+        yield attempt
+        if (attempt.arrived and not all_ways) or clock.monotonic() > deadline:
+            return
+
+
+def _senses(at: Configuration) -> list[Sense]:
+    """Left and right for an arm that stays in a level plane, else all four."""
+    if not movable_rows(at.jacobian[:3])[2]:
+        return [Sense.LEFT, Sense.RIGHT]
+    return list(Sense)
+
+
+# --- moving the tip ---------------------------------------------------------------
+
+
+def _drive_tip(
+    stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str, deadline: float, *, null_space: bool
+) -> Attempt:
+    problem = stepper.problem
+    law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
+    progress = _Progress()
+    turning = _Turning(sense)
+    arrived = False
+    begun = stepper.time
+    while stepper.time < begun + _LONGEST and clock.monotonic() < deadline:
+        at, nearby = stepper.look()
+        error, J = _task(goal, at)
+        left = float(np.linalg.norm(error))
+        if left < _ARRIVED and stepper.stopped():
+            # rows that no joint can move at this very posture are not in `left`
+            arrived = max(goal.distances(at)) < _AT_GOAL
+            stepper.stop()
+            break
+        wished = turning.direction(error, at, nearby, stepper, left)
+        xdot = wished * _pace(problem.limits, J, wished)
+        wish = law.wish(at, J, xdot, nearby)
+        fade = min(1.0, left / 0.05) if null_space else 0.0
+        if not stepper.advance(_within_rates(wish.primary + fade * wish.null, problem.limits), nearby, at.jacobian[:3]):
+            break
+        if turning.active:
+            if turning.stuck(at.tip_position, stepper.time):
+                break
+            progress = _Progress()
+        elif progress.stuck(left, stepper.time) and not turning.begin(nearby, stepper, left):
+            break
+    return _attempt(stepper, goal, arrived, way)
+
+
+def _task(goal: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
+    """Error and Jacobian of the rows that joints can move and that are not yet satisfied."""
+    error, J = goal.error(at), goal.jacobian(at)
+    rows = movable_rows(J)
+    if goal.pitch is not None and goal.rotation is None and error[3] == 0.0 and goal.pitch[1] > goal.pitch[0]:
+        rows = rows & np.array([True, True, True, False])
+    return error[rows], J[rows]
+
+
+def _pace(limits: JointLimits, J: Matrix, error: Vector) -> float:
+    """1/s by which `error` is to shrink: as fast as every joint can, and can still brake."""
+    dq = np.abs(J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(len(J)), error)) + 1e-9
+    rate = limits.velocity / dq
+    braking = np.sqrt(2.0 * _BRAKING_PART * limits.acceleration / dq)
+    return float(min(np.min(rate), np.min(braking), _SETTLE))
+
+
+def _within_rates(v: Vector, limits: JointLimits) -> Vector:
+    """`v` slowed, not bent, until every joint is within its rate."""
+    ratio = float(np.max(np.abs(v) / limits.velocity))
+    return v / ratio if ratio > 1.0 else v
+
+
+class _Progress:
+    """Notices when the remaining distance has stopped falling."""
+
+    def __init__(self) -> None:
+        self._best = np.inf
+        self._since = 0.0
+
+    def stuck(self, left: float, time: float) -> bool:
+        """Whether `left` has not fallen by a noticeable part for longer than the patience."""
+        if left < self._best - max(_PROGRESS, _NOTICEABLE * left):
+            self._best, self._since = left, time
+        return time - self._since > _PATIENCE
+
+
+class _Stillness:
+    """Notices when the tip has stopped moving, whatever its direction, or went on for too long."""
+
+    def __init__(self, time: float) -> None:
+        self._begun = self._since = time
+        self._place: Vector | None = None
+
+    def stuck(self, tip: Vector, time: float) -> bool:
+        """Whether the tip is where it was `_PATIENCE` ago."""
+        if self._place is None or float(np.linalg.norm(tip - self._place)) > _STILL:
+            self._place, self._since = tip, time
+        return time - self._since > _PATIENCE or time - self._begun > _LONGEST_TURN
+
+
+class _Turning:
+    """The circulation term: along the surface of what blocks the way.
+
+    It begins where the straight way is stuck. Where the surface itself leads towards the
+    goal it is followed that way, else in the sense that was asked for. It ends where the
+    tip is nearer to the goal than it was at the beginning and the way to the goal points
+    away from the surface.
+    """
+
+    _HOLD = 0.4  # s: a surface just left still counts
+    _LEADS = 0.6  # part of the way to the goal that must lie along the surface
+
+    def __init__(self, sense: Sense | None) -> None:
+        self._sense = sense
+        self._hit: float | None = None
+        self._normal = np.zeros(3)
+        self._touched = 0.0
+        self._stillness = _Stillness(0.0)
+
+    @property
+    def active(self) -> bool:
+        """Whether the tip is circulating now."""
+        return self._hit is not None
+
+    def begin(self, nearby: Nearby, stepper: Stepper, left: float) -> bool:
+        """Start to circulate; False where there is no sense, or nothing to go round."""
+        if self._sense is None or self._hit is not None:
+            return False
+        normal = _blocking_normal(nearby, stepper)
+        if normal is None:
+            return False
+        self._hit, self._normal, self._touched = left, normal, stepper.time
+        self._stillness = _Stillness(stepper.time)
+        return True
+
+    def stuck(self, tip: Vector, time: float) -> bool:
+        """Whether circulating leads nowhere."""
+        return self._stillness.stuck(tip, time)
+
+    def direction(self, error: Vector, at: Configuration, nearby: Nearby, stepper: Stepper, left: float) -> Vector:
+        """(m,) where to go: the error itself, or along the surface while circulating."""
+        if self._hit is None or self._sense is None:
+            return error
+        normal = _blocking_normal(nearby, stepper)
+        if normal is not None:
+            self._normal, self._touched = normal, stepper.time
+        rows = min(len(error), 3)
+        toward = np.zeros(3)
+        toward[:rows] = error[:rows]
+        into = float(toward @ self._normal)
+        off_surface = normal is None and stepper.time - self._touched > self._HOLD
+        if left < self._hit - 0.02 and (into <= 0.0 or off_surface):
+            self._hit = None
+            return error
+        size = max(float(np.linalg.norm(toward)), 0.3)
+        along = toward - into * self._normal
+        if float(np.linalg.norm(along)) < self._LEADS * float(np.linalg.norm(toward)):
+            along = _tangent(self._normal, self._sense, at)
+        along = along / max(float(np.linalg.norm(along)), 1e-9)
+        found = np.array(error)
+        # towards the surface a little, so as not to lose it
+        found[:rows] = (size * (along + 0.3 * self._normal))[:rows]
+        return found
+
+
+def _tangent(normal: Vector, sense: Sense, at: Configuration) -> Vector:
+    """(3,) along a surface with `normal` into it, the way of `sense`; any length."""
+    up = np.array([0.0, 0.0, 1.0])
+    if sense in (Sense.LEFT, Sense.RIGHT):
+        left = np.cross(normal, up) if abs(normal[2]) < 0.9 else np.cross(up, at.tip_position - at.points[0])
+        return np.asarray(left if sense is Sense.LEFT else -left)
+    rise = up - normal[2] * normal
+    if abs(normal[2]) > 0.9:  # a floor or a ceiling: over it means back to the machine
+        rise = at.points[0] - at.tip_position
+        rise = rise - (rise @ normal) * normal
+    return np.asarray(rise if sense is Sense.UP else -rise)
+
+
+def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:
+    """(3,) mean direction into what the shield is held back by; None if by nothing."""
+    shielded = stepper.shielded
+    if shielded is None or len(shielded.binding) == 0 or len(nearby) == 0:
+        return None
+    close = nearby.margin < 0.1
+    if not np.any(close):
+        return None
+    weight = 1.0 / (np.maximum(nearby.margin[close], 0.0) + 0.01)
+    mean = weight @ nearby.normal[close]
+    length = float(np.linalg.norm(mean))
+    return mean / length if length > 1e-9 else None
+
+
+# --- moving the joints --------------------------------------------------------------
+
+
+def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, deadline: float) -> Attempt:
+    problem = stepper.problem
+    limits = problem.limits
+    free_tip = np.zeros((3, problem.robot.n))
+    progress = _Progress()
+    arrived = False
+    begun = stepper.time
+    while stepper.time < begun + _LONGEST and clock.monotonic() < deadline:
+        _, nearby = stepper.look()
+        dq = posture - stepper.q
+        left = float(np.max(np.abs(dq)))
+        if left < _ARRIVED and stepper.stopped():
+            stepper.stop()
+            arrived = True
+            break
+        size = np.abs(dq) + 1e-9
+        pace = min(
+            float(np.min(limits.velocity / size)),
+            float(np.min(np.sqrt(2.0 * _BRAKING_PART * limits.acceleration / size))),
+            _SETTLE,
+        )
+        if not stepper.advance(pace * dq, nearby, free_tip) or progress.stuck(left, stepper.time):
+            break
+    return _attempt(stepper, goal, arrived, way)
+
+
+def _attempt(stepper: Stepper, goal: TipTarget, arrived: bool, way: str) -> Attempt:
+    if not arrived:
+        stepper.stop()
+    at, nearby = stepper.look()
+    blocker = None
+    if len(nearby):
+        pair = stepper.pair(int(nearby.pair[int(np.argmin(nearby.margin))]))
+        blocker = (pair.link, pair.obstacle)
+    return Attempt(arrived, stepper, goal.distances(at)[0], blocker, way)

@@ -1,0 +1,254 @@
+"""One step after another, each taken only when it is proven clear.
+
+A `Stepper` turns wished joint velocities into a motion: the shield filters the wish,
+the certificate's bound checks the step that results. A step that
+is not proven is tried again with more distance asked of the pairs that came too near,
+then with half the time; if nothing helps, the machine brakes.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.law.shield import Shield, Shielded
+from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.proof.certificate import segment_is_clear
+from backhoe_planner.site.proximity import Nearby, Pair, Proximity
+
+__all__ = ["Step", "Stepper", "Watcher"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+STEP = 0.02  # s
+_BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
+_HALVINGS = 5
+_CORRECTIONS = 3
+_LONGEST_STOP = 10.0  # s after which giving way has to be over
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a watcher is shown while the planner works.
+
+    Attributes
+    ----------
+    time: [s] in the motion.
+    q: (n,) joint positions [rad or m].
+    attempt: which attempt of the planner the step belongs to, from 1.
+    """
+
+    time: float
+    q: Vector
+    attempt: int
+
+
+Watcher = Callable[[Step], object]
+
+
+class Stepper:
+    """The state of a motion that is being made.
+
+    Attributes
+    ----------
+    q, v: (n,) where the joints are, and their velocity in the last step.
+    time: [s]
+    shielded: what the shield said to the last step, None before the first.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        q: Vector,
+        *,
+        proximity: Proximity,
+        kinematics: Kinematics,
+        watch: Watcher | None = None,
+        attempt: int = 1,
+    ) -> None:
+        self.problem = problem
+        self.q = np.array(q, dtype=float)
+        self.v = np.zeros_like(self.q)
+        self.time = 0.0
+        self.shielded: Shielded | None = None
+        self.attempt = attempt
+        self._proximity = proximity
+        self._kinematics = kinematics
+        self._shield = Shield(problem.limits)
+        self._last_dt = STEP
+        self._watch = watch
+        self._times = [0.0]
+        self._path = [self.q]
+
+    def branch(self, *, attempt: int, proximity: Proximity | None = None) -> Stepper:
+        """Another motion that goes on from here; this one stays as it is.
+
+        Parameters
+        ----------
+        proximity: what it is to keep clear of from now on; by default the same.
+        """
+        other = copy.copy(self)
+        other._proximity = proximity or self._proximity
+        other.attempt = attempt
+        other._times, other._path = list(self._times), list(self._path)
+        return other
+
+    def look(self) -> tuple[Configuration, Nearby]:
+        """The present configuration, and the pairs that act on the motion there.
+
+        Those are the pairs within the influence distance, and those that could be
+        reached before the machine stops.
+        """
+        nearby = self._proximity.at(
+            self.q, time=self.time, margin=np.maximum(self._stopping_distances(), self.problem.scene.influence)
+        )
+        return self._kinematics.at(self.q), nearby
+
+    def advance(self, wish: Vector, nearby: Nearby, J_tip: Matrix, *, dt: float = STEP) -> bool:
+        """Take the step nearest to `wish` (n,) that is proven clear; False if none is.
+
+        Parameters
+        ----------
+        nearby: as returned by `look` at the present configuration.
+        J_tip: (3, n) position Jacobian of the tip; zeros where only the joints count.
+        """
+        for _ in range(_HALVINGS):
+            extra = np.full(len(nearby), _BUFFER)
+            # two half steps beside each other share the change of velocity
+            span = 0.5 * (dt + self._last_dt)
+            for _ in range(_CORRECTIONS):
+                shielded = self._shield.filter(
+                    wish, q=self.q, v_before=self.v, dt=span, nearby=nearby, J_tip=J_tip, extra_margin=extra
+                )
+                q = self._within_limits(self.q + shielded.v * dt)
+                if segment_is_clear(self._proximity, self.q, q, time=self.time, dt=dt):
+                    self._take(q, dt, shielded)
+                    return True
+                extra = extra + self._shortfall(q, dt, nearby)
+            dt *= 0.5
+        return self._brake(dt)
+
+    def play(self, piece: Trajectory) -> None:
+        """Append a motion that begins where this one stands, from rest to rest.
+
+        Two motions that each come to rest change their velocity twice at the seam: one
+        step in which the machine stands lies between them.
+        """
+        if len(piece) < 2:
+            return
+        if np.any(self.v):
+            self._take(self.q, self._last_dt, None)
+        begun = self.time
+        for moment, q in zip(piece.time[1:], piece.q[1:], strict=True):
+            self._times.append(begun + float(moment))
+            self._path.append(np.array(q))
+            if self._watch is not None:
+                self._watch(Step(self._times[-1], q, self.attempt))
+        self.time = self._times[-1]
+        self.q = self._path[-1]
+        self.v = piece.segment_velocities()[-1].copy()
+        self._last_dt = float(piece.time[-1] - piece.time[-2])
+        self.shielded = None
+
+    def replay(self, motion: Trajectory, until: float) -> None:
+        """Make this motion the part of `motion` up to the time `until` [s], with its velocity there."""
+        count = int(np.searchsorted(motion.time, until - 1e-9))
+        self._times = [*motion.time[:count].tolist(), until]
+        self._path = [*(np.array(q) for q in motion.q[:count]), motion.at(until)]
+        self.time, self.q = until, self._path[-1]
+        self.shielded = None
+        self.v = np.zeros_like(self.q)
+        if len(self._times) > 1:
+            self._last_dt = self._times[-1] - self._times[-2]
+            self.v = (self._path[-1] - self._path[-2]) / self._last_dt
+
+    def rest(self, until: float) -> None:
+        """Stand, where the motion is at rest, until the time `until` [s]."""
+        if until > self.time:
+            self._take(self.q, until - self.time, None)
+
+    def stopped(self) -> bool:
+        """Whether the machine can be at rest after one more step."""
+        return bool(np.all(np.abs(self.v) <= self.problem.limits.acceleration * STEP + 1e-12))
+
+    def stop(self) -> None:
+        """Brake in proportion until at rest."""
+        for _ in range(10_000):
+            if not np.any(np.abs(self.v) > 1e-9) or not self._brake(STEP):
+                break
+
+    def give_way(self, until: float) -> bool:
+        """Come to rest, out of the way of whatever moves, until the time `until` [s].
+
+        Returns
+        -------
+        Whether that was possible without coming too near to anything, and the machine
+        is at rest at the end.
+        """
+        still = np.zeros_like(self.q)
+        no_tip = np.zeros((3, len(self.q)))
+        while self.time < until or np.any(np.abs(self.v) > 1e-9):
+            _, nearby = self.look()
+            if not self.advance(still, nearby, no_tip) or self.time > until + _LONGEST_STOP:
+                return False
+        return True
+
+    def pair(self, index: int) -> Pair:
+        """The pair that a `Nearby` names by its index."""
+        return self._proximity.pairs[index]
+
+    def trajectory(self) -> Trajectory:
+        """The motion so far."""
+        return Trajectory.from_steps(np.array(self._times), np.array(self._path))
+
+    def _stopping_distances(self) -> Vector:
+        """(P,) how much nearer each pair can come before the machine stops [m]."""
+        fastest = np.abs(self.v) + self.problem.limits.acceleration * STEP
+        time = self._shield.stopping_time(fastest)
+        return np.asarray(time * (self._proximity.travel @ fastest + self._proximity.speed))
+
+    def _take(self, q: Vector, dt: float, shielded: Shielded | None) -> None:
+        self.v = (q - self.q) / dt
+        self.q = q
+        self.time += dt
+        self.shielded = shielded
+        self._last_dt = dt
+        self._times.append(self.time)
+        self._path.append(q)
+        if self._watch is not None:
+            self._watch(Step(self.time, q, self.attempt))
+
+    def _brake(self, dt: float) -> bool:
+        """One step of braking in proportion, where that is clear."""
+        time = self._shield.braking_time(self.v)
+        span = 0.5 * (dt + self._last_dt)
+        v = self.v * max(1.0 - span / time, 0.0) if time > 0.0 else self.v
+        q = self._within_limits(self.q + v * dt)
+        if not segment_is_clear(self._proximity, self.q, q, time=self.time, dt=dt):
+            return False
+        self._take(q, dt, None)
+        return True
+
+    def _within_limits(self, q: Vector) -> Vector:
+        limits = self.problem.limits
+        if (q >= limits.lower).all() and (q <= limits.upper).all():
+            return q
+        inside = (self.q >= limits.lower) & (self.q <= limits.upper)
+        return np.where(inside, np.clip(q, limits.lower, limits.upper), q)
+
+    def _shortfall(self, q: Vector, dt: float, nearby: Nearby) -> Vector:
+        """(K,) how much further from each nearby pair the step must keep [m]."""
+        found = np.zeros(len(nearby))
+        for row, pair in enumerate(nearby.pair):
+            reached = self._proximity.distance_of(int(pair), q, time=self.time + dt)
+            missing = self._proximity.clearance[pair] + 0.5 * _BUFFER - reached
+            if missing > 0.0:
+                found[row] = 2.0 * missing + _BUFFER
+        return found

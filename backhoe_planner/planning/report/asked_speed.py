@@ -1,0 +1,125 @@
+"""Where along a path a motion keeps the speed that is asked, and what it waits for elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion.timing.limit_usage import limit_usage
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.report.comparison import part_on_path
+
+__all__ = ["AskedSpeed", "Slower", "asked_speed"]
+
+Vector = NDArray[np.float64]
+
+KEPT = 0.9  # of the asked speed, from which on it counts as kept
+
+
+@dataclass(frozen=True)
+class Slower:
+    """A part of the path on which the tip is slower than asked.
+
+    Attributes
+    ----------
+    path_from, path_to: where [m].
+    least: the speed at its slowest place [m/s].
+    limit: of the machine, by its name in `LimitUsage`, of which most is used there.
+    """
+
+    path_from: float
+    path_to: float
+    least: float
+    limit: str
+
+
+@dataclass(frozen=True)
+class AskedSpeed:
+    """How well a motion keeps the speed that is asked along its path.
+
+    Attributes
+    ----------
+    asked: [m/s].
+    kept_percent: of the path's length, on which the tip has 90 % of it or more.
+    slower: the other parts, in the order of the path.
+    """
+
+    asked: float
+    kept_percent: float
+    slower: tuple[Slower, ...]
+
+    def metrics(self) -> dict[str, Any]:
+        """For the plan file."""
+        return {
+            "asked": self.asked,
+            "kept_percent": self.kept_percent,
+            "slower": [asdict(part) for part in self.slower],
+        }
+
+
+def asked_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> AskedSpeed | None:
+    """Of a motion that follows the scene's path; None where no speed is asked.
+
+    Parts where the tip is off the path by more than the tolerance, on a detour, are not
+    counted: the asked speed does not hold there.
+
+    Parameters
+    ----------
+    begun: when the tip is first within the tolerance of the path's beginning [s].
+    """
+    task, path = problem.scene.task.path, problem.path
+    if task is None or path is None or task.speed is None:
+        return None
+    kinematics = Kinematics(problem.robot)
+    motion, _ = part_on_path(path, trajectory, begun, kinematics=kinematics)
+    if len(motion) < 2:
+        return None
+    tips = np.array([kinematics.at(q).tip_position for q in motion.q])
+    places, near = _places(path, tips, task.tolerance)
+    length = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    speed = length / np.diff(motion.time)
+    counted = near[1:] & near[:-1]
+    whole = float(np.sum(length[counted]))
+    if not whole > 0.0:
+        return None
+    slow = counted & (speed < KEPT * task.speed)
+    usage = limit_usage(problem, motion, tip_speed=False)
+    slower = []
+    for is_slow, rows in groupby(range(len(slow)), key=lambda row: bool(slow[row])):
+        if not is_slow:
+            continue
+        part = list(rows)
+        # the samples of these segments, where it has to slow down among them
+        most = np.max(usage.ratio[part[0] : part[-1] + 2], axis=0)
+        slower.append(
+            Slower(
+                float(places[part[0]]),
+                float(places[part[-1] + 1]),
+                float(np.min(speed[part])),
+                usage.names[int(np.argmax(most))],
+            )
+        )
+    kept = float(np.sum(length[counted & ~slow]))
+    return AskedSpeed(task.speed, 100.0 * kept / whole, tuple(slower))
+
+
+def _places(path: TipPath, tips: NDArray[np.float64], tolerance: float) -> tuple[Vector, NDArray[np.bool_]]:
+    """(T,) arc lengths of the tips, which never go back [m], and (T,) whether each is on the path."""
+    places, near = np.zeros(len(tips)), np.zeros(len(tips), dtype=bool)
+    here = 0.0
+    for row, tip in enumerate(tips):
+        ahead = 2.0 * float(np.linalg.norm(tip - tips[row - 1])) + 2.0 * tolerance if row else tolerance
+        place, off = path.nearest(tip, low=here, high=min(here + ahead, path.length))
+        if off > 2.0 * tolerance:  # off the path: it may come back anywhere ahead
+            place, off = path.nearest(tip, low=here)
+        near[row] = off <= tolerance
+        here = place if near[row] else here
+        places[row] = here
+    return places, near

@@ -1,0 +1,264 @@
+"""How much a plan saves: its objective beside that of the local law, on the same path.
+
+The law is led along the same path from the same start, and is then taken to be where the
+plan is at every moment, so that the two motions differ in how the redundancy is used and
+in nothing else. Where the law gets stuck at a joint limit, the plain pseudo-inverse is
+taken, v = J^+ xdot, which knows no limits and goes on through them: what it would cost is
+told beside the limit that it breaks.
+
+Time is what the same timing would make equal: for the objective `time` the law's way is
+run as fast as the same limits allow, corners rounded as the plan's are.
+
+A plan may go far to begin in a cheap posture. So both are told: the path alone, and all of
+the motion. The law begins where the plan does, so its approach is the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.machine.kinematics.target import movable_rows
+from backhoe_planner.motion.objectives import Objective, trajectory_costs
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.paths.corners import round_corners
+from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
+from backhoe_planner.planning.paths.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
+from backhoe_planner.planning.paths.path_timing import time_stretch
+from backhoe_planner.proof.certificate import Certificate
+from backhoe_planner.site.proximity import Proximity
+
+__all__ = [
+    "Comparison",
+    "compare_with_law",
+    "joined",
+    "law_motion",
+    "least_norm_resolution",
+    "part_on_path",
+    "stations_of",
+    "timed_alone",
+]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_EXACT = 1e-9
+_CORRECTIONS = 12
+_STANDING = 1e-6  # m: a leg on which only the bucket turns
+_BREAKS = 1e-6  # rad or m
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A plan beside the local law.
+
+    Attributes
+    ----------
+    name: of the objective.
+    value: of the plan's motion, from where it begins to follow the path.
+    whole: of the plan's motion from its start, the approach to the path included.
+    motion: that part of it; begun: when it begins in the plan [s].
+    law: of the law's motion with the same timing, for `time` with its own; None where it does not get along the path.
+    law_motion: that motion, or None.
+    law_breaks: the joint whose limit the law breaks, or what it would come too near to;
+        None where it keeps everything.
+    """
+
+    name: str
+    value: float
+    whole: float
+    motion: Trajectory
+    begun: float
+    law: float | None
+    law_motion: Trajectory | None
+    law_breaks: str | None
+
+    @property
+    def saving_percent(self) -> float | None:
+        """Of what the law needs; None where there is nothing to compare with."""
+        if self.law is None or not self.law > 0.0:
+            return None
+        return 100.0 * (1.0 - self.value / self.law)
+
+    @property
+    def law_whole(self) -> float | None:
+        """Of the plan's approach and the law's motion after it."""
+        return None if self.law is None else self.whole - self.value + self.law
+
+    @property
+    def saving_percent_whole(self) -> float | None:
+        """Of what the law needs with the same approach; None where there is nothing to compare with."""
+        if self.law_whole is None or not self.law_whole > 0.0:
+            return None
+        return 100.0 * (1.0 - self.whole / self.law_whole)
+
+    def metrics(self) -> dict[str, Any]:
+        """For the plan file."""
+        return {
+            "name": self.name,
+            "value": self.value,
+            "law": self.law,
+            "saving_percent": self.saving_percent,
+            "whole": self.whole,
+            "law_whole": self.law_whole,
+            "saving_percent_whole": self.saving_percent_whole,
+            "law_breaks": self.law_breaks,
+        }
+
+
+def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> Comparison | None:
+    """A motion along the scene's path beside the law's; None where it does not follow a path."""
+    path = problem.path
+    if path is None or len(trajectory) < 3 or not certificate.tracking.done:
+        return None
+    kinematics = Kinematics(problem.robot)
+    motion, begun = part_on_path(path, trajectory, certificate.tracking.approach_time, kinematics=kinematics)
+    if len(motion) < 3:
+        return None
+    name = Objective(problem).name
+    value, whole = trajectory_costs(problem, motion)[name], trajectory_costs(problem, trajectory)[name]
+
+    def beside(law: float | None, moved: Trajectory | None, breaks: str | None) -> Comparison:
+        return Comparison(name, value, whole, motion, begun, law, moved, breaks)
+
+    if certificate.detours:
+        return beside(None, None, "clearance: the path itself is blocked")
+    if np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING):
+        return beside(None, None, None)  # no place to compare by
+    proximity = Proximity(problem.robot, problem.obstacles)
+    law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
+    breaks = None
+    if law.blocker is not None:
+        kind, what = law.blocker
+        if kind != "joint":
+            return beside(None, None, f"clearance: {what} (at {kind})")
+        breaks = f"limit of joint {what}"
+        # a motion beyond a limit cannot be timed within the limits
+        found = None if name == "time" else least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
+        if found is None:
+            return beside(None, None, breaks)
+        law = found
+    if name == "time":
+        moved = timed_alone(problem, path, law, proximity=proximity, time=begun)
+    else:
+        moved = law_motion(path, law, motion, kinematics=kinematics)
+    return beside(trajectory_costs(problem, moved)[name], moved, breaks)
+
+
+def part_on_path(
+    path: TipPath, trajectory: Trajectory, begun: float, *, kinematics: Kinematics
+) -> tuple[Trajectory, float]:
+    """What follows the path, with time from 0, and when it begins [s].
+
+    An approach comes within the tolerance before it ends: where there is one, the path
+    begins where the tip is nearest to its beginning.
+
+    Parameters
+    ----------
+    begun: when the tip is first within the tolerance [s].
+    """
+    first = int(np.searchsorted(trajectory.time, begun - 1e-9))
+    if first > 0:
+        off = []
+        for q in trajectory.q[first:]:
+            off.append(float(np.linalg.norm(kinematics.at(q).tip_position - path(0.0))))
+            if off[-1] > 2.0 * off[0] + _STANDING:
+                break
+        first += len(off) - 1 - int(np.argmin(off[::-1]))  # it may stand there for a step
+    time = trajectory.time[first:] - trajectory.time[first]
+    return Trajectory.from_steps(time, trajectory.q[first:]), float(trajectory.time[first])
+
+
+def timed_alone(
+    problem: Problem, path: TipPath, way: Resolution, *, proximity: Proximity, time: float = 0.0
+) -> Trajectory:
+    """A resolved path as fast as the limits allow, at rest at both ends and at the corners that are not rounded."""
+    task = problem.scene.task.path
+    assert task is not None
+    stations, q, stops = round_corners(problem, path, way.stations, way.q, proximity=proximity, time=time)
+    motions = time_stretch(
+        path, stations, q, problem.limits, speed=task.speed, drive=drive_of(problem), stops=stops
+    )  # fmt: skip
+    return joined(motions)
+
+
+def joined(motions: Sequence[Trajectory]) -> Trajectory:
+    """Motions from rest to rest one after the other, with a step between them in which the machine stands."""
+    times, places = [motions[0].time], [motions[0].q]
+    for motion in motions[1:]:
+        if len(motion) < 2:
+            continue
+        end = times[-1][-1] + (times[-1][-1] - times[-1][-2] if len(times[-1]) > 1 else 0.0)
+        stands = end > times[-1][-1]
+        times.append(end + motion.time[0 if stands else 1 :])
+        places.append(motion.q[0 if stands else 1 :])
+    return Trajectory.from_steps(np.concatenate(times), np.vstack(places))
+
+
+def law_motion(path: TipPath, law: Resolution, motion: Trajectory, *, kinematics: Kinematics) -> Trajectory:
+    """What the law found, with the tip at every moment where it is in `motion`."""
+    stations = stations_of(path, motion, kinematics=kinematics)
+    marks = np.searchsorted(law.stations, path.stations - 1e-9)
+    q = np.empty_like(motion.q)
+    for first, last in pairwise(marks.tolist()):
+        if last <= first:
+            continue
+        low, high = law.stations[first], law.stations[last]
+        rows = (stations >= low - 1e-9) & (stations <= high + 1e-9)
+        leg = slice(first, last + 1)
+        q[rows] = monotone_curve(law.stations[leg], law.q[leg], np.clip(stations[rows], low, high))
+    return Trajectory.from_steps(motion.time, q)
+
+
+def stations_of(path: TipPath, motion: Trajectory, *, kinematics: Kinematics) -> Vector:
+    """(T,) arc lengths at which the tip is, for a motion that follows the whole path [m]."""
+    tips = np.array([kinematics.at(q).tip_position for q in motion.q])
+    gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))))
+    return np.asarray(gone * (path.length / max(float(gone[-1]), 1e-12)))
+
+
+def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinematics: Kinematics) -> Resolution | None:
+    """Along the whole path by the pseudo-inverse alone, which breaks limits and touches what stands there.
+
+    Parameters
+    ----------
+    q: (n,) joints with the tip on the beginning of the path.
+
+    Returns
+    -------
+    With the first joint that breaks a limit as its blocker; None where the arm is
+    stretched out before the end.
+    """
+    stations = sample_stations(path, 0.0)
+    found = [np.array(q, dtype=float)]
+    broken: tuple[str, str] | None = None
+    limits = problem.limits
+    for s in stations[1:].tolist():
+        target, joints = path.target(s), found[-1]
+        for _ in range(_CORRECTIONS):
+            at = kinematics.at(joints)
+            J, error = target.jacobian(at), target.error(at)
+            rows = movable_rows(J)
+            if has_open_range(target) and target.pitch_excess(at.pitch) == 0.0:
+                rows &= np.array([True, True, True, False])
+            if float(np.max(np.abs(error[rows]), initial=0.0)) < _EXACT:
+                break
+            joints = joints + np.linalg.lstsq(J[rows], error[rows], rcond=None)[0]
+            if np.max(np.abs(joints - found[-1])) > 1.0:
+                return None
+        else:
+            return None
+        found.append(joints)
+        over = np.maximum(limits.lower - joints, joints - limits.upper)
+        if broken is None and float(np.max(over)) > _BREAKS:
+            broken = ("joint", problem.robot.joint_names[int(np.argmax(over))])
+    return Resolution(stations, np.array(found), broken)

@@ -1,1 +1,0 @@
-"""What is to be done: the problem, its path, and motions as samples."""

@@ -1,1 +1,0 @@
-"""As fast as the limits of joints, drive and tip allow."""

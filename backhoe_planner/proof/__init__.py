@@ -1,0 +1,1 @@
+"""The certificate: from machine, site and motion alone."""

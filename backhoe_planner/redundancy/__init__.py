@@ -1,1 +1,0 @@
-"""The paper's law, its completion, and the shield that keeps it safe."""

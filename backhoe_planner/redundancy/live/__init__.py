@@ -1,1 +1,0 @@
-"""The servo: wishes in, motions out that are always safe."""

@@ -1,0 +1,1 @@
+"""Machine and site as meshes of a viewer."""

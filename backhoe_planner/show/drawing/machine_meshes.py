@@ -1,0 +1,131 @@
+"""The machine as triangles: one set per link and colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.robot import Robot, Visual
+from backhoe_planner.show.drawing.palette import MACHINE, Rgba
+from backhoe_planner.show.drawing.solids import Facets, facets, solid
+
+__all__ = ["LinkMesh", "machine_meshes"]
+
+_PLAIN: Rgba = (*MACHINE, 1.0)
+
+
+@dataclass(frozen=True)
+class LinkMesh:
+    """What is drawn of a link in one colour.
+
+    Attributes
+    ----------
+    link: its name.
+    joint: index of the Pinocchio joint that carries it; 0 stands still.
+    rgba: colour.
+    facets: in the frame of that joint [m].
+    """
+
+    link: str
+    joint: int
+    rgba: Rgba
+    facets: Facets
+
+
+def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
+    """What is drawn of the machine, and what could not be drawn as its URDF asks.
+
+    A visual whose mesh cannot be read is replaced by the link's collision pieces, as is
+    the whole machine where its URDF has no visuals.
+    """
+    warnings: list[str] = []
+    parts: dict[tuple[str, int, Rgba], list[trimesh.Trimesh]] = {}
+    replaced: set[str] = set()
+
+    def draw_pieces(link: str) -> None:
+        for piece in robot.pieces:
+            if piece.link == link:
+                parts.setdefault((link, piece.joint, _PLAIN), []).append(solid(piece.piece))
+
+    for visual in robot.visuals:
+        try:
+            drawn = _visual(visual)
+        except Exception as error:  # noqa: BLE001 (trimesh raises whatever its format readers run into)
+            if visual.link not in replaced:
+                replaced.add(visual.link)
+                draw_pieces(visual.link)
+            named = "not found" if visual.mesh is None else f"{visual.mesh.name}: {error}"
+            warnings.append(
+                f"link {visual.link}: the visual mesh cannot be read ({named}); its collision shape is drawn"
+            )
+            continue
+        for rgba, mesh in drawn:
+            parts.setdefault((visual.link, visual.joint, rgba), []).append(mesh)
+    if not robot.visuals:
+        warnings.append("the URDF has no visuals; the collision shapes are drawn")
+        for link in robot.link_names:
+            draw_pieces(link)
+    found = tuple(
+        LinkMesh(link, joint, rgba, facets(trimesh.util.concatenate(meshes)))
+        for (link, joint, rgba), meshes in parts.items()
+    )
+    return found, tuple(warnings)
+
+
+def _visual(visual: Visual) -> list[tuple[Rgba, trimesh.Trimesh]]:
+    """Meshes and their colours, in the frame of the visual's joint."""
+    placement = visual.placement.homogeneous
+    if visual.kind != "mesh":
+        made = _primitive(visual)
+        made.apply_transform(placement)
+        return [(_rgba(visual.rgba), made)]
+    if visual.mesh is None:
+        raise FileNotFoundError("mesh file not found")
+    loaded = trimesh.load_scene(visual.mesh)
+    found = []
+    for mesh in loaded.dump():
+        if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+            continue
+        rgba = _rgba(visual.rgba) if visual.rgba is not None else _own_colour(mesh)
+        plain = trimesh.Trimesh(mesh.vertices * np.asarray(visual.size), mesh.faces, process=False)
+        plain.merge_vertices(merge_tex=True, merge_norm=True)
+        plain.apply_transform(placement)
+        if np.linalg.det(np.diag(visual.size)) < 0.0:
+            plain.invert()
+        found.append((rgba, plain))
+    if not found:
+        raise ValueError("holds no triangles")
+    return found
+
+
+def _primitive(visual: Visual) -> trimesh.Trimesh:
+    if visual.kind == "box":
+        return trimesh.creation.box(extents=visual.size)
+    if visual.kind == "cylinder":
+        return trimesh.creation.cylinder(radius=visual.size[0], height=visual.size[1], sections=32)
+    return trimesh.creation.icosphere(subdivisions=3, radius=visual.size[0])
+
+
+def _own_colour(mesh: trimesh.Trimesh) -> Rgba:
+    """The colour that the mesh file gives; of an image, its mean."""
+    visual = mesh.visual
+    if getattr(visual, "kind", None) == "texture":
+        image = getattr(visual.material, "image", None)
+        if image is not None:
+            mean = np.asarray(image.convert("RGBA"), dtype=float).reshape(-1, 4).mean(axis=0)
+            return _rgba(tuple(mean / 255.0))
+    colour: NDArray[np.float64] | None = None
+    if getattr(visual, "defined", False):
+        colour = np.asarray(visual.main_color if hasattr(visual, "main_color") else visual.material.main_color, float)
+    return _PLAIN if colour is None else _rgba(tuple(colour / 255.0))
+
+
+def _rgba(colour: tuple[float, ...] | None) -> Rgba:
+    if colour is None:
+        return _PLAIN
+    r, g, b, *rest = (round(float(part), 3) for part in colour)
+    # an opacity of 0 in a URDF is a slip far more often than a wish
+    return (r, g, b, rest[0] if rest and rest[0] > 0.0 else 1.0)

@@ -1,0 +1,444 @@
+"""Machine, site and task as a tree of named nodes in a meshcat viewer.
+
+    machine/<link>              one node per link, moved by one transform
+    site/<obstacle>
+    clearance/<obstacle>        the surface that must not be crossed, hidden at first
+    task/path, task/goal, task/trace
+    critical points/<obstacle>  from the link to its nearest point on the obstacle
+    ground
+
+Names are those of the URDF and of the scene file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.machine.reach import tip_travel_bound
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.show.drawing.animation import PlanAnimation, Track
+from backhoe_planner.show.drawing.drawing import mesh, set_property
+from backhoe_planner.show.drawing.framing import View, frame
+from backhoe_planner.show.drawing.ground import draw_ground, opening_of
+from backhoe_planner.show.drawing.machine_meshes import LinkMesh, machine_meshes
+from backhoe_planner.show.drawing.names import node_name, node_names
+from backhoe_planner.show.drawing.palette import FAR, GOAL, PATH, TRACE, Rgba, margin_rgb
+from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
+from backhoe_planner.show.drawing.solids import facets, tube
+from backhoe_planner.show.drawing.stage import set_camera, set_stage
+from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, Timeline
+from backhoe_planner.site.obstacles import Obstacle
+
+__all__ = ["GROUPS", "SceneGraph"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+GROUPS = ("machine", "site", "clearance", "task", "critical points", "ground")
+
+_LINE_WIDTH = 0.0011  # radius of path and trace, of the distance to the camera
+_UP = np.array([0.0, 0.0, 1.0])
+_NOWHERE = np.zeros((4, 4))
+_HIDDEN = 1e-5  # scale of what is not to be seen; 0 has no inverse
+
+
+class SceneGraph:
+    """Draws one problem, and moves what it drew.
+
+    Parameters
+    ----------
+    visualizer: a ``meshcat.Visualizer``; nothing but this node's children, and
+        meshcat's own sky, lights and camera, is changed.
+    problem: machine, site and task.
+    q: (n,) the posture that is drawn first; by default the start, or the middle of the
+        joints' ranges.
+
+    Attributes
+    ----------
+    warnings: what could not be drawn as asked.
+    site: what is drawn of the obstacles.
+    has_ground: whether level ground is drawn, as no obstacle is the ground.
+    """
+
+    def __init__(self, visualizer: Any, problem: Problem, *, q: Vector | None = None) -> None:
+        self._tree = visualizer
+        self._problem = problem
+        robot = problem.robot
+        self._data = robot.model.createData()
+        self._reach = _tip_reach(problem)
+        meshes, self.warnings = machine_meshes(robot)
+        self._joint_of = {drawn.link: drawn.joint for drawn in meshes}
+        self._links = node_names(self._joint_of)
+        self._obstacles = node_names([*(obstacle.name for obstacle in problem.obstacles), ITSELF])
+        self._prefix = visualizer.path.lower().rstrip("/")
+        rest = problem.start_q if q is None else q
+        posture = np.array(robot.middle if rest is None else rest)
+        self._machine_points = self._machine_corners(meshes, [posture])
+        self._meshes = meshes
+        centre = np.array([*(0.5 * (self._machine_points.min(axis=0) + self._machine_points.max(axis=0)))[:2], 0.0])
+        # what is drawn of a plane or the ground
+        self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
+        self.has_ground = not any(is_ground(obstacle) for obstacle in problem.obstacles)
+        self.site = tuple(
+            site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius) for obstacle in problem.obstacles
+        )
+        away = self.view()
+        # what looks right on a picture of the whole
+        self._width = _LINE_WIDTH * float(np.linalg.norm(away.eye() - away.target))
+        self._scale = self._width / 0.02
+        for group in GROUPS:
+            visualizer[group].delete()
+        self._shown_colour: dict[str, tuple[float, ...]] = {}
+        self._placed: dict[tuple[str, str], Matrix] = {}
+        self._draw_stage(centre)
+        self._draw_machine(meshes)
+        self._draw_site(centre)
+        self._draw_task()
+        self._draw_critical_points()
+        self.move(posture)
+
+    # --- what stands still ----------------------------------------------------------
+
+    def _draw_stage(self, centre: Vector) -> None:
+        set_stage(self._tree, reach=1.2 * self._radius)
+        if self.has_ground:
+            opening, buried = self._below_ground()
+            draw_ground(
+                self._tree["ground"], centre=centre[:2], radius=1.9 * self._radius,
+                opacity=0.5 if buried else 0.95, opening=opening,
+            )  # fmt: skip
+        self.look(self._machine_points)
+
+    def _below_ground(self) -> tuple[Matrix | None, bool]:
+        """Outline (k, 2) of the obstacles that are the ground, and whether anything else is beneath it."""
+        outlines, lows = [], []
+        for drawn in self.site:
+            if drawn.bounds is None:
+                continue
+            if abs(drawn.bounds[1, 2]) <= 0.05:  # its top is level with the ground
+                outlines.append(drawn.facets.vertices[:, :2])
+            elif drawn.bounds[1, 2] < 0.0:
+                lows.append(drawn)
+        points = [self._problem.goal.position] if self._problem.goal is not None else []
+        points += [] if self._problem.path is None else list(self._problem.path.points)
+        if not outlines:
+            return None, bool(lows) or any(point[2] < -0.05 for point in points)
+        opening = opening_of(np.vstack(outlines))
+        low, high = opening.min(axis=0), opening.max(axis=0)
+
+        def beside(corners: Matrix) -> bool:
+            return bool(np.any(corners[:, :2] < low - 0.01) or np.any(corners[:, :2] > high + 0.01))
+
+        buried = any(beside(drawn.bounds) for drawn in lows if drawn.bounds is not None)
+        return opening, buried or any(point[2] < -0.05 and beside(point[None, :]) for point in points)
+
+    def _draw_machine(self, meshes: tuple[LinkMesh, ...]) -> None:
+        number: dict[str, int] = {}
+        for drawn in meshes:
+            part = number.setdefault(drawn.link, 0)
+            number[drawn.link] += 1
+            node = self._tree["machine"][self._links[drawn.link]][f"{part}"]
+            node.set_object(mesh(drawn.facets, drawn.rgba))
+            if drawn.rgba[3] < 1.0:
+                set_property(node, "castShadow", False)
+
+    def _draw_site(self, centre: Vector) -> None:
+        for order, (obstacle, drawn) in enumerate(zip(self._problem.obstacles, self.site, strict=True)):
+            node = self._obstacles[drawn.name]
+            if drawn.bounds is None and is_ground(obstacle) and drawn.facets.normals[0, 2] > 0.999:
+                draw_ground(
+                    self._tree["site"][node], centre=centre[:2], radius=1.9 * self._radius,
+                    height=float(drawn.facets.vertices[0, 2]), opacity=drawn.rgba[3], colour=drawn.rgba[:3],
+                )  # fmt: skip
+                continue
+            self._draw_solid(node, drawn, order=order)
+        self._tree["clearance"].set_property("visible", False)
+
+    def _draw_solid(self, name: str, drawn: SiteMesh, *, order: int) -> None:
+        """One obstacle and its clearance shell."""
+        node = self._tree["site"][name]
+        node.set_object(mesh(drawn.facets, drawn.rgba, lit=drawn.bounds is not None or drawn.rgba[3] > 0.5))
+        if drawn.rgba[3] < 1.0:
+            set_property(node, "castShadow", False)
+        if drawn.shell is None:
+            return
+        shell = self._tree["clearance"][name]
+        shell.set_object(mesh(drawn.shell, drawn.shell_rgba, lit=False, one_sided=drawn.bounds is not None))
+        set_property(shell, "castShadow", False)
+        set_property(shell, "receiveShadow", False)
+        set_property(shell, "renderOrder", 2 + order)
+
+    def _draw_task(self) -> None:
+        problem, task = self._problem, self._tree["task"]
+        if problem.path is not None:
+            width = 1.4 * self._width  # the trace lies on it
+            _draw_line(task["path"], problem.path.points, width, (*PATH, 1.0))
+            marks = [
+                trimesh.creation.icosphere(subdivisions=2, radius=1.8 * width).apply_translation(point)
+                for point in problem.path.points
+            ]
+            task["path"]["waypoints"].set_object(mesh(facets(trimesh.util.concatenate(marks)), (*PATH, 1.0), lit=False))
+        if problem.goal is not None:
+            goal = problem.goal
+            ball = trimesh.creation.icosphere(subdivisions=3, radius=0.085 * self._scale)
+            ball.apply_translation(goal.position)
+            task["goal"].set_object(mesh(facets(ball), (*GOAL, 1.0)))
+            if goal.rotation is not None:
+                self._draw_triad(task["goal"], goal.rotation, goal.position)
+            elif goal.pitch is not None:
+                fan = _pitch_fan(problem, goal.position, goal.pitch, 0.55 * self._scale)
+                task["goal"]["pitch"].set_object(mesh(facets(fan), (*GOAL, 0.4), lit=False))
+                set_property(task["goal"]["pitch"], "castShadow", False)
+
+    def _draw_triad(self, node: Any, rotation: Matrix, position: Vector) -> None:
+        length = 0.3 * self._scale
+        for axis, rgba in enumerate(((0.85, 0.2, 0.2, 1.0), (0.2, 0.65, 0.25, 1.0), (0.2, 0.4, 0.9, 1.0))):
+            end = position + length * rotation[:, axis]
+            _draw_line(node["xyz"[axis]], np.array([position, end]), 0.05 * length, rgba)
+
+    def _draw_critical_points(self) -> None:
+        for node in self._obstacles.values():
+            self._tree["critical points"][node].set_object(self._rod_mesh())
+            set_property(self._tree["critical points"][node], "castShadow", False)
+            self._tree["critical points"][node].set_transform(np.diag([_HIDDEN, _HIDDEN, _HIDDEN, 1.0]))
+
+    def _rod_mesh(self) -> Any:
+        rod = trimesh.creation.cylinder(radius=0.022 * self._scale, height=1.0, sections=12)
+        rod.apply_translation([0.0, 0.0, 0.5])
+        return mesh(facets(rod), (*FAR, 1.0), lit=False)
+
+    # --- camera -----------------------------------------------------------------------
+
+    def view(self, points: Matrix | None = None) -> View:
+        """The view that has the site and all `points` (k, 3) in it."""
+        seen = [self._machine_points if points is None else points]
+        middle = self._machine_points.mean(axis=0)
+        side = 0.0
+        ceiling = None
+        for obstacle, drawn in zip(self._problem.obstacles, self.site, strict=True):
+            if drawn.bounds is None:
+                normal = drawn.facets.normals[0]
+                if normal[2] < -0.7 and drawn.anchor[2] < 2.0 * self._reach:
+                    ceiling = float(drawn.anchor[2])
+                    seen.append(drawn.anchor[None, :])
+                if abs(normal[1]) > 0.5:  # never from behind a wall
+                    side -= 1e3 * float(normal[1])
+                continue
+            if is_ground(obstacle):
+                continue
+            # of something endless only what is near
+            low = np.clip(drawn.bounds[0], middle - self._radius, middle + self._radius)
+            high = np.clip(drawn.bounds[1], middle - self._radius, middle + self._radius)
+            corners = _box_corners(low, high)
+            seen.append(corners)
+            above = np.maximum(corners[:, 2].max(), 0.0) - np.maximum(corners[:, 2].min(), 0.0)
+            side += float(corners[:, 1].mean() * above * np.prod(np.sqrt(np.ptp(corners[:, :2], axis=0) + 1e-9)))
+        if self._problem.goal is not None:
+            seen.append(self._problem.goal.position[None, :])
+        if self._problem.path is not None:
+            seen.append(self._problem.path.points)
+        # what is large and tall belongs behind the machine
+        return frame(np.vstack(seen), side=-1.0 if side >= 0.0 else 1.0, ceiling=ceiling)
+
+    def look(self, points: Matrix | None = None) -> View:
+        """Point the camera so that the site and all `points` (k, 3) are in view."""
+        view = self.view(points)
+        set_camera(self._tree, view)
+        return view
+
+    def look_at_motion(self, timeline: Timeline) -> View:
+        """Point the camera so that the whole motion is in view."""
+        rows = np.unique(np.linspace(0, len(timeline.time) - 1, 24).astype(int))
+        swept = self._machine_corners(self._meshes, list(timeline.q[rows]))
+        return self.look(np.vstack((swept, timeline.tip)))
+
+    def look_at_postures(self, postures: Sequence[Vector]) -> View:
+        """Point the camera so that the machine is in view in all `postures` (n,)."""
+        return self.look(self._machine_corners(self._meshes, list(postures)))
+
+    def _machine_corners(self, meshes: tuple[LinkMesh, ...], postures: list[Vector]) -> Matrix:
+        """Corners of the boxes around every drawn part, in all `postures`, world."""
+        model = self._problem.robot.model
+        boxes = []
+        for drawn in meshes:
+            low, high = drawn.facets.vertices.min(axis=0), drawn.facets.vertices.max(axis=0)
+            boxes.append(_box_corners(low, high))
+        found = []
+        for q in postures:
+            pin.forwardKinematics(model, self._data, q)
+            for drawn, corners in zip(meshes, boxes, strict=True):
+                placement = self._data.oMi[drawn.joint]
+                found.append(corners @ placement.rotation.T + placement.translation)
+        return np.vstack(found)
+
+    # --- what moves -------------------------------------------------------------------
+
+    def move(self, q: Vector, *, time: float = 0.0, nearest: Sequence[Nearest | None] = ()) -> None:
+        """Show the machine at `q` (n,) and the site at `time` [s].
+
+        Parameters
+        ----------
+        nearest: critical points to be shown, in the order of the obstacles.
+        """
+        pin.forwardKinematics(self._problem.robot.model, self._data, q)
+        for link, joint in self._joint_of.items():
+            self._place("machine", self._links[link], self._data.oMi[joint].homogeneous)
+        for obstacle in self._problem.obstacles:
+            if obstacle.moves or obstacle.appears_at > 0.0:
+                transform = np.eye(4)
+                transform[:3, 3] = _offset(obstacle, time)
+                if time < obstacle.appears_at:
+                    transform[:3, :3] *= _HIDDEN
+                for group in ("site", "clearance"):
+                    self._place(group, self._obstacles[obstacle.name], transform)
+        for name, spot in zip(self._obstacles, nearest, strict=False):
+            self._set_critical_point(name, spot)
+
+    def add(self, obstacle: Obstacle) -> Vector:
+        """Draw an obstacle that was not there before; (3,) where its name is written [m]."""
+        drawn = site_mesh(obstacle, self._problem.scene, centre=np.zeros(3), reach=self._radius)
+        node = node_name(obstacle.name)
+        while node in self._obstacles.values():
+            node += "_"
+        self._obstacles[obstacle.name] = node
+        self._draw_solid(node, drawn, order=len(self._obstacles))
+        self._tree["critical points"][node].set_object(self._rod_mesh())
+        set_property(self._tree["critical points"][node], "castShadow", False)
+        self.point(obstacle.name, None)
+        return drawn.anchor
+
+    def remove(self, name: str) -> None:
+        """Take an obstacle out of the picture."""
+        node = self._obstacles.pop(name)
+        self._shown_colour.pop(name, None)
+        for group in ("site", "clearance", "critical points"):
+            self._tree[group][node].delete()
+            self._placed.pop((group, node), None)
+
+    def place(self, name: str, shift: Vector | None) -> None:
+        """Show an obstacle `shift` (3,) from where it was drawn [m]; None hides it."""
+        transform = np.eye(4)
+        if shift is None:
+            transform[:3, :3] *= _HIDDEN
+        else:
+            transform[:3, 3] = shift
+        for group in ("site", "clearance"):
+            self._place(group, self._obstacles[name], transform)
+
+    def point(self, name: str, spot: Nearest | None) -> None:
+        """Show the nearest spot to an obstacle, or to the machine itself; None hides it."""
+        self._set_critical_point(name, spot)
+
+    def node_of(self, name: str) -> str:
+        """Under which name an obstacle stands in the viewer's tree, below ``site``."""
+        return self._obstacles[name]
+
+    def _place(self, group: str, node: str, transform: Matrix) -> None:
+        """Set a node's transform, unless it is there already."""
+        key = (group, node)
+        if not np.array_equal(self._placed.get(key, _NOWHERE), transform):
+            self._placed[key] = transform
+            self._tree[group][node].set_transform(transform)
+
+    def _set_critical_point(self, name: str, spot: Nearest | None) -> None:
+        position, quaternion, scale = self._rod(spot)
+        x, y, z, w = quaternion
+        transform = np.eye(4)
+        transform[:3, :3] = pin.Quaternion(w, x, y, z).toRotationMatrix() * scale
+        transform[:3, 3] = position
+        self._place("critical points", self._obstacles[name], transform)
+        if spot is None or scale[2] == _HIDDEN:
+            return
+        colour = tuple(round(part, 1) for part in margin_rgb(spot.margin, self._problem.scene.influence))
+        if self._shown_colour.get(name) != colour:
+            self._shown_colour[name] = colour
+            self._tree["critical points"][self._obstacles[name]].set_property("color", [*colour, 1.0])
+
+    def _rod(self, spot: Nearest | None) -> tuple[Vector, Vector, Vector]:
+        """Position, quaternion (x, y, z, w) and scale that put the unit rod between two points."""
+        if spot is None or spot.margin > self._problem.scene.influence:
+            return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.full(3, _HIDDEN)
+        along = spot.point_obstacle - spot.point_link
+        length = max(float(np.linalg.norm(along)), 1e-4)
+        turn = pin.Quaternion.FromTwoVectors(_UP, along / length if length > 1e-4 else _UP)
+        return spot.point_link, np.array(turn.coeffs()), np.array([1.0, 1.0, length])
+
+    def draw_trace(self, tips: Matrix) -> None:
+        """Draw the way of the tip, (T, 3) [m]."""
+        _draw_line(self._tree["task"]["trace"], tips, 0.75 * self._width, (*TRACE, 1.0))
+
+    def animation(self, timeline: Timeline) -> PlanAnimation:
+        """Everything that moves in `timeline`: one track per link, obstacle and critical point."""
+        time = timeline.time - timeline.time[0]
+        tracks: list[Track] = []
+        for link, joint in self._joint_of.items():
+            if joint > 0:
+                path = f"{self._prefix}/machine/{self._links[link]}"
+                tracks.append(Track(path, "position", time, timeline.poses[:, joint, :3]))
+                tracks.append(Track(path, "quaternion", time, timeline.poses[:, joint, 3:]))
+        for obstacle in self._problem.obstacles:
+            if obstacle.moves or obstacle.appears_at > 0.0:
+                offset = np.array([_offset(obstacle, moment) for moment in timeline.time])
+                size = np.where(timeline.time < obstacle.appears_at, _HIDDEN, 1.0)
+                for group in ("site", "clearance"):
+                    path = f"{self._prefix}/{group}/{self._obstacles[obstacle.name]}"
+                    tracks.append(Track(path, "position", time, offset))
+                    tracks.append(Track(path, "scale", time, np.repeat(size[:, None], 3, axis=1)))
+        influence = self._problem.scene.influence
+        for index, name in enumerate(timeline.obstacles):
+            spots = [row[index] for row in timeline.nearest]
+            if all(spot is None or spot.margin > influence for spot in spots):
+                continue
+            path = f"{self._prefix}/critical points/{self._obstacles[name]}"
+            rods = [self._rod(spot) for spot in spots]
+            colours = np.array([FAR if spot is None else margin_rgb(spot.margin, influence) for spot in spots])
+            for column, kind in enumerate(("position", "quaternion", "scale")):
+                tracks.append(Track(path, kind, time, np.array([rod[column] for rod in rods])))
+            tracks.append(Track(f"{path}/<object>", "material.color", time, colours))
+        return PlanAnimation(tracks, float(time[-1]))
+
+
+def _offset(obstacle: Obstacle, time: float) -> Vector:
+    return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
+
+
+def _box_corners(low: Vector, high: Vector) -> Matrix:
+    """(8, 3) corners of the box from `low` to `high`."""
+    return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+
+
+def _draw_line(node: Any, points: Matrix, radius: float, rgba: Rgba) -> None:
+    """A line as a tube, and faintly where something stands in front of it."""
+    drawn = facets(tube(points, radius, tolerance=0.25 * radius))
+    node.set_object(mesh(drawn, rgba, lit=False))
+    node["behind"].set_object(mesh(drawn, (*rgba[:3], 0.4), lit=False, through=True))
+    set_property(node["behind"], "castShadow", False)
+    set_property(node["behind"], "renderOrder", 100)
+
+
+def _tip_reach(problem: Problem) -> float:
+    """How far the tip gets from the first joint, roughly [m]."""
+    robot = problem.robot
+    bound = tip_travel_bound(robot)
+    turning = bound[~robot.prismatic]
+    slide = np.sum((robot.limits.upper - robot.limits.lower)[robot.prismatic])
+    return float(max(turning.max(initial=0.0), slide, 0.1))
+
+
+def _pitch_fan(problem: Problem, tip: Vector, pitch: tuple[float, float], radius: float) -> trimesh.Trimesh:
+    """A sector behind the tip, in the arm's plane, from the lowest to the highest allowed pitch."""
+    centre = Kinematics(problem.robot).at(problem.robot.middle).points[0]
+    heading = np.arctan2(tip[1] - centre[1], tip[0] - centre[0])
+    low, high = pitch if pitch[1] - pitch[0] > 0.04 else (sum(pitch) / 2.0 - 0.02, sum(pitch) / 2.0 + 0.02)
+    angles = np.linspace(low, high, 24)
+    rim = np.column_stack((np.cos(angles) * np.cos(heading), np.cos(angles) * np.sin(heading), np.sin(angles)))
+    index = np.arange(1, len(angles))
+    faces = np.column_stack((np.zeros_like(index), index, index + 1))
+    return trimesh.Trimesh(np.vstack((tip, tip - radius * rim)), faces, process=False)

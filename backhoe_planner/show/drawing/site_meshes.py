@@ -1,0 +1,189 @@
+"""What stands on the site as triangles, and how far to keep from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from backhoe_planner.machine.shape.convex import load_mesh
+from backhoe_planner.show.drawing.palette import SOIL, Rgba
+from backhoe_planner.show.drawing.solids import Facets, disc, facets, fattened, grid, solid, together
+from backhoe_planner.site import scene_file
+from backhoe_planner.site.obstacles import Obstacle, read_heights
+from backhoe_planner.site.scene_file import Scene
+
+__all__ = ["SiteMesh", "is_ground", "site_mesh"]
+
+Vector = NDArray[np.float64]
+
+_MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly
+
+_SLATE = (0.45, 0.52, 0.60)
+_STEEL = (0.56, 0.59, 0.63)
+_TIMBER = (0.52, 0.40, 0.29)
+_UTILITY = (0.95, 0.62, 0.10)
+_DANGER = (0.90, 0.25, 0.20)
+_ZONE = (0.93, 0.46, 0.12)
+_MOVING = (0.88, 0.36, 0.22)
+_ROCK = (0.56, 0.53, 0.50)
+_SCAN = (0.36, 0.56, 0.58)
+
+
+@dataclass(frozen=True)
+class SiteMesh:
+    """What is drawn of an obstacle, in world coordinates at the time of its appearance.
+
+    Attributes
+    ----------
+    name: of the obstacle.
+    facets, rgba: the obstacle.
+    shell, shell_rgba: the surface at its clearance; None where that is 0.
+    anchor: (3,) where its name is written [m].
+    bounds: (2, 3) lowest and highest corner [m]; None for what has no end.
+    """
+
+    name: str
+    facets: Facets
+    rgba: Rgba
+    shell: Facets | None
+    shell_rgba: Rgba
+    anchor: Vector
+    bounds: Vector | None
+
+
+def is_ground(obstacle: Obstacle) -> bool:
+    """Whether an obstacle is the ground, so that none needs to be drawn."""
+    spec = obstacle.spec
+    level = isinstance(spec, scene_file.HalfSpace) and spec.normal[2] > 0.7
+    return obstacle.zone is None and (level or isinstance(spec, scene_file.HeightMap))
+
+
+def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float) -> SiteMesh:
+    """One obstacle.
+
+    Parameters
+    ----------
+    centre: (3,) of the machine [m]; a plane is drawn around it.
+    reach: radius of what is drawn of a plane [m].
+    """
+    spec = obstacle.spec
+    if isinstance(spec, scene_file.HalfSpace):
+        return _plane(obstacle, spec, centre, reach)
+    if isinstance(spec, scene_file.HeightMap):
+        surface = _terrain(spec, scene)
+        top = surface.vertices[np.argmax(surface.vertices[:, 2])]
+        lifted = surface.copy()
+        lifted.apply_translation([0.0, 0.0, obstacle.clearance])
+        return _mesh(obstacle, surface, lifted, (*SOIL, 1.0), top)
+    if isinstance(spec, scene_file.Mesh):
+        drawn = load_mesh(scene.folder / spec.file)
+        drawn.apply_scale(spec.scale)
+        drawn.apply_transform(spec.placement.homogeneous)
+        drawn = trimesh.Trimesh(drawn.vertices, drawn.faces)
+    else:
+        drawn = trimesh.util.concatenate([solid(piece) for piece in obstacle.pieces])
+    low, high = drawn.bounds
+    anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
+    if isinstance(spec, scene_file.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
+        anchor = np.array([*spec.start[:2], spec.start[2] + spec.radius])  # a pipe: its end is easier to see
+    return _mesh(obstacle, drawn, _shell(obstacle), _colour(obstacle, drawn), anchor)
+
+
+def _mesh(
+    obstacle: Obstacle, drawn: trimesh.Trimesh, shell: trimesh.Trimesh | None, rgba: Rgba, anchor: Vector
+) -> SiteMesh:
+    return SiteMesh(
+        name=obstacle.name,
+        facets=facets(drawn),
+        rgba=rgba,
+        shell=None if shell is None or obstacle.clearance == 0.0 else facets(shell),
+        shell_rgba=(*rgba[:3], 0.16),
+        anchor=np.asarray(anchor, dtype=float),
+        bounds=np.asarray(drawn.bounds, dtype=float),
+    )
+
+
+def _shell(obstacle: Obstacle) -> trimesh.Trimesh | None:
+    if obstacle.clearance == 0.0:
+        return None
+    pieces = obstacle.pieces
+    if len(pieces) <= _MOST_ROUNDED:
+        return trimesh.util.concatenate([fattened(piece.hull, piece.radius + obstacle.clearance) for piece in pieces])
+    boxes = []  # too many to round off: boxes around them, a little larger than the true shell
+    for piece in pieces:
+        grown = piece.radius + obstacle.clearance
+        low, high = piece.hull.min(axis=0) - grown, piece.hull.max(axis=0) + grown
+        boxes.append(trimesh.creation.box(bounds=np.array([low, high])))
+    return trimesh.util.concatenate(boxes)
+
+
+def _colour(obstacle: Obstacle, drawn: trimesh.Trimesh) -> Rgba:
+    spec = obstacle.spec
+    low, high = drawn.bounds
+    if obstacle.zone is not None:
+        return (*_ZONE, 0.3)
+    if obstacle.moves or obstacle.appears_at > 0.0:
+        return (*_MOVING, 1.0)
+    if isinstance(spec, scene_file.Box) and high[2] <= 0.05:  # ground beside or under the work
+        return (*SOIL, 0.42)
+    if isinstance(spec, scene_file.Capsule) and high[2] <= 0.3:
+        return (*_UTILITY, 1.0)
+    if isinstance(spec, scene_file.Mesh):
+        return (*SOIL, 1.0)
+    if isinstance(spec, scene_file.PointCloud):
+        return (*_SCAN, 1.0)
+    if isinstance(spec, scene_file.Sphere):
+        return (*_ROCK, 1.0)
+    if isinstance(spec, (scene_file.Cylinder, scene_file.Capsule)):
+        slender = (high[2] - low[2]) > 6.0 * max(float(high[0] - low[0]), float(high[1] - low[1]))
+        return (*(_TIMBER if slender else _STEEL), 1.0)
+    return (*_SLATE, 1.0)
+
+
+def _plane(obstacle: Obstacle, spec: scene_file.HalfSpace, centre: Vector, reach: float) -> SiteMesh:
+    normal, point = np.array(spec.normal), np.array(spec.point)
+    middle = centre - normal * float((centre - point) @ normal)
+    if is_ground(obstacle):
+        rgba: Rgba = (*SOIL, 0.95 if obstacle.links is None else 0.6)
+        fade = 0.6
+    elif obstacle.zone is not None:
+        rgba, fade = (*_ZONE, 0.05), 0.5
+    else:
+        overhead = normal[2] < -0.5
+        rgba, fade = ((*_DANGER, 0.3), 0.35) if overhead else ((*_SLATE, 0.35), 0.8)
+    shell_rgba: Rgba = (*rgba[:3], 0.22)
+    shell = None
+    if obstacle.clearance > 0.0:
+        shell = disc(middle + normal * obstacle.clearance, normal, reach, shell_rgba, fade_from=0.35)
+    # a name in the middle would hide the machine, and one behind it too
+    aside = np.cross(normal, [0.0, 0.0, 1.0]) if abs(normal[2]) < 0.9 else np.array([0.6, 0.8, 0.0])
+    aside = -aside if aside[0] < 0.0 else aside
+    sheet = disc(middle, normal, reach, rgba, fade_from=fade)
+    if obstacle.zone is not None:  # several that overlap would be one haze; lines say where each stands
+        sheet = together(sheet, grid(middle, normal, 0.85 * reach, (*_ZONE, 0.75)))
+    return SiteMesh(
+        name=obstacle.name,
+        facets=sheet,
+        rgba=rgba,
+        shell=shell,
+        shell_rgba=shell_rgba,
+        anchor=middle + 0.33 * reach * aside / np.linalg.norm(aside),
+        bounds=None,
+    )
+
+
+def _terrain(spec: scene_file.HeightMap, scene: Scene) -> trimesh.Trimesh:
+    heights = read_heights(scene.folder / spec.file)
+    rows, columns = heights.shape
+    x = np.linspace(-spec.size[0] / 2.0, spec.size[0] / 2.0, columns)
+    y = np.linspace(-spec.size[1] / 2.0, spec.size[1] / 2.0, rows)
+    xs, ys = np.meshgrid(x, y)
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
+    faces = np.vstack((np.column_stack((a, b, c)), np.column_stack((a, c, d))))
+    surface = trimesh.Trimesh(np.column_stack((xs.ravel(), ys.ravel(), heights.ravel())), faces, process=False)
+    surface.apply_transform(spec.placement.homogeneous)
+    return surface

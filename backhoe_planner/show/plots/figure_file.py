@@ -1,0 +1,60 @@
+"""A matplotlib figure as a file: the format by its suffix, whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import os
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from backhoe_planner.errors import OutputError
+from backhoe_planner.files.output_file import check_writable, whole_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["check_suffix", "plain_text", "save_figure"]
+
+_FORMATS = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+
+
+def check_suffix(path: str | os.PathLike[str]) -> str:
+    """The format that a file's suffix asks for, before anything is drawn.
+
+    Raises
+    ------
+    OutputError: it is none of .png, .svg, .pdf, or the folder cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _FORMATS:
+        raise OutputError(
+            "a figure cannot be written in this format",
+            file=path,  # type: ignore[arg-type]
+            found=suffix or "no suffix",
+            allowed=", ".join(_FORMATS),
+        )
+    check_writable(path)
+    return _FORMATS[suffix]
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write `figure`.
+
+    Raises
+    ------
+    OutputError: the suffix is not known, or the folder cannot be written.
+    """
+    form = check_suffix(path)
+    drawn = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
+        figure.savefig(drawn, format=form, dpi=150)
+    with whole_file(path, "wb") as stream:
+        stream.write(drawn.getvalue())
+
+
+def plain_text(text: str) -> str:
+    """`text` as matplotlib shows it literally: no formulas, nothing left out of legends."""
+    escaped = text.replace("$", r"\$")
+    return f" {escaped}" if escaped.startswith("_") else escaped

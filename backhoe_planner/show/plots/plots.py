@@ -1,0 +1,313 @@
+"""Figures of a plan over time, and of a machine's reach."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.live.driven import is_driven
+from backhoe_planner.motion.objectives import trajectory_energy
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.motion.timing.limit_usage import limit_usage
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.planning.report.comparison import compare_with_law
+from backhoe_planner.show.drawing.palette import PLOT_CYCLE
+from backhoe_planner.show.drawing.timeline import Timeline, timeline
+from backhoe_planner.show.plots.envelope_plot import plot_envelope
+from backhoe_planner.show.plots.figure_file import check_suffix, plain_text, save_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+
+__all__ = ["plot_envelope", "plot_plan"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_WIDTH, _PANEL = 9.5, 2.15  # inches
+_FAINT = 0.35
+_STRIP = 0.55  # of a panel's height
+_BINDS = 0.98  # used of a limit that is said to bind
+_MOST_NAMED = 5
+_SHARED = {"pump flow": "#5f6b76", "engine power": "#b3261e", "tip speed": "#1d2731"}
+_HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
+
+
+def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
+    """Write a figure of a plan: joints, rates, clearance, torques, which limit binds, power and work over time.
+
+    For a task along a path also how far the tip is from it, and the local law's work.
+
+    Parameters
+    ----------
+    path: of the figure; .png, .svg or .pdf.
+
+    Raises
+    ------
+    OutputError: another suffix, or the folder cannot be written.
+    """
+    from matplotlib.figure import Figure
+
+    check_suffix(path)
+    problem = build_problem(plan.robot, plan.scene)
+    frames = timeline(problem, plan.trajectory)
+    panels = []
+    if not np.all(plan.robot.prismatic):
+        panels += [_angles, _rates]
+    if np.any(plan.robot.prismatic):
+        panels += [_slides, _slide_rates]
+    if frames.obstacles:
+        panels.append(_clearance)
+    if problem.path is not None:
+        panels.append(_deviation)
+    panels += [_torques, _limits, _power]
+    heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
+    figure = Figure(figsize=(_WIDTH, _PANEL * sum(heights) + 0.9))
+    figure.set_layout_engine("constrained", hspace=0.06)
+    driven = "driven by hand, " if is_driven(plan) else ""
+    verdict = "verified" if plan.verified else f"failed ({plan.reason.replace('_', ' ')})"
+    figure.suptitle(
+        f"{plain_text(plan.scene.name or plan.robot.name)}: {driven}{verdict}",
+        x=0.01,
+        ha="left",
+        fontsize=12,
+        weight="bold",
+    )
+    all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    for axes, panel in zip(all_axes, panels, strict=True):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_axisbelow(True)
+        axes.grid(color="0.92", linewidth=0.8)
+        axes.tick_params(labelsize=8.5, color="0.6")
+        panel(axes, plan, problem, frames)
+        axes.yaxis.label.set_size(9)
+    all_axes[-1].set_xlabel("time [s]", fontsize=9)
+    if plan.trajectory.duration > 0.0:
+        all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
+    figure.align_ylabels(list(all_axes))
+    save_figure(figure, path)
+
+
+def _angles(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    _positions(axes, plan, problem, ~plan.robot.prismatic, np.degrees(1.0))
+    axes.set_ylabel("joint angle [deg]")
+
+
+def _slides(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    _positions(axes, plan, problem, plan.robot.prismatic, 1.0)
+    axes.set_ylabel("joint slide [m]")
+
+
+def _rates(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    _velocities(axes, plan, problem, ~plan.robot.prismatic, np.degrees(1.0))
+    axes.set_ylabel("joint rate [deg/s]")
+
+
+def _slide_rates(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    _velocities(axes, plan, problem, plan.robot.prismatic, 1.0)
+    axes.set_ylabel("joint rate [m/s]")
+
+
+def _positions(axes: Axes, plan: Plan, problem: Problem, which: NDArray[np.bool_], unit: float) -> None:
+    for joint in np.flatnonzero(which):
+        colour = _colour(int(joint))
+        _curve(axes, plan.trajectory.time, unit * plan.trajectory.q[:, joint], colour, plan.robot.joint_names[joint])
+        for limit in (problem.limits.lower[joint], problem.limits.upper[joint]):
+            if np.isfinite(limit):
+                axes.axhline(unit * limit, color=colour, alpha=_FAINT, linewidth=0.9, linestyle=(0, (5, 4)))
+    _legend(axes)
+    _say(axes, "dashed: limits")
+
+
+def _velocities(axes: Axes, plan: Plan, problem: Problem, which: NDArray[np.bool_], unit: float) -> None:
+    time = plan.trajectory.time
+    if len(time) > 1:
+        steps = plan.trajectory.segment_velocities()
+        for joint in np.flatnonzero(which):
+            held = np.append(steps[:, joint], steps[-1, joint])
+            axes.plot(time, unit * held, drawstyle="steps-post", color=_colour(int(joint)), linewidth=1.6)
+    for joint in np.flatnonzero(which):
+        for sign in (-1.0, 1.0):
+            limit = sign * unit * problem.limits.velocity[joint]
+            axes.axhline(limit, color=_colour(int(joint)), alpha=_FAINT, linewidth=0.9, linestyle=(0, (5, 4)))
+
+
+def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    influence = plan.scene.influence
+    lowest = 0.0
+    for index, name in enumerate(frames.obstacles):
+        margin = frames.margins(index)
+        if np.all(np.isnan(margin)) or np.nanmin(margin) > 2.0 * influence:
+            continue
+        lowest = min(lowest, float(np.nanmin(margin)))
+        _curve(axes, frames.time, margin, _colour(index), name)
+    axes.axhspan(0.0, influence, color="0.5", alpha=0.09, linewidth=0.0)
+    axes.axhline(0.0, color="#b3261e", linewidth=1.1)
+    tightest = plan.certificate.min_clearance
+    if tightest is not None:
+        lowest = min(lowest, tightest.margin)
+        axes.plot(tightest.time, tightest.margin, "o", markersize=6, markerfacecolor="none", color="#1d2731", zorder=5)
+        late = tightest.time > frames.time[0] + 0.7 * plan.trajectory.duration
+        axes.annotate(
+            f"{tightest.margin:.3f} m ({plain_text(tightest.link)})", (tightest.time, tightest.margin),
+            xytext=(-8 if late else 8, 9), textcoords="offset points", fontsize=8.5, ha="right" if late else "left",
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
+        )  # fmt: skip
+    axes.set_ylim(lowest - 0.08 * influence, 2.0 * influence)
+    axes.set_ylabel("margin [m]")
+    _legend(axes)
+    _say(axes, "distance beyond the asked clearance; shaded: obstacles act")
+
+
+def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    assert problem.path is not None
+    assert plan.scene.task.path is not None
+    off = 1e3 * np.array([problem.path.nearest(tip)[1] for tip in frames.tip])
+    tolerance = 1e3 * plan.scene.task.path.tolerance
+    for number, detour in enumerate(plan.certificate.detours):
+        axes.axvspan(
+            detour.time_from, detour.time_to, color="#f2b705", alpha=0.18, linewidth=0.0,
+            label="detour" if number == 0 else None,
+        )  # fmt: skip
+    approach = plan.certificate.tracking.approach_time
+    if approach > 0.0:
+        axes.axvspan(frames.time[0], approach, color="0.5", alpha=0.12, linewidth=0.0, label="on its way there")
+    _curve(axes, frames.time, off, "#1f6fd6", "tip")
+    axes.axhline(tolerance, color="#b3261e", linewidth=1.0, linestyle=(0, (5, 4)), label="tolerance")
+    far = off.max() > 20.0 * tolerance
+    if far:
+        axes.set_yscale("symlog", linthresh=2.0 * tolerance)
+    axes.set_ylim(0.0, max(1.15 * off.max(), 1.4 * tolerance))
+    axes.set_ylabel("off the path [mm]")
+    _legend(axes)
+
+
+def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    usage = limit_usage(problem, plan.trajectory)
+    binding, time = usage.binding, usage.time
+    used = 100.0 * np.minimum(usage.greatest, 1.5)
+    binds = usage.greatest >= _BINDS
+    named: dict[str, float] = {}
+    begins = np.flatnonzero(np.diff(np.where(binds, binding, -1), prepend=-2))
+    for first, last in zip(begins, np.append(begins[1:], len(time) - 1), strict=True):
+        part = slice(first, last + 1)
+        name = usage.names[binding[first]] if binds[first] else ""
+        named[name] = named.get(name, 0.0) + float(time[last] - time[first])
+        colour, hatch = _limit_look(name, plan.robot.joint_names)
+        axes.fill_between(time[part], used[part], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0)
+    for name in sorted(filter(None, named), key=lambda name: -named[name])[:_MOST_NAMED]:
+        colour, hatch = _limit_look(name, plan.robot.joint_names)
+        axes.fill_between([], [], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0, label=name)
+    axes.axhline(100.0, color="#b3261e", linewidth=1.0, linestyle=(0, (5, 4)))
+    axes.set_ylim(0.0, max(112.0, 1.05 * float(np.max(used))))
+    axes.set_yticks([0.0, 50.0, 100.0])
+    axes.set_ylabel("limit used [%]")
+    if any(named):
+        _legend(axes)
+    _say(axes, "of the limit of which most is used; coloured where it binds")
+
+
+def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
+    """Colour and hatch of a limit: a joint's own colour, the hatch by what is limited."""
+    if name in _SHARED:
+        return _SHARED[name], None
+    for joint, own in enumerate(joints):
+        if name.endswith(f" {own}"):
+            return _colour(joint), _HATCHES.get(name.removesuffix(f" {own}"))
+    return "0.85", None
+
+
+def _torques(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    torque = trajectory_energy(problem, plan.trajectory).torque
+    largest = float(np.max(np.abs(torque), initial=0.0))
+    prefix, scale = ("k", 1e-3) if largest >= 1000.0 else ("", 1.0)
+    for joint in range(plan.robot.n):
+        axes.plot(plan.trajectory.time, scale * torque[:, joint], color=_colour(joint), linewidth=1.6)
+    axes.axhline(0.0, color="0.6", linewidth=0.8)
+    forces = np.any(plan.robot.prismatic)
+    axes.set_ylabel(f"torque [{prefix}N m]" if not forces else f"torque or force [{prefix}N m, {prefix}N]")
+    _say(axes, f"of the joints, against {_loads(plan)}")
+
+
+def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
+    """Power and its integral; along a path beside the local law's: the oil's where that is made small."""
+    time = plan.trajectory.time
+    power, spent = _spent(problem, plan.trajectory)
+    axes_unit, scale = ("k", 1e-3) if power.max() >= 1000.0 else ("", 1.0)
+    axes.fill_between(time, scale * power, color="#5b7fa6", alpha=0.25, linewidth=0.0)
+    _curve(axes, time, scale * power, "#3d6692", "power")
+    axes.set_ylim(0.0, max(1.12 * scale * power.max(), 1e-9))
+    axes.set_ylabel(f"power [{axes_unit}W]")
+    right = axes.twinx()
+    right.spines[["top", "left"]].set_visible(False)
+    right.tick_params(labelsize=8.5, color="0.6")
+    what = "energy" if problem.scene.objective == "hydraulic" else "work"
+    curves: list[tuple[Vector, Vector, str, Any, str]] = [(time, spent, "#d55e00", (0, (6, 2)), what)]
+    told = f"what {'the oil puts' if what == 'energy' else 'the joints put'} in, against {_loads(plan)}"
+    compared = None
+    if "objective" in plan.metrics:
+        compared = compare_with_law(problem, plan.trajectory, plan.certificate)
+    if compared is not None and compared.law_motion is not None:
+        offset = float(np.interp(compared.begun, time, spent))
+        law = offset + _spent(problem, compared.law_motion)[1]
+        name = "local law" if compared.law_breaks is None else "local law,\nbreaks a limit"
+        curves.append((compared.begun + compared.law_motion.time, law, "0.35", (0, (1.5, 1.5)), name))
+        if compared.saving_percent is not None:
+            told += f"; {compared.name} along the path {compared.saving_percent:.0f} % below the local law's"
+    highest = max(float(values[-1]) for _, values, *_ in curves)
+    unit, scale = ("k", 1e-3) if highest >= 1000.0 else ("", 1.0)
+    lines = [
+        right.plot(at, scale * values, color=colour, linewidth=1.6, linestyle=dashes, label=name)[0]
+        for at, values, colour, dashes, name in curves
+    ]
+    right.set_ylim(0.0, max(1.12 * scale * highest, 1e-9))
+    right.set_ylabel(f"{what} [{unit}J]", fontsize=9)
+    _legend(axes, more=lines, aside=1.085)
+    _say(axes, told)
+
+
+def _spent(problem: Problem, motion: Trajectory) -> tuple[Vector, Vector]:
+    """(T,) power [W] and energy [J]: of the joints, or of the oil where that is what is made small."""
+    energy = trajectory_energy(problem, motion)
+    if problem.scene.objective == "hydraulic" and energy.hydraulic is not None:
+        assert energy.hydraulic_power is not None
+        return energy.hydraulic_power, energy.hydraulic
+    return energy.power, energy.work
+
+
+def _loads(plan: Plan) -> str:
+    loads = ["gravity", "inertia"]
+    if plan.scene.payload > 0.0:
+        loads.append(f"{plan.scene.payload:g} kg in the bucket")
+    if plan.scene.soil is not None:
+        loads.append("soil")
+    return f"{', '.join(loads[:-1])} and {loads[-1]}"
+
+
+def _curve(axes: Axes, time: Vector, values: Vector, colour: str, label: str) -> None:
+    alone = "o" if len(time) == 1 else None
+    axes.plot(time, values, color=colour, linewidth=1.6, marker=alone, label=plain_text(label))
+
+
+def _legend(axes: Axes, *, more: Sequence[Line2D] = (), aside: float = 1.01) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    handles, labels = [*handles, *more], [*labels, *(str(line.get_label()) for line in more)]
+    axes.legend(
+        handles, labels,
+        loc="upper left", bbox_to_anchor=(aside, 1.03), fontsize=8.5, frameon=False, handlelength=1.4,
+        borderaxespad=0.0, labelspacing=0.35,
+    )  # fmt: skip
+
+
+def _say(axes: Axes, text: str) -> None:
+    axes.set_title(text, loc="right", fontsize=8, color="0.45", pad=3)
+
+
+def _colour(index: int) -> str:
+    return PLOT_CYCLE[index % len(PLOT_CYCLE)]

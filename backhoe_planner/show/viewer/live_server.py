@@ -1,0 +1,317 @@
+"""Serves the live page, and brings to every open page what is drawn.
+
+It runs in a thread of this process: nothing is left behind when the process ends, and
+handing it a message costs microseconds. A browser that is slow does not pile messages
+up: of those about the same thing only the newest waits for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import json
+import socket
+import threading
+import time
+from typing import Any
+from urllib.parse import urlsplit
+
+import tornado.httpserver
+import tornado.web
+import tornado.websocket
+
+from backhoe_planner.errors import OutputError
+from backhoe_planner.show.page.page import live_page
+from backhoe_planner.show.page.recording import Key, Message, Recording
+
+__all__ = ["LivePage", "LiveServer", "LiveSocket"]
+
+_FIRST_PORT, _PORTS = 7000, 100
+_FLUSH_EVERY = 0.02  # s
+_LARGEST_MESSAGE = 4 << 20  # bytes; what is sent beyond that ends the connection
+_MOST_PAGES = 64
+_MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; a driving one needs some 60
+_MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread
+_FAREWELL = 0.5  # s within which a page that is shut out may still read why
+
+
+class LivePage(tornado.web.RequestHandler):
+    """The page itself."""
+
+    def initialize(self, page: str, server: LiveServer) -> None:
+        """Take what the route gives."""
+        self.page = page
+        self.server = server
+
+    def prepare(self) -> None:
+        """Answer only to a name of this server's own: another one may have been made to point here."""
+        if not self.server.answers_to(self.request.host):
+            raise tornado.web.HTTPError(403)
+
+    def get(self) -> None:
+        """Answer with the page."""
+        self.set_header("Cache-Control", "no-store")
+        self.finish(self.page)
+
+    def data_received(self, chunk: bytes) -> None:
+        """Nothing is ever sent here."""
+
+
+class LiveSocket(tornado.websocket.WebSocketHandler):
+    """The connection to one page; what is drawn and told goes out through it."""
+
+    def prepare(self) -> None:
+        """Answer only to a name of this server's own, to its own page, and while there is room."""
+        origin = self.request.headers.get("Origin")
+        if not self.server.answers_to(self.request.host) or not (origin is None or self.check_origin(origin)):
+            raise tornado.web.HTTPError(403)
+        if self.server.full:
+            raise tornado.web.HTTPError(503)
+
+    def check_origin(self, origin: str) -> bool:
+        """Whether a page from `origin` may connect: only this server's own."""
+        try:
+            found = urlsplit(origin)
+        except ValueError:  # no address at all
+            return False
+        return found.scheme in ("http", "https") and found.netloc.lower() == self.request.host.lower()
+
+    def initialize(self, server: LiveServer) -> None:
+        """Take what the route gives."""
+        self.server = server
+        self.waiting: dict[Key, Message] = {}
+        self._shut_out = False
+        self._unread = 0
+        self._may_send, self._counted_at = _MESSAGES_AT_ONCE, time.monotonic()
+
+    def open(self, *_args: str, **_kwargs: str) -> None:
+        """A page has connected."""
+        self.set_nodelay(True)
+        self.server.add(self)
+
+    def on_message(self, message: str | bytes) -> None:
+        """A page says that it has drawn the picture; there is nothing else that it may say."""
+        if self.heeds() and message == "drawn":
+            self.server.somebody_watches.set()
+
+    def on_close(self) -> None:
+        """A page has gone."""
+        self.server.remove(self)
+
+    def data_received(self, chunk: bytes) -> None:
+        """Nothing is ever sent here."""
+
+    def bring(self) -> None:
+        """Write what waits, unless the browser is still busy with what it got before."""
+        connection = self.ws_connection
+        if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
+            return
+        messages, self.waiting = self.waiting, {}
+        for message in messages.values():
+            if not self.hand_out(message):
+                return
+
+    def heeds(self) -> bool:
+        """Whether a message that came is to be heeded; a page that floods is shut out."""
+        if self._shut_out:
+            return False
+        now = time.monotonic()
+        more = _MESSAGES_PER_SECOND * (now - self._counted_at)
+        self._may_send, self._counted_at = min(self._may_send + more, _MESSAGES_AT_ONCE) - 1.0, now
+        if self._may_send < 0.0:
+            self.shut_out("too many messages")
+            return False
+        return True
+
+    def answer(self, content: dict[str, Any]) -> None:
+        """Write what this page alone is to know; one that does not read its answers is shut out."""
+        if self._shut_out:
+            return
+        if self._unread > _MOST_UNREAD:
+            self.shut_out("answers are not read")
+        else:
+            self.hand_out(json.dumps(content, allow_nan=False), answer=True)
+
+    def shut_out(self, reason: str) -> None:
+        """End the connection: at once for what comes in, soon for what goes out."""
+        self._shut_out = True
+        connection = self.ws_connection
+        self.close(1008, reason)
+        stream = None if connection is None else connection.stream
+        if stream is not None:
+            asyncio.get_running_loop().call_later(_FAREWELL, stream.close)
+        self.on_close()
+
+    def hand_out(self, message: Message, *, answer: bool = False) -> bool:
+        """Write a message; False where the page has gone, and `on_close` follows."""
+        size = len(message) if answer else 0
+        try:
+            written = asyncio.ensure_future(self.write_message(message, binary=isinstance(message, bytes)))
+        except tornado.websocket.WebSocketClosedError:
+            return False
+        self._unread += size
+
+        def read(done: asyncio.Future[None]) -> None:
+            self._unread -= size
+            if not done.cancelled():
+                done.exception()  # that the page has gone meanwhile is told by on_close
+
+        written.add_done_callback(read)
+        return True
+
+
+class LiveServer:
+    """A web server in a thread of its own.
+
+    Parameters
+    ----------
+    host: the address on which it listens; by default this machine alone can connect.
+    port: None takes the first free one from 7000 on, 0 any.
+
+    Attributes
+    ----------
+    recording: draw and tell through it.
+    url: where the page is.
+    somebody_watches: set while at least one page is open that has drawn the picture.
+    left_at: when the last page was closed, by `time.monotonic` [s]; None before that.
+
+    Raises
+    ------
+    OutputError: the port is taken.
+    """
+
+    def __init__(self, *, host: str = "127.0.0.1", port: int | None = None) -> None:
+        self.recording = Recording(self._post)
+        self.somebody_watches = threading.Event()
+        self.left_at: float | None = None
+        self._pages: set[LiveSocket] = set()
+        self._fresh: list[tuple[Key, Message]] = []
+        self._lock = threading.Lock()
+        self._host = host
+        self._listening = _listen(host, port)
+        number = self._listening.getsockname()[1]
+        self.url = f"http://{'127.0.0.1' if host in ('', '0.0.0.0') else host}:{number}/"
+        self._loop = asyncio.new_event_loop()
+        self._stop = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Close every page's connection and end the thread. May be called again."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join(timeout=5.0)
+
+    def add(self, page: LiveSocket) -> None:
+        """A page has connected; it is brought up to date."""
+        page.waiting = dict(self.recording.messages())
+        self._pages.add(page)
+        self.left_at = None
+
+    def remove(self, page: LiveSocket) -> None:
+        """A page has gone."""
+        self._pages.discard(page)
+        if not self._pages:
+            self.left_at = time.monotonic()
+            self.somebody_watches.clear()
+
+    def answers_to(self, host: str) -> bool:
+        """Whether a request's Host header names this server.
+
+        Other names may be made to point to this machine by whoever owns them, so that
+        a page from elsewhere would count as ours.
+        """
+        try:
+            name = urlsplit(f"//{host}").hostname or ""
+        except ValueError:  # no address at all
+            return False
+        if name in ("localhost", self._host, socket.gethostname().lower()):
+            return True
+        try:
+            address = ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return address.is_loopback or self._host in ("", "0.0.0.0", "::") or name == self._host
+
+    def routes(self) -> list[Any]:
+        """What is served; tornado's rules."""
+        return [("/", LivePage, {"page": live_page(), "server": self}), ("/socket", LiveSocket, {"server": self})]
+
+    @property
+    def full(self) -> bool:
+        """Whether there are as many pages as there may be."""
+        return len(self._pages) >= _MOST_PAGES
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not been closed."""
+        return self._thread.is_alive()
+
+    def _post(self, key: Key, message: Message) -> None:
+        with self._lock:
+            self._fresh.append((key, message))
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self._loop.run_until_complete(self._loop.shutdown_default_executor())
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        application = tornado.web.Application(
+            self.routes(),
+            log_function=lambda handler: None,
+            websocket_max_message_size=_LARGEST_MESSAGE,
+            websocket_ping_interval=5,
+            compress_response=True,
+        )
+        server = tornado.httpserver.HTTPServer(application)
+        server.add_socket(self._listening)
+        while not self._stop.is_set():
+            self._deliver()
+            try:
+                await asyncio.wait_for(self._stop.wait(), _FLUSH_EVERY)
+            except asyncio.TimeoutError:
+                continue
+        self._deliver()
+        server.stop()
+        for page in list(self._pages):
+            page.close()
+        await server.close_all_connections()
+
+    def _deliver(self) -> None:
+        with self._lock:
+            fresh, self._fresh = self._fresh, []
+        for page in list(self._pages):
+            for key, message in fresh:
+                _await(page.waiting, key, message)
+            page.bring()
+
+
+def _await(waiting: dict[Key, Message], key: Key, message: Message) -> None:
+    if key[0] == "delete":
+        below = key[1].rstrip("/") + "/"
+        for other in [k for k in waiting if k[1] == key[1] or k[1].startswith(below)]:
+            del waiting[other]
+    waiting.pop(key, None)
+    waiting[key] = message
+
+
+def _listen(host: str, port: int | None) -> socket.socket:
+    tried: Any = range(_FIRST_PORT, _FIRST_PORT + _PORTS) if port is None else [port]
+    for number in tried:
+        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.setblocking(False)
+        try:
+            listening.bind((host, number))
+            listening.listen(64)
+        except OSError as error:
+            listening.close()
+            if port is not None:
+                raise OutputError("the port cannot be used", key="port", found=port, hint=str(error)) from error
+            continue
+        return listening
+    raise OutputError("no free port", key="port", allowed=f"{_FIRST_PORT} to {_FIRST_PORT + _PORTS - 1}")

@@ -1,0 +1,765 @@
+"""The scene file: what the machine is to do, and what stands around it.
+
+The models below are the schema; `scene_schema` prints it, `load_scene` checks a file
+against it. What exists as a `Scene` is valid in itself; whether it fits a machine is
+checked when the two meet.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError, field_validator, model_validator
+
+from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.files.records import Record, explain, say
+from backhoe_planner.files.yaml_text import KeyPath, read_yaml
+from backhoe_planner.machine.description.urdf import shipped
+
+__all__ = [
+    "Box",
+    "Cab",
+    "Capsule",
+    "Ceiling",
+    "Cylinder",
+    "Floor",
+    "Gains",
+    "Goal",
+    "HalfSpace",
+    "HeightMap",
+    "Limits",
+    "Mesh",
+    "ObstacleSpec",
+    "PathTask",
+    "PointCloud",
+    "Pose",
+    "Scene",
+    "Soil",
+    "Sphere",
+    "Start",
+    "SwingSector",
+    "Task",
+    "Wall",
+    "Waypoint",
+    "ZoneSpec",
+    "load_scene",
+    "obstacle_from_dict",
+    "scene_from_dict",
+    "scene_schema",
+]
+
+# strict: neither true nor "0.3" is a number
+# and what a machine of metres cannot mean is refused before arithmetic ends
+_LARGEST = 1e5
+Finite = Annotated[float, Field(strict=True, ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST, allow_inf_nan=False)]
+# thinner is rounding to what measures distances
+_SMALLEST = 1e-6
+_FLATTEST = 1e-5
+Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+Quaternion = tuple[Finite, Finite, Finite, Finite]
+PitchRange = tuple[Finite, Finite]
+AnyLength = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+
+_ROUNDING = 1e-14  # a length this near 1 is 1: what was normalised once stays as it is
+
+
+def _unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
+    if quaternion is None:
+        return None
+    norm = math.hypot(*quaternion)
+    if abs(norm - 1.0) > 1e-3:
+        raise ValueError(f"a quaternion [w, x, y, z] has length 1, this one {norm:.4g}")
+    if abs(norm - 1.0) < _ROUNDING:
+        return quaternion
+    w, x, y, z = (part / norm for part in quaternion)
+    return (w, x, y, z)
+
+
+def _rotation(rpy: Vector3 | None, quaternion: Quaternion | None) -> NDArray[np.float64] | None:
+    if quaternion is not None:
+        w, x, y, z = quaternion
+        return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
+    if rpy is not None:
+        return np.asarray(pin.rpy.rpyToMatrix(*rpy))
+    return None
+
+
+class Pose(Record):
+    """A pose of the tip, as much of it as is specified."""
+
+    position: Vector3
+    """x, y, z of the tip [m], world."""
+    pitch: Finite | PitchRange | None = None
+    """Angle of the line bucket pin to tip above the horizontal [rad]: a number, or [low, high]."""
+    rpy: Vector3 | None = None
+    """Full orientation as roll, pitch, yaw about the fixed x, y, z axes [rad]."""
+    quaternion: Quaternion | None = None
+    """Full orientation [w, x, y, z]."""
+
+    _check_quaternion = field_validator("quaternion")(_unit_quaternion)
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Pose:
+        given = [key for key in ("pitch", "rpy", "quaternion") if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise ValueError(f"only one of pitch, rpy, quaternion may be given, here are {' and '.join(given)}")
+        if self.pitch is not None and max(map(abs, np.atleast_1d(self.pitch))) > 2.0 * math.pi:
+            raise ValueError(f"pitch is in radians, within one turn either way; {self.pitch} looks like degrees")
+        if isinstance(self.pitch, tuple) and self.pitch[0] > self.pitch[1]:
+            raise ValueError(f"pitch range [low, high] is reversed: {list(self.pitch)}")
+        return self
+
+    @property
+    def pitch_range(self) -> tuple[float, float] | None:
+        """(low, high) [rad], equal for a single angle; None where free."""
+        if self.pitch is None:
+            return None
+        return self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
+
+    @property
+    def rotation(self) -> NDArray[np.float64] | None:
+        """(3, 3) R_world_tip, or None where free."""
+        return _rotation(self.rpy, self.quaternion)
+
+
+class Goal(Pose):
+    """Where the tip is to arrive."""
+
+
+class Waypoint(Pose):
+    """A point of the bucket's path."""
+
+
+class Start(Record):
+    """Where the machine stands at time 0: by its joints, or by its tip."""
+
+    joints: dict[str, Finite] | None = None
+    """Position of every joint by name [rad or m]."""
+    tip: Pose | None = None
+    """Pose of the tip; the joints are found by inverse kinematics."""
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Start:
+        if (self.joints is None) == (self.tip is None):
+            raise ValueError("exactly one of joints, tip must be given")
+        return self
+
+
+class PathTask(Record):
+    """A path that the tip is to follow, straight from waypoint to waypoint."""
+
+    waypoints: tuple[Waypoint, ...] | None = None
+    """At least two."""
+    file: str | None = None
+    """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz. Relative to the scene file."""
+    speed: Positive | None = None
+    """Of the tip [m/s]; left out: as fast as the limits allow."""
+    tolerance: Positive = 0.005
+    """How far the tip may be off the path where nothing is in the way [m]."""
+    detour: bool = True
+    """May the tip leave the path to get around an obstacle?"""
+
+    @model_validator(mode="after")
+    def _waypoints_or_file(self) -> PathTask:
+        if (self.waypoints is None) == (self.file is None):
+            raise ValueError("exactly one of waypoints, file must be given")
+        if self.speed is not None and self.speed < 1e-4:
+            raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
+        if self.waypoints is not None:
+            if len(self.waypoints) < 2:
+                raise ValueError(f"a path needs at least 2 waypoints, this one has {len(self.waypoints)}")
+            kinds = {_orientation_kind(waypoint) for waypoint in self.waypoints} - {"position"}
+            if len(kinds) > 1:
+                raise ValueError("one path mixes pitch and full orientation")
+            length = sum(
+                math.dist(a.position, b.position) for a, b in zip(self.waypoints, self.waypoints[1:], strict=False)
+            )
+            if length == 0.0 and not kinds:
+                raise ValueError("the waypoints all lie in one point")
+        return self
+
+
+def _orientation_kind(pose: Pose) -> str:
+    if pose.pitch is not None:
+        return "pitch"
+    return "position" if pose.rotation is None else "orientation"
+
+
+class Task(Record):
+    """What is to be done: exactly one of goal, path."""
+
+    goal: Goal | None = None
+    path: PathTask | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Task:
+        if (self.goal is None) == (self.path is None):
+            raise ValueError("exactly one of goal, path must be given")
+        return self
+
+
+class _Obstacle(Record):
+    name: Annotated[str, Field(min_length=1)]
+    """Unique; appears in reports and in the viewer."""
+    clearance: NonNegative | None = None
+    """Distance to be kept [m]; the scene's clearance by default."""
+    links: tuple[str, ...] | None = None
+    """The only links for which it is an obstacle; all of them by default."""
+    appears_at: NonNegative = 0.0
+    """Time before which nobody knows of it [s]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the obstacle, from its appearance on [m/s], world."""
+
+
+class _Placed(_Obstacle):
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """Of the shape's centre or, for files, their origin [m]."""
+    rpy: Vector3 | None = None
+    """Roll, pitch, yaw about the fixed axes [rad]."""
+    quaternion: Quaternion | None = None
+    """[w, x, y, z]."""
+
+    _check_quaternion = field_validator("quaternion")(_unit_quaternion)
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> _Placed:
+        if self.rpy is not None and self.quaternion is not None:
+            raise ValueError("only one of rpy, quaternion may be given")
+        return self
+
+    @property
+    def placement(self) -> pin.SE3:
+        """T_world_shape."""
+        rotation = _rotation(self.rpy, self.quaternion)
+        return pin.SE3(np.eye(3) if rotation is None else rotation, np.array(self.position))
+
+
+class Sphere(_Placed):
+    """A ball."""
+
+    shape: Literal["sphere"]
+    radius: Length
+    """[m]"""
+
+
+class Box(_Placed):
+    """A block."""
+
+    shape: Literal["box"]
+    size: tuple[Length, Length, Length]
+    """Edge lengths along x, y, z [m]."""
+
+
+class Cylinder(_Placed):
+    """A cylinder along its z axis."""
+
+    shape: Literal["cylinder"]
+    radius: Length
+    """[m]"""
+    length: Length
+    """[m]; between 1e-5 and 1e5 times the radius."""
+
+    @model_validator(mode="after")
+    def _some_body(self) -> Cylinder:
+        if not _FLATTEST <= self.length / self.radius <= 1.0 / _FLATTEST:
+            raise ValueError(
+                f"a cylinder's length is {_FLATTEST:g} to {1.0 / _FLATTEST:g} times its radius, "
+                f"here {self.length:g} m and {self.radius:g} m ({self.length / self.radius:.3g} times)"
+            )
+        return self
+
+
+class Capsule(_Obstacle):
+    """All points within `radius` of the segment from `from` to `to`."""
+
+    shape: Literal["capsule"]
+    start: Vector3 = Field(alias="from")
+    """One end of the axis [m]."""
+    end: Vector3 = Field(alias="to")
+    """The other end [m]."""
+    radius: Length
+    """[m]"""
+
+
+class HalfSpace(_Obstacle):
+    """Everything behind a plane: solid where (x - point) . normal < 0."""
+
+    shape: Literal["halfspace"]
+    point: Vector3
+    """On the plane [m]."""
+    normal: tuple[AnyLength, AnyLength, AnyLength]
+    """Away from the solid; any length but 0."""
+
+    @field_validator("normal")
+    @classmethod
+    def _unit(cls, normal: Vector3) -> Vector3:
+        norm = math.hypot(*normal)
+        if norm < 1e-12:
+            raise ValueError("a normal of length 0 has no direction")
+        if abs(norm - 1.0) < _ROUNDING:
+            return normal
+        x, y, z = (part / norm for part in normal)
+        return (x, y, z)
+
+
+class Mesh(_Placed):
+    """A triangle mesh from a file, taken as solid."""
+
+    shape: Literal["mesh"]
+    file: str
+    """STL, OBJ, PLY, ...; relative to the scene file."""
+    scale: Positive | tuple[Positive, Positive, Positive] = 1.0
+    """Of the file's units to metres."""
+
+
+class HeightMap(_Placed):
+    """Ground given by heights on a grid; solid below."""
+
+    shape: Literal["heightmap"]
+    file: str
+    """CSV of heights [m] without header; rows along y, columns along x, both ascending."""
+    size: tuple[Length, Length]
+    """Extent in x and y [m], centred on `position`."""
+
+
+class PointCloud(_Placed):
+    """Points from a scan; every voxel that holds one is solid."""
+
+    shape: Literal["pointcloud"]
+    file: str
+    """PLY, or CSV or XYZ with x, y, z in the first three columns."""
+    resolution: Length
+    """Edge of a voxel [m]."""
+
+
+ObstacleSpec = Annotated[
+    Sphere | Box | Cylinder | Capsule | HalfSpace | Mesh | HeightMap | PointCloud, Field(discriminator="shape")
+]
+
+
+class _Zone(Record):
+    name: Annotated[str, Field(min_length=1)]
+    """Unique among zones and obstacles; appears in reports and in the viewer."""
+    stop: NonNegative = 0.0
+    """Distance that is never undercut: the zone's clearance [m], for a swing sector [rad]."""
+    slow: NonNegative | None = None
+    """Distance from which on the servo goes slower; `stop` by default [m], for a swing sector [rad]."""
+    warn: NonNegative | None = None
+    """Distance from which on it is reported; `slow` by default [m], for a swing sector [rad]."""
+
+    @model_validator(mode="after")
+    def _outward(self) -> _Zone:
+        if not self.stop <= self.slow_distance <= self.warn_distance:
+            raise ValueError(
+                "stop, slow and warn must not fall from one to the next, "
+                f"here they are {self.stop:g}, {self.slow_distance:g}, {self.warn_distance:g}"
+            )
+        return self
+
+    @property
+    def slow_distance(self) -> float:
+        """`slow`, or what it is by default."""
+        return self.stop if self.slow is None else self.slow
+
+    @property
+    def warn_distance(self) -> float:
+        """`warn`, or what it is by default."""
+        return self.slow_distance if self.warn is None else self.warn
+
+
+class _SolidZone(_Zone):
+    links: tuple[str, ...] | None = None
+    """The only links for which it holds; all of them by default."""
+
+
+class Ceiling(_SolidZone):
+    """Nothing of the machine above a height."""
+
+    kind: Literal["ceiling"]
+    height: Finite
+    """z [m]."""
+
+
+class Floor(_SolidZone):
+    """Nothing of the machine below a height."""
+
+    kind: Literal["floor"]
+    height: Finite
+    """z [m]."""
+
+
+class Wall(_SolidZone):
+    """Nothing of the machine beyond a plane: `point` and `normal`, or upright through `from` and `to`."""
+
+    kind: Literal["wall"]
+    point: Vector3 | None = None
+    """On the wall [m]."""
+    normal: tuple[AnyLength, AnyLength, AnyLength] | None = None
+    """Towards the machine's side; any length but 0."""
+    start: tuple[Finite, Finite] | None = Field(default=None, alias="from")
+    """x, y of a point on an upright wall [m]; the machine's side is that of the origin."""
+    end: tuple[Finite, Finite] | None = Field(default=None, alias="to")
+    """x, y of another point on it [m]."""
+
+    @field_validator("start", "end", mode="before")
+    @classmethod
+    def _upright(cls, point: object) -> object:
+        if isinstance(point, (list, tuple)) and len(point) == 3:
+            raise ValueError(
+                f"has three coordinates, allowed: two, x and y, of an upright wall; found {list(point)!r} "
+                "(a wall that leans is given by point and normal)"
+            )
+        return point
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Wall:
+        by_normal = [self.point is not None, self.normal is not None]
+        by_points = [self.start is not None, self.end is not None]
+        if not ((all(by_normal) and not any(by_points)) or (all(by_points) and not any(by_normal))):
+            raise ValueError("either point and normal, or from and to must be given")
+        if self.normal is not None and math.hypot(*self.normal) < 1e-12:
+            raise ValueError("a normal of length 0 has no direction")
+        if self.start is not None and self.end is not None:
+            (ax, ay), (bx, by) = self.start, self.end
+            length = math.hypot(bx - ax, by - ay)
+            if length < 1e-6:
+                raise ValueError("from and to are one point")
+            if abs(ax * (by - ay) - ay * (bx - ax)) / length < 1e-3:
+                raise ValueError(
+                    "a wall through the origin, where the machine stands, has no side of the machine: "
+                    "give point and normal"
+                )
+        return self
+
+    @property
+    def plane(self) -> tuple[Vector3, Vector3]:
+        """A point on it [m], and its unit normal towards the machine's side."""
+        if self.point is not None and self.normal is not None:
+            x, y, z = self.normal
+            length = math.hypot(x, y, z)
+            return self.point, (x / length, y / length, z / length)
+        assert self.start is not None
+        assert self.end is not None
+        (ax, ay), (bx, by) = self.start, self.end
+        x, y = by - ay, ax - bx
+        length = math.copysign(math.hypot(x, y), -(ax * x + ay * y))
+        return (ax, ay, 0.0), (x / length, y / length, 0.0)
+
+
+class SwingSector(_Zone):
+    """The swing, which is the first joint, only within two angles."""
+
+    kind: Literal["swing_sector"]
+    start: Finite = Field(alias="from")
+    """Least allowed angle [rad]."""
+    end: Finite = Field(alias="to")
+    """Greatest allowed angle [rad]."""
+
+    @model_validator(mode="after")
+    def _some_room(self) -> SwingSector:
+        if max(abs(self.start), abs(self.end)) > 4.0 * math.pi:
+            raise ValueError(f"angles are in radians; {self.start:g} to {self.end:g} look like degrees")
+        if self.start + self.stop >= self.end - self.stop:
+            raise ValueError(
+                f"from {self.start:g} to {self.end:g}, each kept off by {self.stop:g}, there is no room left"
+            )
+        return self
+
+
+class Cab(_SolidZone):
+    """A block around the operator's cab that nothing of the machine may enter."""
+
+    kind: Literal["cab"]
+    size: tuple[Length, Length, Length]
+    """Edge lengths along x, y, z [m]."""
+    position: Vector3
+    """Of the centre [m]."""
+    rpy: Vector3 | None = None
+    """Roll, pitch, yaw about the fixed axes [rad]."""
+
+
+ZoneSpec = Annotated[Ceiling | Floor | Wall | SwingSector | Cab, Field(discriminator="kind")]
+
+
+class Gains(Record):
+    """Gains of equation (12), set by hand."""
+
+    s_e: NonNegative = 1.0
+    """Of the primary task."""
+    s_o: NonNegative = 0.0
+    """Of the obstacle term."""
+    s_k: dict[str, NonNegative] = Field(default_factory=dict)
+    """Of the directionality term, by joint name."""
+
+
+class Limits(Record):
+    """What of the machine's limits is to be used."""
+
+    velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
+    """Part of each joint's rate that may be used."""
+    acceleration: dict[str, Positive] = Field(default_factory=dict)
+    """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
+
+
+class Soil(Record):
+    """What the bucket digs in (fundamental earthmoving equation).
+
+    Every key may be left out: the defaults are those of a soil of medium strength.
+    """
+
+    density: Positive = 1700.0
+    """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
+    cohesion: NonNegative = 5000.0
+    """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay."""
+    friction: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.55
+    """Internal friction angle [rad]; 0.55 by default, usual are 0.44 to 0.70 (25 to 40 degrees)."""
+    adhesion: NonNegative = 0.0
+    """Between soil and blade [Pa]; 0 by default."""
+    tool_friction: Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0)] | None = None
+    """Between soil and blade [rad]; 2/3 of `friction` by default."""
+    surface: Finite = 0.0
+    """Height z of the ground, below which the soil resists [m], world; 0 by default."""
+    surcharge: NonNegative = 0.0
+    """Load on the ground beside the blade [Pa]; 0 by default."""
+    width: Positive | None = None
+    """Of the blade [m]; that of the bucket's collision shape by default."""
+
+
+class Scene(Record):
+    """A task, and the site in which it is to be done."""
+
+    version: Literal[1]
+    name: str = ""
+    tip: str | None = None
+    """The link that is moved; bucket_tip, else the only leaf frame."""
+    start: Start | None = None
+    """Where the machine stands; left out with a path: the planner chooses."""
+    task: Task
+    clearance: NonNegative = 0.05
+    """Distance to be kept from every obstacle that has none of its own [m]."""
+    influence: Positive = 0.6
+    """Within this distance an obstacle acts on the motion [m]."""
+    obstacles: tuple[ObstacleSpec, ...] = ()
+    zones: tuple[ZoneSpec, ...] = ()
+    """Where the machine must not be, each with the distances at which to warn, slow down and stop."""
+    gains: Literal["auto"] | Gains = "auto"
+    limits: Limits = Limits()
+    objective: Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"] = "work"
+    """What a plan along a path is to make small."""
+    payload: NonNegative = 0.0
+    """Mass in the bucket [kg]."""
+    soil: Soil | None = None
+    """What the bucket digs in; left out, nothing resists it. Keys of it that are left out have their defaults."""
+
+    _folder: Path = PrivateAttr(default=Path())
+    _file: Path | None = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scene:
+        names = [obstacle.name for obstacle in self.obstacles]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise ValueError(f"two obstacles are named {name!r}")
+        for index, zone in enumerate(self.zones):
+            if zone.name in names or any(zone.name == other.name for other in self.zones[:index]):
+                raise ValueError(f"a zone and another zone or an obstacle are named {zone.name!r}")
+        if self.task.goal is not None and self.start is None:
+            raise ValueError("start is needed with a goal: where the machine stands")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """Where files named in the scene are looked for."""
+        return self._folder
+
+    @property
+    def file(self) -> Path | None:
+        """The file from which it was read, if any."""
+        return self._file
+
+    def waypoints(self) -> tuple[Waypoint, ...]:
+        """The path's waypoints, from the scene or from its path file.
+
+        Raises
+        ------
+        SceneError: the path file is missing, empty, or malformed.
+        """
+        path = self.task.path
+        if path is None:
+            return ()
+        if path.waypoints is not None:
+            return path.waypoints
+        assert path.file is not None
+        file = self.folder / path.file
+        waypoints = tuple(_read_path_file(file))
+        try:
+            PathTask(waypoints=waypoints)
+        except ValidationError as error:
+            raise SceneError(say(error.errors()[0]), file=file) from None
+        return waypoints
+
+    def to_dict(self) -> dict[str, Any]:
+        """The scene as plain data that `scene_from_dict` reads again."""
+        return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read and check a scene file.
+
+    Raises
+    ------
+    SceneError: names the file, the key's path, what was found, and what is allowed.
+    """
+    file = Path(path)
+    if not file.exists() and file.parent in (Path("scenes"), Path()) and (shipped("scenes") / file.name).is_file():
+        file = shipped("scenes") / file.name
+    content, lines = read_yaml(file)
+    return scene_from_dict(content, folder=file.parent, file=file, lines=lines)
+
+
+def scene_from_dict(
+    content: Mapping[str, Any],
+    *,
+    folder: str | Path = ".",
+    file: Path | None = None,
+    lines: Mapping[KeyPath, int] | None = None,
+) -> Scene:
+    """Check a scene given as plain data.
+
+    Parameters
+    ----------
+    content: keys and values as in a scene file.
+    folder: where files that the scene names are looked for.
+    file, lines: for messages, the file it came from and the line of every key.
+    """
+    try:
+        scene = Scene.model_validate(content)
+    except ValidationError as error:
+        raise SceneError(explain(error, content, lines or {}, root=Scene, variants=_TAGGED), file=file) from None
+    scene._folder = Path(folder)
+    scene._file = file
+    return scene
+
+
+def obstacle_from_dict(content: Mapping[str, Any]) -> ObstacleSpec:
+    """Check one obstacle given as plain data, with keys and values as in a scene file.
+
+    Raises
+    ------
+    InputError: names the key, what was found, and what is allowed.
+    """
+    try:
+        spec: ObstacleSpec = _OBSTACLE.validate_python(dict(content))
+    except ValidationError as error:
+        what = explain(error, content, {}, root=_Obstacle, variants=_SHAPES)
+        raise InputError(f"is not an obstacle: {what}", key=str(content.get("name", "obstacle"))) from None
+    return spec
+
+
+def scene_schema() -> dict[str, Any]:
+    """The scene file's JSON Schema."""
+    schema = Scene.model_json_schema(by_alias=True)
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "backhoe_planner scene"
+    return schema
+
+
+_SHAPES: dict[str, type[BaseModel]] = {
+    "box": Box,
+    "capsule": Capsule,
+    "cylinder": Cylinder,
+    "halfspace": HalfSpace,
+    "heightmap": HeightMap,
+    "mesh": Mesh,
+    "pointcloud": PointCloud,
+    "sphere": Sphere,
+}
+_KINDS: dict[str, type[BaseModel]] = {
+    "cab": Cab,
+    "ceiling": Ceiling,
+    "floor": Floor,
+    "swing_sector": SwingSector,
+    "wall": Wall,
+}
+_TAGGED: dict[str, type[BaseModel]] = {**_SHAPES, **_KINDS}
+_OBSTACLE: TypeAdapter[Any] = TypeAdapter(ObstacleSpec)
+
+# --- the path file ------------------------------------------------------------
+
+
+def _read_path_file(path: Path) -> Iterator[Waypoint]:
+    quaternion = ("qw", "qx", "qy", "qz")
+    for number, row in read_csv_table(path, required=("x", "y", "z"), optional=("pitch", *quaternion)):
+        orientation: dict[str, Any] = {}
+        if "pitch" in row:
+            orientation["pitch"] = row["pitch"]
+        if any(key in row for key in quaternion):
+            missing = [key for key in quaternion if key not in row]
+            if missing:
+                raise SceneError(f"a column is missing: {', '.join(missing)}", file=path, key="header")
+            orientation["quaternion"] = tuple(row[key] for key in quaternion)
+        try:
+            yield Waypoint(position=(row["x"], row["y"], row["z"]), **orientation)
+        except ValidationError as error:
+            raise SceneError(say(error.errors()[0]), file=path, key=f"line {number}") from None
+
+
+def read_csv_table(
+    path: Path, *, required: tuple[str, ...], optional: tuple[str, ...]
+) -> list[tuple[int, dict[str, float]]]:
+    """(line number, values by column) of every row of a CSV with a header.
+
+    Raises
+    ------
+    SceneError: no such file, no header, unknown column, a cell that is not a finite
+        number, fewer than two rows.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(map(str.strip, row))]
+    except FileNotFoundError:
+        raise SceneError("no such path file", file=path) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SceneError(f"cannot be read: {error}", file=path) from error
+    if not rows:
+        raise SceneError("the path file is empty", file=path)
+    header = [cell.strip() for cell in rows[0][1]]
+    allowed = (*required, *optional)
+    for column in header:
+        if column not in allowed:
+            raise SceneError("unknown column", file=path, key="header", found=column, allowed=", ".join(allowed))
+    for column in required:
+        if column not in header:
+            raise SceneError("a column is missing", file=path, key="header", found=",".join(header), allowed=column)
+    twice = [column for column in allowed if header.count(column) > 1]
+    if twice:
+        raise SceneError("a column stands twice", file=path, key="header", found=", ".join(twice))
+    table = []
+    for number, row in rows[1:]:
+        if len(row) != len(header):
+            raise SceneError(f"has {len(row)} cells, the header {len(header)}", file=path, key=f"line {number}")
+        values = {}
+        for column, cell in zip(header, row, strict=True):
+            try:
+                value = float(cell)
+            except ValueError:
+                raise SceneError(
+                    "is not a number", file=path, key=f"line {number}, {column}", found=repr(cell)
+                ) from None
+            if not math.isfinite(value):
+                raise SceneError("is not finite", file=path, key=f"line {number}, {column}", found=cell)
+            values[column] = value
+        table.append((number, values))
+    if len(table) < 2:
+        raise SceneError("a path needs at least 2 waypoints", file=path, found=f"{len(table)}")
+    return table

@@ -1,0 +1,65 @@
+"""The nearest joint step that stays on a path: by hand, and its conditions on random problems."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from backhoe_planner.law.on_path import step_on_path
+
+Vector = NDArray[np.float64]
+
+WIDE = np.full(2, 10.0)
+NO_ROWS: Vector = np.zeros((0, 2))
+NONE: Vector = np.zeros(0)
+SUM = np.array([[1.0, 1.0]])
+
+
+def along_the_line(wish: list[float], *, high: Vector = WIDE, rows: Vector = NO_ROWS, lower: Vector = NONE) -> Vector:
+    """The step nearest to `wish` with dq_1 + dq_2 = 1."""
+    found = step_on_path(np.array(wish), SUM, np.ones(1), -WIDE, high, rows, lower)
+    assert found is not None
+    return found
+
+
+def test_by_hand() -> None:
+    """The point of dq_1 + dq_2 = 1 that is nearest to the origin, then to (1, 0.5)."""
+    np.testing.assert_allclose(along_the_line([0.0, 0.0]), [0.5, 0.5], atol=1e-9)
+    np.testing.assert_allclose(along_the_line([1.0, 0.5]), [0.75, 0.25], atol=1e-9)
+
+
+def test_a_bound_moves_it_along_the_path() -> None:
+    np.testing.assert_allclose(along_the_line([0.0, 0.0], high=np.array([0.2, 10.0])), [0.2, 0.8], atol=1e-9)
+
+
+def test_a_row_moves_it_along_the_path() -> None:
+    """dq_1 - dq_2 >= 0.4"""
+    found = along_the_line([0.0, 0.0], rows=np.array([[1.0, -1.0]]), lower=np.array([0.4]))
+    np.testing.assert_allclose(found, [0.7, 0.3], atol=1e-9)
+
+
+def test_what_is_impossible_is_none() -> None:
+    narrow = np.full(2, 0.4)
+    assert step_on_path(np.zeros(2), SUM, np.ones(1), -narrow, narrow, NO_ROWS, NONE) is None
+    away = np.array([[-1.0, -1.0]]), np.array([-0.5])  # dq_1 + dq_2 <= 0.5
+    assert step_on_path(np.zeros(2), SUM, np.ones(1), -WIDE, WIDE, *away) is None
+
+
+@given(seed=st.integers(0, 10_000))
+def test_what_is_found_keeps_every_condition(seed: int) -> None:
+    """Problems made around a step that exists: it is found, and nothing nearer is allowed."""
+    rng = np.random.default_rng(seed)
+    n, m, k = 4, 2, int(rng.integers(0, 4))
+    known = rng.uniform(-1.0, 1.0, n)
+    J, rows, wish = rng.normal(size=(m, n)), rng.normal(size=(k, n)), rng.normal(size=n)
+    low, high = known - rng.uniform(0.05, 1.0, n), known + rng.uniform(0.05, 1.0, n)
+    lower = rows @ known - rng.uniform(0.05, 1.0, k)
+    found = step_on_path(wish, J, J @ known, low, high, rows, lower)
+    assert found is not None
+    np.testing.assert_allclose(J @ found, J @ known, atol=1e-6)
+    assert np.all(found >= low - 1e-6)
+    assert np.all(found <= high + 1e-6)
+    assert np.all(rows @ found >= lower - 1e-6)
+    assert np.linalg.norm(found - wish) <= np.linalg.norm(known - wish) + 1e-6

@@ -1,0 +1,118 @@
+"""Pseudo-inverses, and the projector that is never damped."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from backhoe_planner.law.law import projector
+from backhoe_planner.law.projector import pseudo_inverse, resolve
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.machine.robot import Robot
+
+Matrix = NDArray[np.float64]
+
+
+def random_jacobian(seed: int, m: int, n: int) -> Matrix:
+    return np.random.default_rng(seed).normal(size=(m, n))
+
+
+def stretched(s: float) -> Matrix:
+    """A task Jacobian whose singular values are 1 and s, along known directions."""
+    return np.array([[s, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+@given(seed=st.integers(0, 10_000), m=st.integers(1, 5), extra=st.integers(0, 3))
+def test_projector_is_symmetric_idempotent_and_leaves_the_task_alone(seed: int, m: int, extra: int) -> None:
+    J = random_jacobian(seed, m, m + extra)
+    if np.linalg.svd(J, compute_uv=False)[-1] < 0.05:
+        return
+    for N in (resolve(J).projector, projector(J)):
+        np.testing.assert_allclose(N, N.T, atol=1e-12)
+        np.testing.assert_allclose(N @ N, N, atol=1e-12)
+        np.testing.assert_allclose(J @ N, 0.0, atol=1e-12)
+        np.testing.assert_allclose(N, np.eye(m + extra) - np.linalg.pinv(J) @ J, atol=1e-11)
+        assert np.trace(N) == pytest.approx(extra, abs=1e-9)  # the rank of the null space
+
+
+@given(seed=st.integers(0, 10_000), m=st.integers(1, 6), n=st.integers(1, 6))
+def test_pseudo_inverse_is_numpys(seed: int, m: int, n: int) -> None:
+    J = random_jacobian(seed, m, n)
+    np.testing.assert_allclose(pseudo_inverse(J), np.linalg.pinv(J), rtol=1e-7, atol=1e-9)
+
+
+def test_pseudo_inverse_of_nothing_is_nothing() -> None:
+    np.testing.assert_array_equal(pseudo_inverse(np.zeros((2, 4))), np.zeros((4, 2)))
+
+
+def test_rounding_is_not_inverted() -> None:
+    """A product that should be 0 is 1e-16 or so; beside its factor it counts as 0."""
+    J = random_jacobian(3, 2, 4)
+    noise = J @ projector(J)
+    assert 0.0 < np.max(np.abs(noise)) < 1e-14
+    assert np.max(np.abs(np.linalg.pinv(noise))) > 1e12
+    np.testing.assert_array_equal(pseudo_inverse(noise, scale=float(np.linalg.norm(J))), np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize(
+    ("s", "gain", "damping"),
+    [
+        (1.0, 1.0, 0.0),
+        (0.1, 10.0, 0.0),  # above the threshold of 0.08 nothing is damped
+        (0.08, 12.5, 0.0),
+        (0.04, 6.25, np.sqrt(0.0048)),  # 0.08^2 (1 - 0.5^2) = 0.0048; 0.04 / (0.0016 + 0.0048)
+        (0.0, 0.0, 0.08),
+    ],
+)
+def test_damping_by_hand(s: float, gain: float, damping: float) -> None:
+    found = resolve(stretched(s))
+    assert found.damping == pytest.approx(damping, abs=1e-9)
+    assert found.inverse[0, 0] == pytest.approx(gain, abs=1e-6)
+    np.testing.assert_allclose(found.singular_values, [s, 1.0], atol=1e-9)
+
+
+def test_inverse_is_damped_and_the_projector_is_not() -> None:
+    """A projector damped with lambda 0.1 leaks 11 % of a row of 0.28 into the task."""
+    J = stretched(0.28)
+    damped = J.T @ np.linalg.inv(J @ J.T + 0.1**2 * np.eye(2))
+    leak = J @ (np.eye(3) - damped @ J)
+    assert leak[0, 0] / 0.28 == pytest.approx(0.01 / (0.28**2 + 0.01))  # 0.113
+    found = resolve(J, threshold=0.5, largest_damping=0.1)
+    assert found.damping > 0.05
+    assert np.max(np.abs(found.inverse - np.linalg.pinv(J))) > 0.1
+    np.testing.assert_allclose(J @ found.projector, 0.0, atol=1e-14)
+    np.testing.assert_allclose(found.projector, np.diag([0.0, 0.0, 1.0]), atol=1e-14)
+
+
+def test_inverse_is_bounded_and_continuous_through_a_singularity(planar4: Robot) -> None:
+    """The arm passes through its stretched posture; 12.5 is the inverse of the threshold."""
+    kinematics = Kinematics(planar4)
+    before = None
+    smallest = np.inf
+    for bend in np.linspace(-0.3, 0.3, 6001):
+        found = resolve(kinematics.at(np.array([0.4, bend, 0.0, 0.0])).jacobian[:2])
+        assert np.linalg.norm(found.inverse, 2) <= 12.5 + 1e-9
+        if before is not None:
+            assert np.max(np.abs(found.inverse - before)) < 0.05  # for 1e-4 rad
+        before = found.inverse
+        smallest = min(smallest, float(found.singular_values[0]))
+    assert smallest < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("J", "N"),
+    [
+        ([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]),  # a row that no joint moves
+        ([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]], [[0, 0, 0], [0, 1, 0], [0, 0, 1]]),  # the same row twice
+        ([[0.0, 0.0, 0.0]], np.eye(3)),
+        ([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], np.zeros((2, 2))),  # more rows than joints
+    ],
+)
+def test_rank_deficient_rows(J: list[list[float]], N: list[list[float]] | Matrix) -> None:
+    found = resolve(np.array(J))
+    np.testing.assert_allclose(found.projector, N, atol=1e-12)
+    assert np.all(np.isfinite(found.inverse))
+    np.testing.assert_allclose(np.array(J) @ found.projector, 0.0, atol=1e-12)

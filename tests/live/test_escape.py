@@ -1,0 +1,270 @@
+"""The way out, where descent alone does not lead there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.live.recovery.escape import MOST_LOOKS, Route, Search, WayOut
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.obstacles import build_obstacles
+from backhoe_planner.site.proximity import Proximity
+
+Vector = NDArray[np.float64]
+
+BESIDE_THE_POST = {
+    "name": "wall", "shape": "box", "size": [0.3, 3.0, 2.0], "position": [0.837, -1.48, 0.31],
+}  # fmt: skip
+IN_THE_STICK = {"name": "ball", "shape": "sphere", "radius": 0.134, "position": [3.19, 0.689, 0.207]}
+AROUND_THE_POST = {"name": "wall", "shape": "box", "size": [0.3, 3.0, 2.0], "position": [0.221, -1.532, -0.253]}
+PINCHED_BY_THE_POST = [0.228, 0.007, -1.941, -0.988]  # in BESIDE_THE_POST
+PINCHED_BY_THE_STICK = [0.21, -0.116, -1.384, -0.433]  # in IN_THE_STICK
+NOWHERE_TO_GO = [1.545, 0.414, -2.279, 0.289]  # in AROUND_THE_POST: no angle of the swing is clear of it
+
+
+def site(robot: Robot, obstacles: list[dict[str, Any]], q: list[float]) -> bp.Scene:
+    return bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(robot.joint_names, q, strict=True))},
+            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+            "clearance": 0.05,
+            "obstacles": obstacles,
+        }
+    )
+
+
+class Violation:
+    """The largest shortfall of any clearance [m], by Proximity."""
+
+    def __init__(self, robot: Robot, scene: bp.Scene) -> None:
+        self._proximity = Proximity(robot, build_obstacles(scene, robot))
+
+    def __call__(self, q: Vector) -> float:
+        return float(np.max(self._proximity.clearance - self._proximity.distances(q)))
+
+
+def search_from(servo: Servo) -> WayOut:
+    separation, inside = servo._separation, servo._bounds.inside
+    ceiling = np.full(len(separation), np.max(separation.clearance[inside] - servo._bounds._distance[inside]))
+    return WayOut(
+        servo.robot, servo.limits, separation, servo.q,
+        watched=np.arange(len(separation)), inside=inside, ceiling=ceiling, rng=np.random.default_rng(1),
+    )  # fmt: skip
+
+
+def ended(search: Search) -> tuple[Route | None, int]:
+    """What a search finds, and after how many looks."""
+    looks = 0
+    while True:
+        try:
+            next(search)
+        except StopIteration as found:
+            return found.value, looks
+        looks += 1
+
+
+def along(route: Route, step: float = 0.002) -> list[Vector]:
+    """Postures on the way, one joint moving no more than a step from one to the next."""
+    found = [route.nodes[0]]
+    for a, b in zip(route.nodes[:-1], route.nodes[1:], strict=True):
+        count = max(int(np.ceil(np.max(np.abs(b - a)) / step)), 1)
+        found += [a + part / count * (b - a) for part in range(1, count + 1)]
+    return found
+
+
+# --- what is found -----------------------------------------------------------------------------
+
+
+def test_a_falling_way_falls_from_posture_to_posture(backhoe: Robot) -> None:
+    """From where the descent that is steepest is pinched."""
+    scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
+    servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
+    way_out = search_from(servo)
+    route, looks = ended(way_out.descent(servo.q))
+    assert route is None
+    route, more = ended(way_out.falling(servo.q))
+    assert route is not None
+    assert route.falling
+    depths = [violation(q) for q in route.nodes]
+    assert depths[0] > 0.1
+    assert np.all(np.diff(depths) < 0.0)
+    assert depths[-1] <= 1e-6
+    assert looks + more <= MOST_LOOKS
+    assert np.all(route.nodes <= backhoe.limits.upper)
+    assert np.all(route.nodes >= backhoe.limits.lower)
+
+
+def test_a_way_below_is_nowhere_deeper_than_its_start(backhoe: Robot) -> None:
+    scene = site(backhoe, [BESIDE_THE_POST], PINCHED_BY_THE_POST)
+    servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
+    route, looks = ended(search_from(servo).below(servo.q))
+    assert route is not None
+    assert not route.falling
+    depths = np.array([violation(q) for q in along(route)])
+    assert np.max(depths) <= depths[0] + 1e-4  # between two looks
+    assert depths[-1] <= 0.0
+    assert looks <= MOST_LOOKS
+
+
+def test_where_no_posture_is_clear_no_way_is_said_to_be_found(backhoe: Robot) -> None:
+    scene = site(backhoe, [AROUND_THE_POST], NOWHERE_TO_GO)
+    servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
+    swings = np.linspace(backhoe.limits.lower[0], backhoe.limits.upper[0], 200)
+    assert min(violation(np.array([swing, 1.2, -0.5, 0.0])) for swing in swings) > 0.1
+    way_out = search_from(servo)
+    for search in (way_out.descent(servo.q), way_out.falling(servo.q), way_out.below(servo.q)):
+        route, looks = ended(search)
+        assert route is None
+        assert looks <= MOST_LOOKS
+
+
+# --- what the servo makes of it ------------------------------------------------------------------
+
+
+def test_from_where_descent_is_pinched_the_violation_falls_at_every_step(backhoe: Robot) -> None:
+    scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
+    servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
+    before, v = violation(servo.q), servo.v
+    for _ in range(4000):
+        state = servo.step([0.3, -0.2, 0.4])
+        now = violation(state.q)
+        assert now < before
+        assert np.all(np.abs(state.v - v) <= backhoe.limits.acceleration * servo.dt * (1.0 + 1e-9))
+        before, v = now, state.v
+        if now <= 1e-6:
+            break
+    assert before <= 1e-6
+
+
+def test_past_a_hump_the_way_to_go_falls_and_nothing_gets_deeper_than_it_was(backhoe: Robot) -> None:
+    """The post of the swing sticks in a wall so that it is deeper to either side: there is no way that falls."""
+    scene = site(backhoe, [BESIDE_THE_POST], PINCHED_BY_THE_POST)
+    servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
+    first = before = violation(servo.q)
+    to_go = np.inf
+    passed = 0
+    for _ in range(4000):
+        state = servo.step(joint_velocity=[0.0, 0.1, 0.0, 0.0])
+        now = violation(state.q)
+        assert now <= first
+        if servo.way_to_go is None:
+            assert now <= max(before, 1e-6)
+        else:
+            assert servo.way_to_go < to_go
+            assert now <= servo.way_to_go
+            to_go = servo.way_to_go
+            passed += now > before
+        before = now
+        if now <= 1e-6:
+            break
+    assert before <= 1e-6
+    assert passed > 50
+
+
+def test_where_nothing_leads_out_it_stays_and_gets_no_deeper(backhoe: Robot) -> None:
+    scene = site(backhoe, [AROUND_THE_POST], NOWHERE_TO_GO)
+    servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
+    first = violation(servo.q)
+    for step in range(600):
+        state = servo.step([0.5, 0.5, 0.5])
+        if step % 5 == 0:
+            assert violation(state.q) <= first
+    assert servo.way_to_go is None
+
+
+@pytest.mark.parametrize("joint", [1, 3])
+def test_outside_a_limit_and_inside_an_obstacle_both_shrink(backhoe: Robot, joint: int) -> None:
+    q = np.array([0.0, 0.3, -0.9, -0.5])
+    q[joint] = backhoe.limits.lower[joint] - 0.06
+    tip = bp.Kinematics(backhoe).at(q).tip_position
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": (tip + np.array([0.0, 0.05, -0.1])).tolist()}
+    scene = site(backhoe, [ball], [0.0, 0.3, -0.9, -0.5])
+    servo, violation = Servo(backhoe, scene, q=q), Violation(backhoe, scene)
+    before, outside = violation(q), 0.06
+    assert before > 0.05
+    for _ in range(8000):
+        state = servo.step([0.3, 0.0, 0.3])
+        now, left = violation(state.q), float(backhoe.limits.lower[joint] - state.q[joint])
+        assert now < before or now <= 1e-6
+        assert left < outside or left <= 1e-9
+        before, outside = now, left
+        if now <= 1e-6 and left <= 1e-9:
+            break
+    assert before <= 1e-6
+    assert outside <= 1e-9
+
+
+def test_what_is_dragged_while_the_machine_is_inside_is_searched_for_anew(backhoe: Robot) -> None:
+    scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
+    servo = Servo(backhoe, scene)
+    shift = np.zeros(3)
+    for k in range(12):
+        by = 0.01 * np.array([np.cos(k), np.sin(k), np.cos(2 * k)])
+        servo.move("ball", by)
+        shift += by
+        for _ in range(15):
+            assert np.all(np.isfinite(servo.step([0.3, -0.2, 0.4]).q))
+    moved = {**IN_THE_STICK, "position": (np.array(IN_THE_STICK["position"]) + shift).tolist()}
+    violation = Violation(backhoe, site(backhoe, [moved], PINCHED_BY_THE_STICK))
+    before = violation(servo.q)
+    assert before > 0.01
+    for step in range(6000):
+        servo.step([0.3, -0.2, 0.4])
+        if step % 50 == 0 and violation(servo.q) <= 1e-6:
+            break
+    assert violation(servo.q) <= 1e-6
+
+
+def test_held_outside_a_limit_by_obstacles_it_comes_back_all_the_same(backhoe: Robot) -> None:
+    """The stick has to swing out by 5 mrad, but the bucket stands on the ground and the boom beside a stabilizer."""
+    ground = {"name": "ground", "shape": "halfspace", "point": [0.0, 0.0, -1.2683], "normal": [0.0, 0.0, 1.0]}
+    scene = site(backhoe, [ground], [0.0, 0.3, -0.9, -0.5])
+    violation = Violation(backhoe, scene)
+    q = np.array([-1.5584, -0.3660, -2.4494, -1.0140])
+    outside = float(backhoe.limits.lower[2] - q[2])
+    assert 0.004 < outside < 0.007
+    assert violation(q) <= 0.0
+    servo = Servo(backhoe, scene, q=q)
+    for step in range(4000):
+        state = servo.step(joint_velocity=[0.0, 0.0, 0.0, 0.0])
+        left = float(backhoe.limits.lower[2] - state.q[2])
+        assert left <= outside + 1e-12
+        if step % 20 == 0:
+            assert violation(state.q) <= 1e-6
+        outside = left
+        if left <= 1e-9:
+            break
+    assert outside <= 1e-9
+
+
+def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:
+    scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
+    ends = []
+    for _ in range(2):
+        servo = Servo(backhoe, scene)
+        ends.append([servo.step([0.3, -0.2, 0.4]).q for _ in range(150)][-1])
+    np.testing.assert_array_equal(ends[0], ends[1])
+
+
+def test_where_the_search_fails_nothing_is_raised_and_descent_goes_on(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> Search:
+        yield
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(WayOut, "descent", fails)
+    tip = bp.Kinematics(backhoe).at(np.array([0.0, 0.3, -0.9, -0.5])).tip_position
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": (tip + np.array([0.0, 0.0, -0.1])).tolist()}
+    scene = site(backhoe, [ball], [0.0, 0.3, -0.9, -0.5])
+    servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
+    first = violation(servo.q)
+    for _ in range(300):
+        servo.step([0.0, 0.0, -0.3])
+    assert violation(servo.q) < first - 0.01

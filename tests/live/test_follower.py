@@ -1,0 +1,456 @@
+"""A plan that is followed live: on time where nothing is in the way, held, resumed or led round where something is."""
+
+from __future__ import annotations
+
+import pickle
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.live import follower as follower_module
+from backhoe_planner.live import rejoining
+from backhoe_planner.live.follower import Followed, Following, PlanFollower
+from backhoe_planner.live.rejoining import (
+    NoRejoining,
+    Rejoining,
+    RejoiningQuery,
+    find_rejoining,
+    is_still_clear,
+)
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.obstacles import build_obstacles
+from backhoe_planner.site.proximity import Proximity
+
+START = [-0.3, 0.3, -0.9, -0.5]
+END = [0.5, 0.1, -0.7, -0.6]
+DT = 0.004
+# upright, away from the machine at a swing of 0.1 rad, from 1 m to 9 m, higher and deeper than it reaches
+WALL = {
+    "name": "wall", "shape": "box", "size": [8.0, 0.2, 16.0], "rpy": [0.0, 0.0, 0.1],
+    "position": [5.0 * np.cos(0.1), 5.0 * np.sin(0.1), 0.0],
+}  # fmt: skip
+
+
+class Immediate(Executor):
+    """Runs what it is given at once."""
+
+    def __init__(self) -> None:
+        self.answers: list[Any] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        self.answers.append(fn(*args, **kwargs))
+        future.set_result(self.answers[-1])
+        return future
+
+
+class Never(Executor):
+    """Never answers."""
+
+    def __init__(self) -> None:
+        self.futures: list[Future[Any]] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.futures.append(Future())
+        return self.futures[-1]
+
+
+class Failing(Executor):
+    """Raises, or has its calls raise."""
+
+    def __init__(self, *, at_once: bool) -> None:
+        self._at_once = at_once
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if self._at_once:
+            raise RuntimeError("cannot schedule new futures after shutdown")
+        future: Future[Any] = Future()
+        future.set_exception(MemoryError("no room"))
+        return future
+
+
+def site(robot: Robot, *obstacles: dict[str, Any]) -> bp.Scene:
+    return bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(robot.joint_names, START, strict=True))},
+            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+            "obstacles": list(obstacles),
+        }
+    )
+
+
+def smooth_motion(duration: float = 6.0) -> bp.Trajectory:
+    """From START to END on a straight line, with rates that begin and end at 0."""
+    time = np.linspace(0.0, duration, 301)
+    part = 0.5 * (1.0 - np.cos(np.pi * time / duration))
+    return bp.Trajectory.from_steps(time, np.array(START) + part[:, None] * (np.array(END) - START))
+
+
+def tip(robot: Robot, q: Any) -> list[float]:
+    return [float(x) for x in bp.Kinematics(robot).at(np.array(q)).tip_position]
+
+
+def followed(follower: PlanFollower, most: int, *, until: Callable[[Followed], bool] | None = None) -> list[Followed]:
+    found = []
+    for _ in range(most):
+        found.append(follower.step())
+        if found[-1].done or (until is not None and until(found[-1])):
+            break
+    return found
+
+
+def least_margin(robot: Robot, steps: list[Followed], *obstacles: dict[str, Any]) -> float:
+    return least_margin_of(robot, [step.state.q for step in steps[::5]], *obstacles)
+
+
+def least_margin_of(robot: Robot, postures: Any, *obstacles: dict[str, Any]) -> float:
+    proximity = Proximity(robot, build_obstacles(site(robot, *obstacles), robot))
+    return min(float(np.min(proximity.distances(np.array(q)) - proximity.clearance)) for q in postures)
+
+
+def placed(robot: Robot, what: str, moment: float = 3.2) -> dict[str, Any]:
+    """A ball, a box or a post about the tip's place at a moment of the motion."""
+    place = tip(robot, smooth_motion().at(moment))
+    if what == "ball":
+        return {"name": what, "shape": "sphere", "radius": 0.3, "position": place}
+    if what == "box":
+        return {"name": what, "shape": "box", "size": [0.5, 0.3, 0.6], "position": place, "rpy": [0.3, 0.2, 0.5]}
+    place[2] -= 1.0
+    return {"name": what, "shape": "cylinder", "radius": 0.08, "length": 3.0, "position": place}
+
+
+# --- following -------------------------------------------------------------------------
+
+
+def test_with_nothing_in_the_way_it_arrives_on_time(backhoe: Robot) -> None:
+    steps = followed(PlanFollower(Servo(backhoe, site(backhoe), DT), smooth_motion(), executor=Never()), 9000)
+    assert steps[-1].done
+    assert max(step.deviation for step in steps) < 0.01
+    assert steps[-1].behind < 1.5
+    np.testing.assert_allclose(steps[-1].state.q, END, atol=1e-3)
+    assert {step.status for step in steps[:-1]} == {Following.FOLLOWING}
+    assert steps[-1].status is Following.ARRIVED
+    assert {step.reason for step in steps} == {""}
+
+
+def test_where_it_stands_elsewhere_it_goes_to_the_beginning_first(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe), DT, q=[-0.1, 0.4, -1.0, -0.3])
+    steps = followed(PlanFollower(servo, smooth_motion(), executor=Never()), 6000)
+    assert steps[125].plan_time < 0.1
+    assert steps[-1].done
+
+
+def test_it_waits_still_while_a_way_is_searched_and_goes_on_once_the_plan_is_free(backhoe: Robot) -> None:
+    """The search never ends: the machine stands clear of the ball, and says why; with the ball gone it finishes."""
+    ball, never = placed(backhoe, "ball"), Never()
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=never)
+    followed(follower, 300)
+    servo.add(ball)
+    held = followed(follower, 1500)
+    assert held[-1].status is Following.WAITING
+    assert "ball" in held[-1].reason
+    assert held[-1].behind > 1.0
+    assert not held[-1].state.v.any()
+    assert -1e-6 <= least_margin(backhoe, held, ball) < 0.05
+    assert len(never.futures) == 1
+    servo.remove("ball")
+    resumed = followed(follower, 6000)
+    assert resumed[0].state.v.any()  # at once, though nobody has answered
+    assert never.futures[0].cancelled()
+    assert resumed[-1].done
+    np.testing.assert_allclose(resumed[-1].state.q, END, atol=1e-3)
+
+
+# --- going round -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("what", ["ball", "box", "post"])
+def test_what_stays_on_the_plan_is_gone_round(backhoe: Robot, what: str) -> None:
+    """The plan is left, rejoined beyond and finished as it was; nothing is touched."""
+    obstacle, motion, executor = placed(backhoe, what), smooth_motion(), Immediate()
+    assert least_margin_of(backhoe, motion.q, obstacle) < -0.1
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, motion, executor=executor)
+    followed(follower, 300)
+    servo.add(obstacle)
+    steps = followed(follower, 12_000)
+    assert steps[-1].done
+    np.testing.assert_allclose(steps[-1].state.q, END, atol=1e-3)
+    assert least_margin(backhoe, steps, obstacle) >= -1e-6
+    went = [step for step in steps if step.status is Following.GOING_ROUND]
+    assert max(step.deviation for step in went) > 0.1
+    assert {step.reason for step in went} == {f"round {what}"}
+    last = max(row for row, step in enumerate(steps) if step.status is Following.GOING_ROUND)
+    assert steps[last + 1].plan_time > steps[last].plan_time + 0.1
+    assert max(step.deviation for step in steps[last + 1 :]) < 0.1  # the rest of the plan is unchanged
+    changes = np.diff([step.state.v for step in steps], axis=0)
+    assert (np.abs(changes) <= servo.limits.acceleration * DT * (1.0 + 1e-9)).all()
+
+
+def test_a_way_round_that_is_taken_up_is_given_up_for_another(backhoe: Robot) -> None:
+    ball, executor = placed(backhoe, "ball"), Immediate()
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=executor)
+    followed(follower, 300)
+    servo.add(ball)
+    steps = followed(follower, 12_000, until=lambda step: step.status is Following.GOING_ROUND)
+    (way,) = executor.answers
+    place = tip(backhoe, way.motion.at(0.6 * way.motion.duration))
+    second = {"name": "second", "shape": "sphere", "radius": 0.15, "position": place}
+    assert least_margin(backhoe, steps[-1:], second) > 0.0
+    servo.add(second)
+    steps = followed(follower, 20_000)
+    assert executor.answers[1] is False
+    assert steps[-1].done
+    assert sum(isinstance(answer, Rejoining) for answer in executor.answers) >= 2
+    assert least_margin(backhoe, steps, ball, second) >= -1e-6
+
+
+def test_what_changes_elsewhere_leaves_the_way_round_alone(backhoe: Robot) -> None:
+    executor = Immediate()
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=executor)
+    followed(follower, 300)
+    servo.add(placed(backhoe, "ball"))
+    followed(follower, 12_000, until=lambda step: step.status is Following.GOING_ROUND)
+    servo.add({"name": "far", "shape": "sphere", "radius": 0.2, "position": [-4.0, 0.0, 3.0]})
+    steps = followed(follower, 12_000)
+    assert executor.answers[1:] == [True]
+    assert steps[-1].done
+
+
+def test_with_a_thread_of_its_own_that_ends_with_it(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe), DT)
+    with PlanFollower(servo, smooth_motion()) as follower:
+        followed(follower, 300)
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith("rejoining")]
+        servo.add(placed(backhoe, "ball"))
+        steps = followed(follower, 300_000)
+    assert steps[-1].done
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("rejoining")]
+
+
+# --- no way ------------------------------------------------------------------------------
+
+
+def test_what_stands_on_the_end_is_said_and_the_plan_finished_once_it_is_gone(backhoe: Robot) -> None:
+    ball, executor = placed(backhoe, "ball", 6.0), Immediate()
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=executor)
+    followed(follower, 300)
+    servo.add(ball)
+    steps = followed(follower, 2500)
+    assert steps[-1].status is Following.BLOCKED
+    assert steps[-1].reason == "ball stands on the end of the plan"
+    assert not steps[-1].done
+    assert not np.any([step.state.v for step in steps[-400:]])  # it stands still,
+    assert 0.0 <= least_margin(backhoe, steps, ball) < 0.02  # as near as it may
+    assert [type(answer) for answer in executor.answers] == [NoRejoining]
+    servo.remove("ball")
+    steps = followed(follower, 6000)
+    assert steps[-1].done
+
+
+def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The wall reaches beyond the machine's reach and height; searched with more and more effort, in vain."""
+    executor = Immediate()
+    assert least_margin_of(backhoe, [START, END], WALL) > 0.05
+    monkeypatch.setattr(rejoining, "_EFFORTS", (100, 200, 400))
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=executor)
+    followed(follower, 200)
+    servo.add(WALL)
+    steps = followed(follower, 4000, until=lambda step: step.status is Following.BLOCKED)
+    steps += followed(follower, 100)
+    assert steps[-1].status is Following.BLOCKED
+    assert "wall stands on the plan" in steps[-1].reason
+    assert all(isinstance(answer, NoRejoining) and answer.searched for answer in executor.answers)
+    assert least_margin(backhoe, steps, WALL) >= -1e-6
+    servo.remove("wall")
+    assert followed(follower, 4000)[-1].done
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_an_executor_that_fails_blocks_and_raises_nothing(backhoe: Robot, at_once: bool) -> None:
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=Failing(at_once=at_once))
+    followed(follower, 300)
+    servo.add(placed(backhoe, "ball"))
+    step = followed(follower, 1500)[-1]
+    assert step.status is Following.BLOCKED
+    assert step.reason.startswith("planning failed: ")
+    servo.remove("ball")
+    assert followed(follower, 6000)[-1].done
+
+
+# --- what moves --------------------------------------------------------------------------
+
+
+def test_what_crosses_is_let_by(backhoe: Robot) -> None:
+    """A ball crosses the plan from above, and is gone before the patience ends: no way is searched."""
+    place = tip(backhoe, smooth_motion().at(3.2))
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [place[0], place[1], place[2] + 1.5]}
+    never = Never()
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=never)
+    servo.add(ball | {"velocity": [0.0, 0.0, -0.4]})
+    proximity = Proximity(backhoe, build_obstacles(site(backhoe, ball | {"velocity": [0.0, 0.0, -0.4]}), backhoe))
+    steps = followed(follower, 12_000)
+    assert steps[-1].done
+    assert max(step.behind for step in steps) > 0.3
+    assert min(float(np.min(proximity.distances(step.state.q, time=step.state.time))) for step in steps[::10]) > 0.0
+    assert never.futures == []
+
+
+def test_a_snapshot_has_everything_where_it_is_now(backhoe: Robot) -> None:
+    """A ball moved by hand and then at 0.5 m/s for 1 s: 0.2 + 0.5 m up; what it was built as is left alone."""
+    servo = Servo(backhoe, site(backhoe, {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2, 3, 4]}))
+    revision = servo.revision
+    servo.move("ball", [0.0, 0.0, 0.2])
+    assert not servo.is_moving()
+    servo.set_velocity("ball", [0.0, 0.0, 0.5])
+    assert servo.is_moving("ball")
+    assert not servo.is_moving("another")
+    assert servo.revision == revision + 2
+    for _ in range(1000):
+        servo.step()
+    assert servo.revision == revision + 2
+    (ball,) = servo.snapshot()
+    np.testing.assert_allclose(ball.pieces[0].placement.translation, [2.0, 3.0, 4.7])
+    np.testing.assert_allclose(ball.pieces[0].hull, [[2.0, 3.0, 4.7]])
+    np.testing.assert_allclose(ball.velocity, [0.0, 0.0, 0.5])
+    (again,) = servo.snapshot()
+    np.testing.assert_allclose(again.pieces[0].hull, [[2.0, 3.0, 4.7]])
+    servo.remove("ball")
+    assert servo.snapshot() == ()
+    assert servo.revision == revision + 3
+
+
+# --- the search --------------------------------------------------------------------------
+
+
+def query(robot: Robot, *obstacles: dict[str, Any], since: float = 1.2) -> RejoiningQuery:
+    servo = Servo(robot, site(robot, *obstacles), q=smooth_motion().at(since))
+    return RejoiningQuery(
+        robot=servo.robot, scene=servo.scene, limits=servo.limits, obstacles=servo.snapshot(), q=servo.q,
+        motion=smooth_motion(), since=since, seed=0,
+    )  # fmt: skip
+
+
+def test_the_way_leads_to_the_earliest_clear_place_and_keeps_what_it_promises(backhoe: Robot) -> None:
+    box, motion = placed(backhoe, "box"), smooth_motion()
+    taken = [moment for moment in motion.time if least_margin_of(backhoe, [motion.at(float(moment))], box) < 0.01]
+    asked = query(backhoe, box, since=taken[0] - 0.02)
+    found = find_rejoining(asked)
+    assert isinstance(found, Rejoining)
+    assert found.around == "box"
+    np.testing.assert_allclose(found.motion.q[0], asked.q, atol=1e-12)
+    np.testing.assert_allclose(found.motion.q[-1], motion.at(found.rejoins_at), atol=1e-9)
+    assert least_margin_of(backhoe, found.motion.at(np.linspace(0.0, found.motion.duration, 2000)), box) > 0.0
+    assert found.rejoins_at == pytest.approx(max(taken) + 0.02)  # the next of the plan's samples
+    assert (np.abs(found.motion.segment_velocities()) <= asked.limits.velocity * (1.0 + 1e-6)).all()
+    assert (np.abs(found.motion.accelerations()) <= asked.limits.acceleration * (1.0 + 1e-6)).all()
+    assert is_still_clear(backhoe, asked.obstacles, found.motion.q)
+    assert not is_still_clear(backhoe, asked.obstacles, motion.q)
+
+
+def test_the_same_query_gives_the_same_answer_in_another_process_too(backhoe: Robot) -> None:
+    asked = query(backhoe, placed(backhoe, "post"))
+    sent: RejoiningQuery = pickle.loads(pickle.dumps(asked))
+    here, there = find_rejoining(asked), find_rejoining(sent)
+    assert isinstance(here, Rejoining)
+    assert isinstance(there, Rejoining)
+    np.testing.assert_array_equal(here.motion.q, there.motion.q)
+    assert here.rejoins_at == there.rejoins_at
+
+
+def test_a_start_that_is_too_near_is_said(backhoe: Robot) -> None:
+    """The ball's surface is at the tip: 0.05 m less than its clearance at least."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": tip(backhoe, smooth_motion().at(1.2))}
+    found = find_rejoining(query(backhoe, ball))
+    assert isinstance(found, NoRejoining)
+    assert "closer to ball than allowed" in found.reason
+    assert not found.searched
+
+
+# --- what is refused ----------------------------------------------------------------------
+
+
+def test_another_machines_plan_is_refused(planar4: Robot, panda: Robot) -> None:
+    servo = Servo(planar4, bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict.fromkeys(planar4.joint_names, 0.3)},
+            "task": {"goal": {"position": [1.0, 1.0, 0.0]}},
+        }
+    ), self_collision=False)  # fmt: skip
+    motion = bp.Trajectory.from_steps(np.array([0.0, 1.0]), np.zeros((2, panda.n)))
+    with pytest.raises(bp.InputError, match="another number of joints"):
+        PlanFollower(servo, motion)
+
+
+def test_a_negative_seed_is_refused(backhoe: Robot) -> None:
+    with pytest.raises(bp.InputError, match="seed"):
+        PlanFollower(Servo(backhoe, site(backhoe)), smooth_motion(), seed=-1)
+
+
+def test_a_plan_that_brakes_at_the_limit_is_followed_to_its_end(backhoe: Robot) -> None:
+    """Nothing is in the way: a clock that waited for a machine that is ahead would drive it further ahead."""
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": -0.8, "boom": 0.3, "stick": -1.4, "bucket": -0.5}},
+            "task": {"goal": {"position": [4.0, 2.5, 0.3]}},
+        }
+    )
+    plan = bp.plan(backhoe, scene, seed=0)
+    assert plan.verified
+    never = Never()
+    servo = Servo(backhoe, scene, 0.01, q=plan.trajectory.q[0])
+    steps = followed(PlanFollower(servo, plan, executor=never), 1000, until=lambda step: step.done)
+    assert steps[-1].done
+    assert steps[-1].behind < 0.5
+    assert max(step.deviation for step in steps) < 0.05
+    assert never.futures == []
+
+
+class Silent(Executor):
+    """Answers, but says nothing."""
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(None)
+        return future
+
+
+def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be_finished(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(follower_module, "_LONGEST_SEARCH", 2.0)
+    for executor in (Never(), Silent()):
+        servo = Servo(backhoe, site(backhoe), DT)
+        follower = PlanFollower(servo, smooth_motion(), executor=executor)
+        followed(follower, 300)
+        servo.add(placed(backhoe, "ball"))
+        steps = followed(follower, 12_000, until=lambda step: step.status is Following.BLOCKED)
+        assert steps[-1].reason.startswith("planning failed: no answer ")
+        servo.remove("ball")
+        assert followed(follower, 6000)[-1].done
+
+
+def test_a_plan_for_other_joints_is_refused(backhoe: Robot, planar4: Robot) -> None:
+    joints = dict(zip(planar4.joint_names, [0.3, 0.4, 0.5, 0.2], strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [1.5, 1.5, 0.0]}}}
+    plan = bp.plan(planar4, bp.scene_from_dict(content))
+    with pytest.raises(bp.InputError, match="for other joints"):
+        PlanFollower(Servo(backhoe, site(backhoe), DT), plan)

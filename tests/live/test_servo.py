@@ -1,0 +1,687 @@
+"""The servo: no wish drives it into anything, and no wish stops it for good."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+import backhoe_planner as bp
+from backhoe_planner.law.completed import CompletedLaw, activation
+from backhoe_planner.live.braking.braking_path import BrakingPath, Placements, bend
+from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.recovery.violation_descent import way_back
+from backhoe_planner.live.servo.feedback import Feedback
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.live.servo.servo_state import Command, Status
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.obstacles import build_obstacles
+from backhoe_planner.site.proximity import Nearby, Proximity
+
+Vector = NDArray[np.float64]
+
+STANDING = [0.0, 0.3, -0.9, -0.5]  # the tip at (4.74, 0, -0.66)
+POST = {"name": "post", "shape": "capsule", "radius": 0.15, "from": [4.2, 1.5, -2.0], "to": [4.2, 1.5, 3.0]}
+BALL = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.5, -1.5, 0.0]}
+
+
+def site(robot: Robot, obstacles: list[dict[str, Any]], q: list[float] | None = None, **more: Any) -> bp.Scene:
+    return bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(robot.joint_names, q or STANDING, strict=True))},
+            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+            "clearance": 0.05,
+            "obstacles": obstacles,
+            **more,
+        }
+    )
+
+
+def least_margin(robot: Robot, scene: bp.Scene, q: Vector) -> float:
+    """Of all pairs, by Proximity, which shares nothing with the servo but coal."""
+    proximity = Proximity(robot, build_obstacles(scene, robot))
+    return float(np.min(proximity.distances(q) - proximity.clearance))
+
+
+# --- the braking path ---------------------------------------------------------------------
+
+
+def test_braking_path_by_hand() -> None:
+    """0.4 rad/s at 0.5 rad/s^2 takes 0.8 s; with a step of 0.1 s: e = 0.4 * (0.1 + 0.4) = 0.2 rad; the other in
+    proportion."""
+    path = BrakingPath(
+        np.zeros(2), np.array([0.4, -0.2]), 0.1,
+        acceleration=[0.5, 1.0], furthest=[1.0, 1.0], turning=np.ones(2),
+    )  # fmt: skip
+    np.testing.assert_allclose(path.end, [0.2, -0.1], atol=1e-15)
+    assert path.time == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("v", [[0.4, -0.2, 0.1], [-0.1, 0.7, 0.3], [0.2, 0.1, -0.7]])
+def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
+    def end(rates: Vector) -> Vector:
+        return BrakingPath(
+            np.zeros(3), rates, 0.01,
+            acceleration=[0.5, 1.0, 1.5], furthest=[1.0] * 3, turning=np.ones(3),
+        ).end  # fmt: skip
+
+    D = BrakingPath(
+        np.zeros(3), np.array(v), 0.01,
+        acceleration=[0.5, 1.0, 1.5], furthest=[1.0] * 3, turning=np.ones(3),
+    ).D  # fmt: skip
+    numeric = np.array([(end(np.array(v) + step) - end(np.array(v) - step)) / 2e-6 for step in 1e-6 * np.eye(3)]).T
+    np.testing.assert_allclose(D, numeric, atol=1e-8)
+
+
+def test_braking_stays_on_the_path_that_was_proven() -> None:
+    """Step by step, in proportion, it ends before e and never leaves the line."""
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        v, acceleration, dt = rng.normal(size=4), rng.uniform(0.3, 3.0, 4), 0.001
+        path = BrakingPath(
+            np.zeros(4), v, 0.0, acceleration=acceleration.tolist(), furthest=[1.0] * 4, turning=np.ones(4)
+        )
+        q, rates = np.zeros(4), v.copy()
+        while np.any(rates):
+            time = float(np.max(np.abs(rates) / acceleration))
+            slower = rates * max(1.0 - dt / time, 0.0)
+            assert np.all(np.abs(slower - rates) <= acceleration * dt * (1.0 + 1e-9))
+            rates = slower
+            q = q + rates * dt
+        part = q / path.end
+        np.testing.assert_allclose(part, part[0], rtol=1e-9)
+        assert 0.0 <= part[0] <= 1.0
+
+
+def test_no_point_bends_more_than_said(backhoe: Robot) -> None:
+    """Corners of every piece deviate from the chord by at most bend / 8, over random motions."""
+    rng = np.random.default_rng(4)
+    separation = Separation(backhoe, self_collision=False)
+    obstacle = build_obstacles(site(backhoe, [BALL]), backhoe)[0]
+    pairs = separation.add(0, obstacle)
+    at = Placements(backhoe, 3)
+    most = 0.0
+    for _ in range(200):
+        q, delta = backhoe.random_q(rng), rng.normal(size=4) * 0.3
+        for sample in range(3):
+            at.place(sample, q + 0.5 * sample * delta)
+        separation.normal[pairs] = rng.normal(size=3)
+        separation.normal[pairs] /= np.linalg.norm(separation.normal[pairs[0]])
+        separation.offset[pairs] = 0.0
+        gaps = separation.gaps(pairs, at, 3)
+        off = np.abs(gaps[1] - 0.5 * (gaps[0] + gaps[2])).max(axis=1)
+        bound = bend(separation.travel, delta, separation.turning)[separation.classes[pairs]] / 8.0
+        assert np.all(off <= bound + 1e-12)
+        most = max(most, float(np.max(off / bound)))
+    assert most > 0.2  # the bound is not idle
+
+
+# --- planes ---------------------------------------------------------------------------------
+
+
+def test_gaps_are_coals_distance_where_measured_and_never_more_elsewhere(any_robot: Robot) -> None:
+    rng = np.random.default_rng(5)
+    reach = 4.0 if any_robot.n == 4 else 0.8
+    obstacles: list[dict[str, Any]] = [
+        {"name": "ball", "shape": "sphere", "radius": 0.1 * reach, "position": [0.6 * reach, 0.2 * reach, 0.0]},
+        {"name": "box", "shape": "box", "size": [0.2 * reach] * 3, "position": [-0.5 * reach, 0.3, 0.1]},
+        {"name": "post", "shape": "capsule", "radius": 0.1, "from": [0.0, reach, -1.0], "to": [0.2, reach, 1.0]},
+        {"name": "floor", "shape": "halfspace", "point": [0.0, 0.0, -reach], "normal": [0.1, 0.0, 1.0]},
+    ]
+    scene = site(any_robot, obstacles, q=[0.0] * any_robot.n)
+    built = build_obstacles(scene, any_robot)
+    separation, proximity = Separation(any_robot), Proximity(any_robot, built)
+    for number, obstacle in enumerate(built):
+        separation.add(number, obstacle)
+    everything = np.arange(len(separation))
+    assert len(separation) == len(proximity.pairs)
+    at = Placements(any_robot, 1)
+    known: dict[tuple[int, int, int], float] = {}
+    touched = 0
+    for _ in range(12):
+        q = any_robot.random_q(rng)
+        at.place(0, q)
+        before = separation.gaps(everything, at, 1)[0].min(axis=1)
+        found = np.array([separation.renew(pair, at, 0) for pair in everything.tolist()])
+        after = separation.gaps(everything, at, 1)[0].min(axis=1)
+        np.testing.assert_allclose(after, found, atol=2e-6)
+        assert np.all(before <= found + 2e-6)
+        np.testing.assert_allclose(np.sort(found), np.sort(proximity.distances(q)), atol=2e-6)
+        touched += int(np.sum(found < 0.0))
+        known.clear()
+    assert touched > 0
+
+
+def test_rows_against_central_differences(any_robot: Robot) -> None:
+    rng = np.random.default_rng(6)
+    reach = 4.0 if any_robot.n == 4 else 0.8
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1 * reach, "position": [0.6 * reach, 0.2 * reach, 0.0]}
+    separation = Separation(any_robot)
+    separation.add(0, build_obstacles(site(any_robot, [ball], q=[0.0] * any_robot.n), any_robot)[0])
+    pairs = np.arange(len(separation))
+    at, aside = Placements(any_robot, 1), Placements(any_robot, 1)
+    q = any_robot.random_q(rng)
+    at.place(0, q)
+    for pair in pairs.tolist():
+        separation.renew(pair, at, 0)
+    corner = separation.gaps(pairs, at, 1)[0].argmin(axis=1)
+    rows = separation.rows(pairs, np.zeros(len(pairs), dtype=np.intp), corner, at)
+    for joint in range(any_robot.n):
+        step = np.zeros(any_robot.n)
+        step[joint] = 1e-6
+        aside.place(0, q + step)
+        ahead = separation.gaps(pairs, aside, 1)[0][pairs, corner]
+        aside.place(0, q - step)
+        behind = separation.gaps(pairs, aside, 1)[0][pairs, corner]
+        np.testing.assert_allclose(rows[:, joint], -(ahead - behind) / 2e-6, atol=1e-7)
+
+
+def test_a_path_is_never_said_to_be_clearer_than_it_is(backhoe: Robot) -> None:
+    """The proven bound against 60 configurations along the path, measured one by one."""
+    rng = np.random.default_rng(7)
+    scene = site(backhoe, [POST, BALL, {"name": "box", "shape": "box", "size": [1, 1, 1], "position": [3, 0.5, 1]}])
+    built = build_obstacles(scene, backhoe)
+    separation, proximity = Separation(backhoe, self_collision=False), Proximity(backhoe, built, self_collision=False)
+    for number, obstacle in enumerate(built):
+        separation.add(number, obstacle)
+    pairs = np.arange(len(separation))
+    at = Placements(backhoe, 9)
+    tightest = np.inf
+    for _ in range(25):
+        v = rng.uniform(-1.0, 1.0, 4) * backhoe.limits.velocity
+        path = BrakingPath(
+            backhoe.random_q(rng), v, 0.001,
+            acceleration=backhoe.limits.acceleration.tolist(), furthest=separation.furthest, turning=separation.turning,
+        )  # fmt: skip
+        at.place(0, path.q)
+        path.place(at)
+        for pair in pairs.tolist():
+            separation.renew(pair, at, 0)
+        bound, _ = separation.least_on(pairs, path, at, 0.0)
+        true = np.min([proximity.distances(path.q + s * path.delta) for s in np.linspace(0.0, 1.0, 60)], axis=0)
+        assert np.all(bound <= true + 2e-6)
+        for pair in pairs.tolist():
+            closer = separation.closer_look(pair, path, at, 0.0)
+            assert closer <= true[pair] + 2e-6
+            tightest = min(tightest, float(true[pair] - closer))
+    assert tightest < 0.01
+
+
+# --- one invariant ---------------------------------------------------------------------------
+
+
+def pushed(servo: Servo, wish: dict[str, Any], steps: int) -> list[Any]:
+    return [servo.step(**wish) for _ in range(steps)]
+
+
+def keeps_limits(servo: Servo, states: list[Any], before: Vector) -> None:
+    limits = servo.limits
+    for state in states:
+        assert np.all(np.abs(state.v - before) <= limits.acceleration * servo.dt * (1.0 + 1e-9))
+        assert np.all(np.abs(state.v) <= limits.velocity * (1.0 + 1e-9))
+        assert np.all(state.q <= limits.upper + 1e-9)
+        assert np.all(state.q >= limits.lower - 1e-9)
+        before = state.v
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_wish_drives_it_into_anything(backhoe: Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wall = {"name": "wall", "shape": "box", "size": [0.2, 6.0, 4.0], "position": [5.2, 0.0, 0.0], "rpy": [0, 0, 0.2]}
+    scene = site(backhoe, [POST, BALL, wall])
+    servo = Servo(backhoe, scene)
+    proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
+    wish: dict[str, Any] = {}
+    closest = np.inf
+    for step in range(4000):
+        if step % 250 == 0:
+            if rng.integers(2):
+                wish = {"tip_velocity": rng.normal(size=3) * 1.5}
+            else:
+                wish = {"joint_velocity": rng.uniform(-2, 2, 4)}
+        before = servo.v
+        state = servo.step(**wish)
+        keeps_limits(servo, [state], before)
+        if step % 5 == 0:
+            margin = float(np.min(proximity.distances(state.q) - proximity.clearance))
+            assert margin >= -1e-6
+            assert state.margin <= margin + 2e-6 or margin > 0.2
+            closest = min(closest, margin)
+    assert closest < 0.05
+
+
+def test_driven_at_full_speed_into_a_post_it_stops_before_it(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe, [POST]))
+    states = pushed(servo, {"joint_velocity": [0.8, 0.0, 0.0, 0.0]}, 3000)
+    keeps_limits(servo, states, np.zeros(4))
+    assert max(state.v[0] for state in states) > 0.3
+    margin = least_margin(backhoe, site(backhoe, [POST]), states[-1].q)
+    assert 0.0 <= margin < 0.01
+    assert abs(states[-1].v[0]) < 0.01
+    assert states[-1].status in (Status.STOPPED, Status.SLIDING)
+    assert states[-1].obstacle == "post"
+
+
+def test_pushed_askew_into_a_wall_it_slides_along(backhoe: Robot) -> None:
+    """A wall across y: the wish's part along the wall goes on, the part into it does not."""
+    wall = {"name": "wall", "shape": "halfspace", "point": [0.0, 0.8, 0.0], "normal": [0.0, -1.0, 0.0]}
+    servo = Servo(backhoe, site(backhoe, [wall]))
+    states = pushed(servo, {"tip_velocity": [-0.3, 0.4, 0.0]}, 2500)
+    assert states[-1].status is Status.SLIDING
+    assert states[-1].tip_velocity[0] < -0.2
+    assert abs(states[-1].tip_velocity[1]) < 0.05
+    assert states[-1].feedback_force[1] < -5.0
+    assert least_margin(backhoe, site(backhoe, [wall]), states[-1].q) >= -1e-6
+
+
+def test_where_asked_for_it_goes_round(backhoe: Robot) -> None:
+    """Straight into a ball it stops; with circulation it comes past."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.4, "position": [4.5, 0.7, -0.6]}
+    after = {}
+    for circulate in (False, True):
+        servo = Servo(backhoe, site(backhoe, [ball], q=[-0.2, 0.3, -0.9, -0.5]), circulate=circulate)
+        states = pushed(servo, {"tip_velocity": [0.0, 0.4, 0.0]}, 9000)
+        after[circulate] = states[-1].tip_position[1]
+        assert least_margin(backhoe, site(backhoe, [ball]), states[-1].q) >= -1e-6
+    assert after[True] > 1.0
+    assert after[True] > after[False]
+
+
+def test_a_flat_wall_makes_no_chatter(backhoe: Robot) -> None:
+    """Pressed flat against a wall, the joints' rates change smoothly: no witness jumps from edge to edge."""
+    wall = {"name": "wall", "shape": "box", "size": [0.2, 8.0, 8.0], "position": [5.2, 0.0, 0.0]}
+    servo = Servo(backhoe, site(backhoe, [wall]))
+    states = pushed(servo, {"tip_velocity": [0.5, 0.0, 0.0]}, 4000)
+    v = np.array([state.v for state in states])[1500:]
+    window = np.ones(51) / 51.0
+    smooth = np.array([np.convolve(joint, window, mode="valid") for joint in v.T]).T
+    assert np.max(np.abs(v[25:-25] - smooth)) < 0.02
+    assert least_margin(backhoe, site(backhoe, [wall]), states[-1].q) >= -1e-6
+
+
+# --- obstacles come and go -------------------------------------------------------------------
+
+
+def test_what_appears_in_the_way_is_not_touched(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe, []))
+    pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 500)
+    servo.add(POST)
+    states = pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 3000)
+    assert list(servo.obstacles) == ["post"]
+    margins = [least_margin(backhoe, site(backhoe, [POST]), state.q) for state in states[::50]]
+    assert min(margins) >= -1e-6
+    assert min(margins) < 0.01
+    servo.remove("post")
+    assert len(servo.obstacles) == 0
+    assert pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 200)[-1].v[0] > 0.05
+
+
+def test_it_evades_what_comes_nearer_with_no_wish_at_all(backhoe: Robot) -> None:
+    """A ball comes at the stick from the side at 0.15 m/s for 8 s: the arm swings away before it."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [3.2, -1.2, 0.6], "velocity": [0, 0.15, 0]}
+    servo = Servo(backhoe, site(backhoe, [ball]))
+    evading = 0
+    robot_alone = Proximity(backhoe, build_obstacles(site(backhoe, [ball]), backhoe))
+    for _ in range(8000):
+        state = servo.step()
+        evading += state.status is Status.EVADING
+        if _ % 20 == 0:
+            assert np.min(robot_alone.distances(state.q, time=servo.time) - robot_alone.clearance) > -1e-3
+    assert evading > 100
+    final = robot_alone.distances(np.array(STANDING), time=servo.time) - robot_alone.clearance
+    assert np.min(final) < -0.05  # had it stayed where it was
+    np.testing.assert_allclose(servo.shift_of("ball"), [0.0, 1.2, 0.0], atol=1e-9)
+
+
+def test_moving_an_obstacle_moves_it(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe, [BALL]))
+    servo.move("ball", [0.0, 0.6, 0.0])
+    servo.step()
+    moved = dict(BALL, position=[4.5, -0.9, 0.0])
+    states = pushed(servo, {"joint_velocity": [-0.8, 0, 0, 0]}, 2500)
+    margins = [least_margin(backhoe, site(backhoe, [moved]), state.q) for state in states[::100]]
+    assert 0.0 <= min(margins) < 0.1
+
+
+def test_a_scan_is_an_obstacle_and_is_replaced_by_the_next(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe, []))
+    cloud = np.random.default_rng(1).uniform(-0.3, 0.3, (300, 3))
+    servo.add_points("scan", cloud + np.array([4.4, 3.0, -0.5]), resolution=0.1)
+    servo.add_points("scan", cloud + np.array([4.4, 1.1, -0.5]), resolution=0.1)
+    assert list(servo.obstacles) == ["scan"]
+    states = pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 2000)
+    near = [state.margin for state in states if state.obstacle == "scan"]
+    assert 0.0 <= min(near) < 0.05
+    servo.add_points("scan", np.zeros((0, 3)))
+    assert len(servo.obstacles) == 0
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda servo: servo.add(dict(BALL)),
+        lambda servo: servo.add({"name": "x", "shape": "bal"}),
+        lambda servo: servo.remove("nothing"),
+        lambda servo: servo.move("ball", [1.0, np.nan, 0.0]),
+        lambda servo: servo.set_velocity("ball", [1.0]),
+        lambda servo: servo.add_points("scan", [[1.0, 2.0]]),
+    ],
+)
+def test_misuse_of_obstacles_is_said(backhoe: Robot, call: Any) -> None:
+    with pytest.raises(bp.InputError):
+        call(Servo(backhoe, site(backhoe, [BALL])))
+
+
+# --- the way back ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_from_outside_a_limit_the_violation_shrinks_at_every_step(backhoe: Robot, side: float) -> None:
+    limits = backhoe.limits
+    q = np.array(STANDING)
+    q[3] = limits.upper[3] + 0.1 if side > 0 else limits.lower[3] - 0.1
+    servo = Servo(backhoe, site(backhoe, []), q=q)
+    outside = 0.1
+    for _ in range(8000):
+        state = servo.step(joint_velocity=[0.0, 0.0, 0.0, side])
+        now = float(max(state.q[3] - limits.upper[3], limits.lower[3] - state.q[3]))
+        if outside <= 0.0:
+            assert now <= 1e-9
+        else:
+            assert now < outside
+        outside = now
+    assert outside <= 0.0
+
+
+@pytest.mark.parametrize("depth", [0.02, 0.1, 0.2])
+def test_from_inside_an_obstacle_the_violation_shrinks_at_every_step(backhoe: Robot, depth: float) -> None:
+    clear = bp.Kinematics(backhoe).at(np.array(STANDING)).tip_position
+    centre = (clear + np.array([0.0, 0.0, depth - 0.3])).tolist()
+    scene = site(backhoe, [{"name": "ball", "shape": "sphere", "radius": 0.3, "position": centre}])
+    servo = Servo(backhoe, scene)
+    proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
+    before = float(np.min(proximity.distances(servo.q) - proximity.clearance))
+    assert before < -depth
+    for _ in range(6000):
+        state = servo.step([0.0, 0.0, -0.3])  # further in
+        now = float(np.min(proximity.distances(state.q) - proximity.clearance))
+        if before < -1e-6:
+            assert now > before
+        else:
+            assert now >= -1e-6
+            break
+        before = now
+    assert now >= -1e-6
+
+
+def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity]:
+    """A random posture with a random obstacle over one of its joints or its tip."""
+    rng = np.random.default_rng([seed, 7])
+    alone, kinematics = Proximity(robot), bp.Kinematics(robot)
+    while True:
+        q = robot.random_q(rng)
+        if np.any(alone.distances(q) < 0.02):
+            continue
+        part = rng.uniform(0.4, 1.0)
+        place = (part * kinematics.at(q).tip_position + rng.normal(size=3) * 0.3).tolist()
+        obstacle: dict[str, Any] = [
+            {"shape": "sphere", "radius": float(rng.uniform(0.1, 0.5)), "position": place},
+            {"shape": "box", "size": rng.uniform(0.1, 1.2, 3).tolist(), "position": place, "rpy": [0.3, 0.2, seed]},
+            {"shape": "capsule", "radius": 0.1, "from": place, "to": (np.array(place) + rng.normal(size=3)).tolist()},
+        ][seed % 3]
+        scene = site(robot, [{"name": "thing", **obstacle}], q=q.tolist())
+        proximity = Proximity(robot, build_obstacles(scene, robot))
+        if -0.3 < float(np.min(proximity.distances(q) - proximity.clearance)) < -0.03:
+            return q, scene, proximity
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: Robot, seed: int) -> None:
+    q, scene, proximity = started_inside(backhoe, seed)
+    rng = np.random.default_rng(seed)
+    wish = {"tip_velocity": rng.normal(size=3)} if seed % 2 else {"joint_velocity": rng.uniform(-1, 1, 4)}
+    servo = Servo(backhoe, scene)
+    before = float(np.max(proximity.clearance - proximity.distances(q)))
+    v = np.zeros(4)
+    for _ in range(10_000):
+        state = servo.step(**wish)
+        now = float(np.max(proximity.clearance - proximity.distances(state.q)))
+        assert now < before
+        assert np.all(np.abs(state.v - v) <= backhoe.limits.acceleration * servo.dt * (1.0 + 1e-9))
+        v, before = state.v, now
+        if now <= 1e-6:
+            break
+    assert before <= 1e-6
+
+
+def test_a_post_through_the_machines_own_foot_never_gets_deeper(backhoe: Robot) -> None:
+    """A post up through the middle of the swing's body: whatever is wished, no step makes it more."""
+    post = {"name": "post", "shape": "capsule", "radius": 0.1, "from": [0.3, 0, -1.0], "to": [0.3, 0, 2.0]}
+    scene = site(backhoe, [post])
+    proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
+    servo = Servo(backhoe, scene)
+    deepest = [float(np.max(proximity.clearance - proximity.distances(servo.q)))]
+    for _ in range(3000):
+        state = servo.step([0.5, 0.5, 0.5])
+        deepest.append(float(np.max(proximity.clearance - proximity.distances(state.q))))
+    assert deepest[0] > 0.1
+    assert np.max(np.diff(deepest)) <= 0.0
+    assert deepest[-1] < deepest[0] - 0.02
+
+
+def test_the_way_back_is_the_best_there_is() -> None:
+    """Against a linear programme in (v, t), where no limit on the speed and no other row takes part."""
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        rows, slack = rng.normal(size=(6, 4)), rng.uniform(0.0, 0.2, 6)
+        low, high = -rng.uniform(0.0005, 0.5, 4), rng.uniform(0.0005, 0.5, 4)
+        found = way_back(
+            rows, slack, target=rng.normal(size=4), low=low, high=high, fastest=10.0,
+            soft_rows=np.zeros((0, 4)), soft_bounds=np.zeros(0),
+        )  # fmt: skip
+        best = linprog(
+            [0.0, 0.0, 0.0, 0.0, -1.0], A_ub=np.hstack((rows, np.ones((6, 1)))), b_ub=slack,
+            bounds=[*zip(low, high, strict=True), (None, None)],
+        )  # fmt: skip
+        assert found is not None
+        v, speed = found
+        assert np.all(rows @ v + speed <= slack + 1e-6)
+        scale = float(np.max(np.abs(rows) @ np.maximum(-low, high)))
+        assert speed == pytest.approx(best.x[4], abs=0.02 * scale)
+
+
+def test_gradients_of_inside_pairs_against_central_differences(backhoe: Robot) -> None:
+    checked = 0
+    for seed in range(0, 30, 3):  # round things, whose distance is smooth
+        q, scene, _ = started_inside(backhoe, seed)
+        separation = Separation(backhoe, self_collision=False)
+        pairs = separation.add(0, build_obstacles(scene, backhoe)[0])
+        at = Placements(backhoe, 1)
+
+        def distances(where: Vector, separation: Separation = separation, at: Any = at, pairs: Any = pairs) -> Vector:
+            at.place(0, where)
+            return np.array([separation.measure(pair, at, 0)[0] for pair in pairs.tolist()])
+
+        at.place(0, q)
+        found, falls = separation.gradients(pairs, at, 0)
+        numeric = np.array([(distances(q - step) - distances(q + step)) / 2e-5 for step in 1e-5 * np.eye(4)]).T
+        smooth = np.abs(distances(q + 1e-5) + distances(q - 1e-5) - 2.0 * found) < 1e-7
+        np.testing.assert_allclose(falls[smooth], numeric[smooth], atol=2e-3)
+        checked += int(np.sum(smooth & (found < 0.0)))
+    assert checked > 5
+
+
+# --- commands ------------------------------------------------------------------------------------
+
+
+def test_without_a_command_it_stops_within_its_accelerations_and_goes_on_after(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe, []), watchdog=0.1)
+    states = pushed(servo, {"joint_velocity": [0.3, 0.0, 0.0, 0.2]}, 800)
+    before = states[-1].v
+    states = pushed(servo, {}, 1500)
+    keeps_limits(servo, states, before)
+    assert states[50].command is Command.HELD
+    assert states[50].v[0] == pytest.approx(0.3)
+    assert states[-1].command is Command.TIMED_OUT
+    assert states[-1].status is Status.STOPPED
+    np.testing.assert_allclose(states[-1].v, 0.0, atol=1e-9)
+    state = pushed(servo, {"joint_velocity": [0.3, 0.0, 0.0, 0.2]}, 700)[-1]
+    assert state.command is Command.NEW
+    assert state.v[0] == pytest.approx(0.3)
+
+
+NONSENSE: list[dict[str, Any]] = [
+    {"tip_velocity": [np.nan, 0.0, 0.0]},
+    {"tip_velocity": [np.inf, 0.0, 0.0]},
+    {"tip_velocity": [1.0, 2.0]},
+    {"tip_velocity": "fast"},
+    {"tip_velocity": object()},
+    {"tip_velocity": [[1.0, 0.0, 0.0]]},
+    {"tip_velocity": [0.1, 0.0, 0.0], "joint_velocity": [0.1, 0.0, 0.0, 0.0]},
+    {"joint_velocity": [1.0]},
+    {"pitch_rate": 0.1},
+    {"tip_velocity": [0.1, 0.0, 0.0], "pitch_rate": "up"},
+    {"tip_velocity": {"x": 1.0}},
+]
+
+
+@pytest.mark.parametrize("wish", NONSENSE)
+def test_nonsense_counts_as_no_command(backhoe: Robot, wish: dict[str, Any]) -> None:
+    servo = Servo(backhoe, site(backhoe, [BALL]), watchdog=0.05)
+    pushed(servo, {"joint_velocity": [0.2, 0.0, 0.0, 0.0]}, 300)
+    states = pushed(servo, wish, 1000)
+    assert {state.command for state in states} == {Command.INVALID}
+    assert np.all(np.isfinite([state.q for state in states]))
+    np.testing.assert_allclose(states[-1].v, 0.0, atol=1e-9)
+
+
+@given(st.lists(st.floats(allow_nan=True, allow_infinity=True), min_size=0, max_size=5))
+def test_nothing_is_raised_whatever_is_wished(values: list[float]) -> None:
+    servo = _SHARED()
+    state = servo.step(values)
+    assert np.all(np.isfinite(state.q))
+    assert np.all(np.isfinite(state.feedback_force))
+
+
+def _SHARED(made: list[Servo] = []) -> Servo:  # noqa: B006
+    if not made:
+        robot = bp.load_robot("example:backhoe")
+        made.append(Servo(robot, site(robot, [BALL, POST])))
+    return made[0]
+
+
+def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    servo = Servo(backhoe, site(backhoe, [POST]))
+    moving = pushed(servo, {"tip_velocity": [0.0, 0.6, 0.2]}, 900)[-1]
+
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(servo._tip.law, "wish_with_one_spare", fails)
+    states = pushed(servo, {"tip_velocity": [0.0, 0.6, 0.2]}, 1500)
+    keeps_limits(servo, states, moving.v)
+    assert not any(state.proven for state in states)
+    np.testing.assert_allclose(states[-1].v, 0.0, atol=1e-9)
+    assert least_margin(backhoe, site(backhoe, [POST]), states[-1].q) >= -1e-6
+    monkeypatch.undo()
+    assert pushed(servo, {"tip_velocity": [0.0, -0.3, 0.0]}, 900)[-1].tip_velocity[1] < -0.1
+
+
+def test_activation_row_by_row_is_activation(backhoe: Robot) -> None:
+    law = CompletedLaw(backhoe, influence=0.3)
+    margins = np.linspace(-0.1, 0.5, 61)
+    expected = activation(margins, law.unity, law.influence)
+    np.testing.assert_allclose([law._activation(margin) for margin in margins.tolist()], expected, atol=1e-15)
+
+
+def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
+    """The closed form against the general one, near limits and obstacles too; both ways out of it are met."""
+    rng = np.random.default_rng(12)
+    law, kinematics = CompletedLaw(backhoe, influence=0.3), bp.Kinematics(backhoe)
+    faster = bent = 0
+    for _ in range(500):
+        at = kinematics.at(backhoe.random_q(rng))
+        J, xdot, count = at.jacobian[:3], rng.normal(size=3), int(rng.integers(0, 6))
+        nearby = Nearby(
+            pair=np.arange(count), distance=np.zeros(count), margin=rng.uniform(-0.05, 0.4, count),
+            normal=np.zeros((count, 3)), point_link=np.zeros((count, 3)), point_obstacle=np.zeros((count, 3)),
+            gradient=rng.normal(size=(count, 4)), drift=rng.normal(size=count) * 0.1,
+            moves=np.zeros((count, count), dtype=bool),
+        )  # fmt: skip
+        plain, found = law.wish(at, J, xdot, nearby), law.wish_with_one_spare(at.q, J, xdot, nearby)
+        if found is None:
+            continue
+        assert plain.resolved.damping == 0.0
+        np.testing.assert_allclose(found[0], plain.v, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(found[1], plain.null, rtol=1e-8, atol=1e-8)
+        faster += 1
+        bent += bool(np.abs(plain.null).max() > 1e-3)
+    assert faster > 300
+    assert bent > 200
+    stretched = kinematics.at(np.array([0.0, 0.3, -0.2, 0.0]))
+    flat = stretched.jacobian[:3].copy()
+    flat[1] = 0.0
+    assert law.wish_with_one_spare(stretched.q, flat, np.ones(3), nearby) is None
+    assert law.wish_with_one_spare(stretched.q, flat[:2], np.ones(2), nearby) is None
+
+
+def test_a_tip_that_is_wished_somewhere_goes_there(backhoe: Robot) -> None:
+    servo = Servo(backhoe, site(backhoe, []))
+    state = pushed(servo, {"tip_velocity": [0.1, 0.1, 0.05], "pitch_rate": 0.05}, 1500)[-1]
+    np.testing.assert_allclose(state.tip_velocity, [0.1, 0.1, 0.05], atol=2e-3)
+    assert float(np.sum(state.v[1:])) == pytest.approx(0.05, abs=2e-3)
+    assert state.status is Status.OK
+    np.testing.assert_allclose(state.feedback_force, 0.0, atol=0.2)
+
+
+def test_a_planar_arm_is_driven_in_its_plane(planar4: Robot) -> None:
+    servo = Servo(planar4, site(planar4, [], q=[0.3, 0.5, 0.4, 0.3]), self_collision=False)
+    state = pushed(servo, {"tip_velocity": [0.1, -0.1, 0.3]}, 1000)[-1]
+    np.testing.assert_allclose(state.tip_velocity, [0.1, -0.1, 0.0], atol=2e-3)
+
+
+# --- force -------------------------------------------------------------------------------------
+
+
+def test_the_force_resists_what_is_refused_and_is_bounded() -> None:
+    feedback = Feedback(0.001, largest=30.0)
+    force = np.zeros(3)
+    for _ in range(200):
+        force = feedback.next(np.array([0.4, 0.0, 0.0]), np.array([0.4, 0.0, 0.0]), np.zeros(3), 0.0)
+    assert -30.0 < force[0] < -15.0
+    for _ in range(200):
+        force = feedback.next(np.array([90.0, 0.0, 0.0]), np.array([90.0, 0.0, 0.0]), np.zeros(3), 0.0)
+    assert np.linalg.norm(force) <= 30.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_force_never_feeds_energy_to_the_hand(seed: int) -> None:
+    """Random motions of a hand that return to where they began, random refusals: the work is never above 1e-6 J."""
+    rng = np.random.default_rng(seed)
+    feedback = Feedback(0.001)
+    work, force, felt = 0.0, np.zeros(3), 0.0
+    for step in range(20_000):
+        phase = 2.0 * np.pi * step / 1000.0
+        hand = np.array([np.cos(phase), np.sin(2.0 * phase), np.cos(3.0 * phase)])
+        work += 0.001 * float(force @ hand)
+        assert work <= 1e-6
+        normal = rng.normal(size=3)
+        force = feedback.next(hand, rng.normal(size=3), normal / np.linalg.norm(normal), rng.uniform())
+        felt = max(felt, float(np.linalg.norm(force)))
+    assert felt > 5.0
+
+
+def test_status_and_command_names_are_words() -> None:
+    assert [status.value for status in Status] == [
+        "ok", "near_singularity", "near_limit", "near_obstacle", "sliding", "stopped", "evading",
+    ]  # fmt: skip
+    assert len(set(itertools.chain(Status, Command))) == 11

@@ -1,0 +1,147 @@
+"""What the servo makes of a wish that joint limits or a surface leave only a part of."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.live.servo.servo_state import ServoState, Status
+from backhoe_planner.machine.robot import Robot
+
+ONE_HINGE = """<robot name="gate">
+<link name="post"><collision><geometry><box size="0.3 0.3 0.1"/></geometry></collision></link>
+<link name="bar"><inertial><origin xyz="0 0 0.5"/><mass value="2"/>
+<inertia ixx="0.05" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><origin xyz="0 0 0.5"/><geometry><box size="0.08 0.08 1"/></geometry></collision></link>
+<joint name="hinge" type="revolute"><parent link="post"/><child link="bar"/><origin xyz="0 0 0.2"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="1" effort="500"/></joint>
+<link name="tip"/><joint name="end" type="fixed"><parent link="bar"/><child link="tip"/><origin xyz="0 0 1"/></joint>
+</robot>
+"""
+
+
+def standing(robot: Robot, q: object, **more: object) -> Servo:
+    joints = dict(zip(robot.joint_names, np.asarray(q, dtype=float).tolist(), strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [4.0, 0.0, 0.0]}}}
+    return Servo(robot, bp.scene_from_dict({**content, "clearance": 0.05, **more}), dt=0.004)
+
+
+def driven(servo: Servo, wish: object, seconds: float) -> list[ServoState]:
+    return [servo.step(wish) for _ in range(round(seconds / servo.dt))]
+
+
+def test_a_joint_at_its_limit_does_not_let_the_others_run_away(backhoe: Robot) -> None:
+    """The stick at its limit, "in" is wished: the boom alone would let the tip fall at more than twice the speed."""
+    servo = standing(backhoe, [0.0, -0.55, -0.1745, 0.68])
+    states = driven(servo, [-0.6, 0.0, 0.0], 2.5)
+    assert max(float(np.linalg.norm(state.tip_velocity)) for state in states) <= 0.6 * 1.02
+    assert states[-1].tip_position[0] < states[0].tip_position[0] - 0.2
+
+
+def test_wishes_are_followed_better_than_by_standing_still(backhoe: Robot) -> None:
+    """Zero is always among the velocities to choose from, so that the nearest one is never farther from the wish.
+
+    Nor faster: of a convex set that holds 0, the nearest point to a wish is no longer than the wish. Half a second is
+    left for what was begun in other directions to be braked.
+    """
+    rng = np.random.default_rng(5)
+    followed = 0
+    for _ in range(16):
+        while True:
+            q = backhoe.random_q(rng)
+            if bp.Proximity(backhoe).distances(q).min() > 0.05:
+                break
+        wish = rng.normal(size=3)
+        wish *= 0.6 / np.linalg.norm(wish)
+        for state in driven(standing(backhoe, q), wish, 1.5)[125:]:
+            assert np.linalg.norm(state.tip_velocity) <= 0.6 * 1.05
+            assert np.linalg.norm(state.tip_velocity - wish) <= 0.6 * 1.05
+            followed += bool(np.linalg.norm(state.tip_velocity - wish) < 0.06)
+    assert followed > 1000
+
+
+def test_stretched_out_and_pulled_on_it_comes_to_rest(backhoe: Robot) -> None:
+    """The bucket does not pump to and fro for a tip that cannot go any further."""
+    servo = standing(backhoe, [0.0, 0.1, -0.3, 0.0])
+    states = driven(servo, [0.6, 0.0, 0.0], 6.0)
+    bucket = np.array([state.v[3] for state in states])
+    turns = np.flatnonzero(np.diff(np.sign(bucket[np.abs(bucket) > 0.02])))
+    assert len(turns) <= 2
+    assert np.abs(states[-1].v).max() < 0.02
+
+
+def test_pressed_down_on_the_ground_it_stays_where_it_is(backhoe: Robot) -> None:
+    """With the stick on the ground a wish straight down leaves nothing to be done, and nothing is done."""
+    ground = {"name": "ground", "shape": "halfspace", "point": [0, 0, 0], "normal": [0, 0, 1], "clearance": 0.0}
+    servo = standing(backhoe, [0.0, 0.66, -2.0, -0.2], obstacles=[{**ground, "links": ["stick"]}])
+    states = driven(servo, [0.0, 0.0, -0.4], 6.0)
+    touching = [state for state in states if state.margin < 0.01]
+    assert len(touching) > 500
+    late = states[-500:]
+    assert np.ptp([state.tip_position[0] for state in late]) < 0.05
+    assert max(float(np.linalg.norm(state.tip_velocity - [0.0, 0.0, -0.4])) for state in late) <= 0.41
+    assert max(float(np.linalg.norm(state.tip_velocity)) for state in late) < 0.02
+    assert late[-1].status in (Status.SLIDING, Status.STOPPED)
+
+
+def test_one_joint_is_driven_up_to_a_ball_and_back(tmp_path: Path) -> None:
+    """A bar of 1 m on a hinge 0.2 m up; the ball is half a metre out and up from there."""
+    (tmp_path / "gate.urdf").write_text(ONE_HINGE)
+    robot = bp.load_robot(tmp_path / "gate.urdf")
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.05, "position": [0.5, 0.0, 0.7]}
+    servo = standing(robot, [0.0], obstacles=[ball])
+    forth = driven(servo, [0.3, 0.0, 0.0], 12.0)
+    # the bar's long side is 0.04 m from its middle line, and 0.05 + 0.05 m are to be kept
+    touching = 0.25 * math.pi - math.asin((0.04 + 0.05 + 0.05) / math.hypot(0.5, 0.5))
+    assert touching - 0.05 < forth[-1].q[0] <= touching
+    back = driven(servo, [-0.3, 0.0, 0.0], 3.0)
+    assert servo.last_error is None
+    assert back[-1].q[0] < forth[-1].q[0] - 0.3
+
+
+def test_the_work_of_a_step_is_bounded_however_much_is_near(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall of a thousand voxels, long steps: all of it may be met in one, and only the tightest rows are kept."""
+    import daqp
+
+    most = 0
+    solve = daqp.solve
+
+    def counted(H: np.ndarray, f: np.ndarray, A: np.ndarray, *rest: object) -> object:
+        nonlocal most
+        most = max(most, len(A))
+        return solve(H, f, A, *rest)
+
+    monkeypatch.setattr(daqp, "solve", counted)
+    servo = standing(backhoe, [0.0, 0.3, -0.9, -0.5])
+    rng = np.random.default_rng(2)
+    cloud = np.array([3.6, 0.9, -1.6]) + rng.uniform(0.0, 1.0, (600, 3)) * [1.8, 0.6, 1.6]
+    slow = Servo(backhoe, servo.scene, dt=0.05)
+    slow.add_points("rubble", cloud, resolution=0.05)
+    for _ in range(60):
+        slow.step([0.1, 0.5, 0.0])
+    assert slow.last_error is None
+    assert 100 < most < 4000
+
+
+def test_joints_that_share_a_pump_are_cut_back_together(backhoe: Robot) -> None:
+    """The rates of all joints may come to 0.4 rad/s: also where a post holds the swing and the others go on."""
+
+    def load(_: np.ndarray, v: np.ndarray) -> float:
+        return float(np.abs(v).sum()) / 0.4
+
+    post = {"name": "post", "shape": "capsule", "radius": 0.15, "from": [4.2, 1.5, -2.0], "to": [4.2, 1.5, 3.0]}
+    alone = standing(backhoe, [0.0, 0.3, -0.9, -0.5], obstacles=[post])
+    servo = Servo(backhoe, alone.scene, dt=0.004, load=load)
+    free, shared = driven(alone, [0.1, 0.8, 0.0], 4.0), driven(servo, [0.1, 0.8, 0.0], 4.0)
+    assert max(float(np.abs(state.v).sum()) for state in free) > 0.5
+    assert max(float(np.abs(state.v).sum()) for state in shared) < 0.42
+    assert min(state.margin for state in shared) >= 0.0
+    # the same way, only slower
+    along = np.array([state.tip_velocity for state in shared[200:400]])
+    np.testing.assert_allclose(along[:, 2], 0.0, atol=0.02)
+    assert np.all(along[:, 1] > 0.1)

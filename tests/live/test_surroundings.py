@@ -1,0 +1,160 @@
+"""Obstacles that come, go and move while the servo runs: what is known of them stays in order."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.machine.robot import Robot
+
+BALL = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.7, 1.6, -0.6]}
+
+
+@pytest.fixture
+def servo(backhoe: Robot) -> Servo:
+    joints = dict(zip(backhoe.joint_names, [0.0, 0.3, -0.9, -0.5], strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [4.0, 0.0, 0.0]}}}
+    return Servo(backhoe, bp.scene_from_dict({**content, "clearance": 0.05}), dt=0.005)
+
+
+def test_what_moves_can_be_taken_away_and_the_others_move_on(servo: Servo) -> None:
+    for number in range(6):
+        servo.add(
+            {**BALL, "name": f"ball {number}", "velocity": [0.0, 0.01 * number, 0.0], "position": [0, 9 + number, 0]}
+        )
+    servo.step()
+    for number in (0, 2, 5):
+        servo.remove(f"ball {number}")
+    state = servo.step([0.0, 0.1, 0.0])
+    assert servo.last_error is None
+    assert state.v.any()
+    assert servo.obstacles == ("ball 1", "ball 3", "ball 4")
+    np.testing.assert_allclose(servo.shift_of("ball 3"), [0.0, 2 * 0.005 * 0.03, 0.0], atol=1e-15)
+
+
+def test_what_no_link_minds_comes_and_goes_as_well(servo: Servo) -> None:
+    """The cab does not move, so the obstacle has no pairs."""
+    servo.add({**BALL, "name": "spectator", "links": ["cab"]})
+    servo.add(BALL)
+    servo.remove("ball")
+    servo.move("spectator", [0.0, 0.0, 1.0])
+    servo.set_velocity("spectator", [0.0, 0.0, 1.0])
+    servo.step()
+    np.testing.assert_allclose(servo.shift_of("spectator"), [0.0, 0.0, 1.005], atol=1e-12)
+    servo.remove("spectator")
+    servo.step()
+    assert servo.last_error is None
+    assert servo.obstacles == ()
+
+
+def test_what_has_not_appeared_yet_has_its_name_and_can_be_called_off(servo: Servo) -> None:
+    servo.add({**BALL, "appears_at": 0.02})
+    with pytest.raises(bp.InputError, match="of that name"):
+        servo.add(BALL)
+    with pytest.raises(bp.InputError, match="of that name"):
+        servo.add_points("ball", [[4.0, 3.0, 0.0]])
+    with pytest.raises(bp.InputError, match="has not appeared yet"):
+        servo.move("ball", [0.0, 0.0, 1.0])
+    servo.remove("ball")
+    for _ in range(8):
+        servo.step()
+    assert servo.obstacles == ()
+
+
+def test_only_a_scan_is_replaced_by_a_scan(servo: Servo) -> None:
+    servo.add(BALL)
+    with pytest.raises(bp.InputError, match="is no scan"):
+        servo.add_points("ball", np.zeros((0, 3)))
+    assert servo.obstacles == ("ball",)
+
+
+@pytest.mark.parametrize(
+    ("keys", "word"),
+    [
+        ({"clearance": math.nan}, "clearance"),
+        ({"clearance": -1.0}, "clearance"),
+        ({"clearance": math.inf}, "clearance"),
+        ({"clearance": "wide"}, "clearance"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": 1e-300}, "resolution"),
+        ({"resolution": math.inf}, "resolution"),
+        ({"points": [[1e300, 0.0, 0.0]]}, "too far"),
+        ({"points": [[math.nan, 0.0, 0.0]]}, "too far"),
+        ({"points": [[0.0, 0.0]]}, "shape"),
+        ({"name": ""}, "name"),
+        ({"name": None}, "name"),
+    ],
+)
+def test_a_scan_that_would_be_no_obstacle_is_refused(servo: Servo, keys: dict[str, Any], word: str) -> None:
+    with pytest.raises(bp.InputError, match=word):
+        servo.add_points(**{"name": "scan", "points": [[4.0, 3.0, 0.0]], **keys})
+    assert servo.obstacles == ()
+
+
+def test_nothing_is_moved_out_of_the_world(servo: Servo) -> None:
+    servo.add(BALL)
+    servo.move("ball", [900.0, 0.0, 0.0])
+    with pytest.raises(bp.InputError, match="by"):
+        servo.move("ball", [900.0, 0.0, 0.0])
+    np.testing.assert_array_equal(servo.shift_of("ball"), [900.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "keys", [{"dt": 0.0}, {"dt": math.nan}, {"dt": "a"}, {"dt": 10.0}, {"watchdog": math.nan}, {"watchdog": -1.0}]
+)
+def test_a_servo_has_a_step_and_a_watchdog_that_can_be(servo: Servo, keys: dict[str, Any]) -> None:
+    with pytest.raises(bp.InputError, match=next(iter(keys))):
+        Servo(servo.robot, servo.scene, **keys)
+
+
+def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("of the test")
+
+    servo.add({**BALL, "position": [4.7, 0.7, -0.6]})
+    near = servo.step([0.0, 0.1, 0.0])
+    monkeypatch.setattr(servo._tip, "wished", fails)
+    state = servo.step([0.0, 0.1, 0.0])
+    assert isinstance(servo.last_error, ZeroDivisionError)
+    assert not state.proven
+    assert (state.link, state.obstacle) == (near.link, "ball")
+    assert state.margin == pytest.approx(near.margin, abs=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_whatever_comes_and_goes_the_books_agree(servo: Servo, seed: int) -> None:
+    """Every per-pair array stays as long as there are pairs, and obstacles stand where their own motion says."""
+    rng = np.random.default_rng(seed)
+    there: dict[str, np.ndarray] = {}
+    speed: dict[str, np.ndarray] = {}
+    for count in range(150):
+        what = int(rng.integers(4))
+        name = f"thing {rng.integers(6)}"
+        if what == 0 and name not in there:
+            there[name], speed[name] = np.zeros(3), rng.normal(size=3) * rng.integers(2)
+            place = [6.0 + float(rng.uniform(2.0, 9.0)), float(rng.uniform(-9.0, 9.0)), 0.0]
+            servo.add({**BALL, "name": name, "position": place, "velocity": speed[name].tolist()})
+        elif what == 1 and name in there:
+            servo.remove(name)
+            del there[name], speed[name]
+        elif what == 2 and name in there:
+            by = rng.normal(size=3)
+            servo.move(name, by)
+            there[name] = there[name] + by
+        elif what == 3 and name in there:
+            speed[name] = rng.normal(size=3) * rng.integers(2)
+            servo.set_velocity(name, speed[name])
+        servo.step([0.0, 0.1 * (-1) ** count, 0.0])
+        assert servo.last_error is None
+        for known in there:
+            there[known] = there[known] + 0.005 * speed[known]
+            np.testing.assert_allclose(servo.shift_of(known), there[known], atol=1e-9)
+        assert set(servo.obstacles) == set(there)
+        bounds = servo._bounds
+        for array in (bounds._proven, bounds._distance, bounds.required, bounds._renewed_at, bounds._reach):
+            assert len(array) == len(servo._separation)

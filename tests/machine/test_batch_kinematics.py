@@ -1,0 +1,104 @@
+"""Many configurations at once are the same as one after the other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.kinematics.target import TipTarget
+
+SLIDER = """<robot name="slider">
+  <link name="base"/><link name="cart"/><link name="arm"/><link name="tip"/>
+  <joint name="slide" type="prismatic"><parent link="base"/><child link="cart"/><axis xyz="0 1 0"/>
+    <origin xyz="0 0 0.5" rpy="0.3 0 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>
+  <joint name="turn" type="revolute"><parent link="cart"/><child link="arm"/><axis xyz="0 0.6 0.8"/>
+    <origin xyz="0.2 0 0"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+  <joint name="end" type="fixed"><parent link="arm"/><child link="tip"/><origin xyz="0.7 0.1 0" rpy="0 0.4 0"/></joint>
+</robot>"""
+
+
+def _random(robot: bp.Robot, count: int, seed: int = 0) -> NDArray[np.float64]:
+    rng = np.random.default_rng(seed)
+    return np.array([robot.random_q(rng) for _ in range(count)])
+
+
+def test_agrees_with_pinocchio(any_robot: bp.Robot) -> None:
+    q = _random(any_robot, 50)
+    at = BatchKinematics(any_robot).at(q)
+    kinematics = bp.Kinematics(any_robot)
+    for row, one in enumerate(map(kinematics.at, q)):
+        np.testing.assert_allclose(at.tip_position[row], one.tip_position, atol=1e-12)
+        np.testing.assert_allclose(at.tip_rotation[row], one.tip_rotation, atol=1e-12)
+        np.testing.assert_allclose(at.position_jacobian()[row], one.jacobian[:3], atol=1e-12)
+        np.testing.assert_allclose(at.rotation_jacobian()[row], one.jacobian[3:], atol=1e-12)
+        if any_robot.has_pitch:
+            assert at.pitch()[row] == pytest.approx(one.pitch, abs=1e-12)
+            np.testing.assert_allclose(at.pitch_rows()[row], one.pitch_row, atol=1e-12)
+
+
+def test_a_sliding_joint_agrees_with_pinocchio(tmp_path: object) -> None:
+    from pathlib import Path
+
+    file = Path(str(tmp_path)) / "slider.urdf"
+    file.write_text(SLIDER)
+    robot = bp.load_robot(file, tip="tip")
+    q = _random(robot, 20)
+    at = BatchKinematics(robot).at(q)
+    for row, one in enumerate(map(bp.Kinematics(robot).at, q)):
+        np.testing.assert_allclose(at.tip_position[row], one.tip_position, atol=1e-12)
+        np.testing.assert_allclose(at.position_jacobian()[row], one.jacobian[:3], atol=1e-12)
+        np.testing.assert_allclose(at.rotation_jacobian()[row], one.jacobian[3:], atol=1e-12)
+
+
+def test_errors_are_those_of_single_targets(any_robot: bp.Robot) -> None:
+    kinematics = bp.Kinematics(any_robot)
+    goals, places = _random(any_robot, 20, seed=1), _random(any_robot, 20, seed=2)
+    targets = []
+    for number, goal in enumerate(map(kinematics.at, goals)):
+        kind = number % 3
+        if kind == 0:
+            targets.append(TipTarget(goal.tip_position.copy()))
+        elif kind == 1:
+            targets.append(TipTarget(goal.tip_position.copy(), rotation=goal.tip_rotation.copy()))
+        else:
+            span = (-2.0, -1.5) if any_robot.has_pitch else None
+            targets.append(TipTarget(goal.tip_position.copy(), pitch=span))
+    batch = TargetBatch.of(targets)
+    at = BatchKinematics(any_robot).at(places)
+    errors, jacobians = batch.errors(at), batch.jacobians(at)
+    for row, target in enumerate(targets):
+        one = kinematics.at(places[row])
+        rows = [0, 1, 2] + ([3, 4, 5] if target.rotation is not None else [6] if target.pitch is not None else [])
+        np.testing.assert_allclose(errors[row, rows], target.error(one), atol=1e-9)
+        np.testing.assert_allclose(jacobians[row, rows], target.jacobian(one), atol=1e-9)
+        assert np.count_nonzero(np.delete(errors[row], rows)) == 0
+
+
+def test_what_is_found_is_on_the_target_and_within_the_limits(any_robot: bp.Robot) -> None:
+    kinematics = bp.Kinematics(any_robot)
+    goals = _random(any_robot, 60, seed=3)
+    full = any_robot.n >= 6
+    targets = [
+        TipTarget(one.tip_position.copy(), rotation=one.tip_rotation.copy() if full else None)
+        for one in map(kinematics.at, goals)
+    ]
+    near = np.clip(goals + 0.05, any_robot.limits.lower, any_robot.limits.upper)
+    q, reached = solve_batch(BatchKinematics(any_robot), TargetBatch.of(targets), near)
+    assert reached.mean() > 0.95
+    for row in np.flatnonzero(reached):
+        one = kinematics.at(q[row])
+        assert np.linalg.norm(one.tip_position - targets[row].position) < 1e-7
+        if full:
+            assert max(targets[row].distances(one)) < 1e-7
+    assert np.all(q >= any_robot.limits.lower)
+    assert np.all(q <= any_robot.limits.upper)
+
+
+def test_out_of_reach_is_not_reached(backhoe: bp.Robot) -> None:
+    batch = TargetBatch.of([TipTarget(np.array([50.0, 0.0, 0.0]))] * 8)
+    _, reached = solve_batch(BatchKinematics(backhoe), batch, _random(backhoe, 8))
+    assert not reached.any()

@@ -1,0 +1,349 @@
+"""Solids as convex pieces: nothing of the solid is left out, its cavities stay open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.machine.shape.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes
+
+Points = NDArray[np.float64]
+
+ROUNDING = 1e-9
+
+
+def inside_any(points: Points, pieces: Sequence[Points]) -> NDArray[np.bool_]:
+    """(n,) which points lie in at least one of the pieces' hulls."""
+    depth = np.full(len(points), np.inf)
+    for piece in pieces:
+        equations = ConvexHull(piece).equations
+        depth = np.minimum(depth, np.max(points @ equations[:, :3].T + equations[:, 3], axis=1))
+    return np.asarray(depth <= ROUNDING)
+
+
+def extruded(profile: Sequence[tuple[float, float]], height: float) -> trimesh.Trimesh:
+    """A prism over a polygon that can be seen whole from its first corner."""
+    n = len(profile)
+    floor, top = [[(x, y, z) for x, y in profile] for z in (0.0, height)]
+    fan = [(0, k, k + 1) for k in range(1, n - 1)]
+    faces = [(c, b, a) for a, b, c in fan] + [(n + a, n + b, n + c) for a, b, c in fan]
+    for k in range(n):
+        following = (k + 1) % n
+        faces += [(k, following, n + following), (k, n + following, n + k)]
+    return trimesh.Trimesh(floor + top, faces)
+
+
+def ell() -> trimesh.Trimesh:
+    return extruded([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 1.0)
+
+
+def samples(mesh: trimesh.Trimesh) -> Points:
+    """Corners, face centres, and middles of edges."""
+    triangles = np.asarray(mesh.triangles)
+    edges = 0.5 * (triangles + np.roll(triangles, 1, axis=1))
+    return np.vstack((mesh.vertices, triangles.mean(axis=1), edges.reshape(-1, 3)))
+
+
+SOLIDS = {
+    "L": (ell(), [(1.6, 1.6, 0.5), (1.9, 1.9, 0.1)]),
+    "torus": (trimesh.creation.torus(1.0, 0.25, 16, 8), [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, -0.4, 0.1)]),
+    "pipe": (trimesh.creation.annulus(0.8, 1.0, 2.0, 16), [(0.0, 0.0, 0.0), (0.0, 0.5, 0.9)]),
+    "bucket": (
+        trimesh.util.concatenate(
+            [
+                trimesh.creation.box(size, pin.SE3(np.eye(3), np.array(at)).homogeneous)
+                for size, at in (([1, 1, 0.1], [0, 0, 0]), ([0.1, 1, 1], [-0.5, 0, 0.5]), ([0.1, 1, 1], [0.5, 0, 0.5]))
+            ]
+        ),
+        [(0.0, 0.0, 0.5), (0.3, 0.4, 0.9)],
+    ),
+}
+
+
+@pytest.mark.parametrize(("mesh", "open_at"), SOLIDS.values(), ids=SOLIDS.keys())
+def test_cover_holds_the_whole_surface_and_leaves_the_cavity_open(
+    mesh: trimesh.Trimesh, open_at: list[tuple[float, float, float]]
+) -> None:
+    cover = convex_cover(mesh)
+    assert len(cover) > 1
+    assert np.all(inside_any(samples(mesh), cover))
+    assert not np.any(inside_any(np.array(open_at), cover))
+
+
+def test_cover_holds_every_point_of_the_surface_of_a_crumpled_ball() -> None:
+    rng = np.random.default_rng(0)
+    mesh = trimesh.creation.icosphere(1)
+    mesh.vertices = mesh.vertices * rng.uniform(0.5, 1.0, (len(mesh.vertices), 1))
+    weights = rng.dirichlet(np.ones(3), size=(len(mesh.faces), 5))
+    points = np.einsum("fsk,fkd->fsd", weights, np.asarray(mesh.triangles)).reshape(-1, 3)
+    assert np.all(inside_any(np.vstack((points, samples(mesh))), convex_cover(mesh, pieces=6)))
+
+
+def test_convex_mesh_is_its_own_cover() -> None:
+    (corners,) = convex_cover(trimesh.creation.box((1.0, 2.0, 3.0)))
+    assert len(corners) == 8
+    assert ConvexHull(corners).volume == pytest.approx(6.0)
+
+
+def test_cover_lies_where_the_mesh_lies() -> None:
+    mesh = ell()
+    mesh.apply_translation((10.0, -20.0, 5.0))
+    points = np.vstack(convex_cover(mesh))
+    assert np.all(points.min(axis=0) <= mesh.bounds[0] + ROUNDING)
+    assert np.all(points.max(axis=0) >= mesh.bounds[1] - ROUNDING)
+    assert np.all(np.abs(points - [11.0, -19.0, 5.5]) <= [1.1, 1.1, 0.6])
+
+
+FLAT = {
+    "triangle": ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]),
+    "sheet": ([[0, 0, 1], [1, 0, 1], [1, 1, 2], [0, 1, 2]], [[0, 1, 2], [0, 2, 3]]),
+    "line": ([[0, 0, 0], [1, 1, 0], [2, 2, 0]], [[0, 1, 2]]),
+    "point": ([[3, 3, 3], [3, 3, 3], [3, 3, 3]], [[0, 1, 2]]),
+}
+
+
+@pytest.mark.parametrize(("corners", "faces"), FLAT.values(), ids=FLAT.keys())
+def test_flat_mesh_becomes_a_solid_that_coal_can_measure(corners: list[list[float]], faces: list[list[int]]) -> None:
+    mesh = trimesh.Trimesh(corners, faces, process=False)
+    cover = convex_cover(mesh)
+    assert np.all(inside_any(samples(mesh), cover))
+    for piece in cover:
+        assert shapes.convex(piece, pin.SE3.Identity()).shape.num_points >= 8 - 2
+        assert ConvexHull(piece).volume < 2e-3
+        assert np.max(np.abs(piece - mesh.vertices.mean(axis=0))) <= np.ptp(mesh.vertices) + 1e-3
+
+
+def test_flat_mesh_in_any_tilted_plane_is_measured_half_a_millimetre_above_it() -> None:
+    """To rounding a tilted sheet has a volume, so that Qhull takes it; inside coal it ends the process."""
+    rng = np.random.default_rng(7)
+    quad = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]])
+    for _ in range(20):
+        at = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-3.0, 3.0, 3)), rng.uniform(-5.0, 5.0, 3))
+        sheet = trimesh.Trimesh(quad @ at.rotation.T + at.translation, [[0, 1, 2], [1, 3, 2]], process=False)
+        (corners,) = convex_cover(sheet)
+        for height in (0.8, -0.8):
+            ball = at.act(np.array([0.7, 1.2, height]))
+            found = gap(shapes.convex(corners, pin.SE3.Identity()), ball, radius=0.1)
+            assert found == pytest.approx(0.8 - 0.1 - 0.0005, abs=1e-9)
+
+
+def gap(piece: shapes.Piece, centre: Points, radius: float) -> float:
+    """Signed distance from a piece to a ball [m]."""
+    at = shapes.transform(piece.placement.rotation, piece.placement.translation)
+    ball = shapes.sphere(radius, pin.SE3.Identity())
+    return shapes.Gauge().measure(piece.shape, at, ball.shape, shapes.transform(np.eye(3), centre))[0]
+
+
+SPREAD = [10.0**power for power in (-320, -12, -9, -8, -7, -6, -5, 0)]
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-6, 0.01, 1.0, 100.0, 1e5])
+def test_points_spread_by_however_little_make_a_piece_that_holds_them(size: float) -> None:
+    """What is nearly flat, a needle or a point, and bundles of points that nearly coincide."""
+    rng = np.random.default_rng(11)
+    for thin in SPREAD:
+        for thinner in SPREAD:
+            for count in (3, 8, 40):
+                points = size * rng.uniform(-1.0, 1.0, (count, 3)) * [1.0, min(thin, 1.0), min(thinner, 1.0)]
+                points = np.repeat(points, 3, axis=0) + 1e-13 * size * rng.normal(size=(3 * count, 3))
+                points = points @ pin.rpy.rpyToMatrix(*rng.uniform(-3.0, 3.0, 3)).T
+                piece = shapes.convex(points, pin.SE3.Identity())
+                for point in points[[0, count, -1]]:
+                    assert gap(piece, point, radius=0.001) <= 1e-8 * max(size, 1.0)
+
+
+def test_shape_far_from_its_origin_keeps_its_size() -> None:
+    """As a mesh in map coordinates; 1 mm wide, 4,000 km north."""
+    corners = 0.001 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) + [5e5, 4e6, 100.0]
+    piece = shapes.convex(corners, pin.SE3.Identity())
+    assert gap(piece, np.array([5e5 + 2.0, 4e6 + 0.0005, 100.0005]), radius=1.0) == pytest.approx(0.999, abs=1e-8)
+
+
+def test_flat_cylinder_is_a_disc() -> None:
+    for radius, length in ((1.0, 1e-9), (10.0, 1e-7), (100.0, 1e-6), (1e5, 1e-3), (1e-300, 1e-300)):
+        disc = shapes.cylinder(radius, length, pin.SE3.Identity())
+        half = 0.5 * max(1e-3, 2.0e-5 * radius / np.cos(np.pi / 32))
+        assert gap(disc, np.array([0.0, 0.0, 3.0 + half]), radius=1.0) == pytest.approx(
+            2.0, abs=1e-6 * max(radius, 1.0)
+        )
+
+
+def test_mesh_beyond_every_map_is_refused() -> None:
+    mesh = trimesh.creation.box((1e9, 1.0, 1.0))
+    with pytest.raises(
+        InputError, match=r"too large; found a vertex 5e\+08 m from the origin; allowed: up to 1e\+07 m"
+    ):
+        convex_cover(mesh)
+
+
+# --- voxels -------------------------------------------------------------------
+
+
+def cells_of(boxes: list[tuple[Points, Points]], resolution: float) -> list[tuple[int, ...]]:
+    cells = []
+    for centre, size in boxes:
+        first = np.round((centre - 0.5 * size) / resolution).astype(int)
+        extent = np.round(size / resolution).astype(int)
+        cells += [tuple(first + step) for step in np.ndindex(*extent)]
+    return [tuple(int(c) for c in cell) for cell in cells]
+
+
+clouds: st.SearchStrategy[Points] = st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=1, max_size=60).map(
+    np.array
+)
+
+
+@given(clouds, st.sampled_from([0.1, 0.25, 0.37, 1.0]))
+def test_boxes_fill_exactly_the_voxels_that_hold_a_point(points: Points, resolution: float) -> None:
+    boxes = voxel_boxes(points, resolution)
+    cells = cells_of(boxes, resolution)
+    wanted = {tuple(int(c) for c in np.floor(point / resolution)) for point in points}
+    assert len(cells) == len(set(cells)), "boxes overlap"
+    assert set(cells) == wanted
+    volume = sum(float(np.prod(size)) for _, size in boxes)
+    assert volume == pytest.approx(len(wanted) * resolution**3)
+    low = np.array([centre - 0.5 * size for centre, size in boxes])
+    high = np.array([centre + 0.5 * size for centre, size in boxes])
+    for point in points:
+        assert np.any(np.all((low - ROUNDING <= point) & (point <= high + ROUNDING), axis=1))
+
+
+def test_full_block_of_voxels_is_one_box() -> None:
+    grid = np.stack(np.meshgrid(np.arange(4), np.arange(3), np.arange(2)), axis=-1).reshape(-1, 3)
+    ((centre, size),) = voxel_boxes(np.asarray(0.5 * grid + 0.1, dtype=np.float64), 0.5)
+    np.testing.assert_allclose(size, [2.0, 1.5, 1.0])
+    np.testing.assert_allclose(centre, [1.0, 0.75, 0.5])
+
+
+def test_one_point_is_one_voxel_on_the_grid_of_the_origin() -> None:
+    ((centre, size),) = voxel_boxes(np.array([[-0.05, 0.05, 0.25]]), 0.1)
+    np.testing.assert_allclose(centre, [-0.05, 0.05, 0.25])
+    np.testing.assert_allclose(size, [0.1] * 3)
+
+
+# --- terrain ------------------------------------------------------------------
+
+
+def bilinear(heights: Points, size: tuple[float, float], count: int) -> Points:
+    """(count^2, 3) points of the surface, and all grid points."""
+    rows, columns = heights.shape
+    found = []
+    for u in np.linspace(0.0, rows - 1, count):
+        for v in np.linspace(0.0, columns - 1, count):
+            r, c = min(int(u), rows - 2), min(int(v), columns - 2)
+            a, b = u - r, v - c
+            h = heights[r : r + 2, c : c + 2]
+            z = (1 - a) * ((1 - b) * h[0, 0] + b * h[0, 1]) + a * ((1 - b) * h[1, 0] + b * h[1, 1])
+            found.append((size[0] * (v / (columns - 1) - 0.5), size[1] * (u / (rows - 1) - 0.5), z))
+    return np.array(found)
+
+
+def height_of(column: Points, x: float, y: float) -> float:
+    """The column's top above (x, y); -inf beside it."""
+    equations = ConvexHull(column).equations
+    rest = equations[:, 0] * x + equations[:, 1] * y + equations[:, 3]
+    across = equations[:, 2]
+    if np.any(rest[np.abs(across) < 1e-12] > ROUNDING):
+        return -np.inf
+    top = float(np.min(-rest[across > 1e-12] / across[across > 1e-12]))
+    bottom = float(np.max(-rest[across < -1e-12] / across[across < -1e-12]))
+    return top if top >= bottom - ROUNDING else -np.inf
+
+
+terrains = st.tuples(st.integers(2, 6), st.integers(2, 6)).flatmap(
+    lambda shape: st.lists(
+        st.floats(-1.0, 1.0, width=16), min_size=shape[0] * shape[1], max_size=shape[0] * shape[1]
+    ).map(lambda values: np.array(values, dtype=float).reshape(shape))
+)
+
+
+@given(terrains, st.sampled_from([0.0, 0.02, 0.3]))
+def test_columns_cover_the_surface_and_the_ground_below(heights: Points, tolerance: float) -> None:
+    size = (4.0, 6.0)
+    columns = terrain_columns(heights, size, tolerance=tolerance, depth=1.0)
+    surface = bilinear(heights, size, 9)
+    assert np.all(inside_any(surface, columns))
+    below = surface.copy()
+    below[:, 2] = heights.min() - 1.0
+    assert np.all(inside_any(below, columns))
+
+
+def test_columns_rise_at_most_the_tolerance_above_a_grid_point() -> None:
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.linspace(-3.0, 3.0, 13), np.linspace(-3.0, 3.0, 13))
+    heights = 0.4 * np.sin(x) + 0.3 * np.cos(1.3 * y) + rng.uniform(0.0, 0.01, x.shape)
+    columns = terrain_columns(heights, (6.0, 6.0), tolerance=0.05, depth=1.0)
+    assert 1 < len(columns) < 144
+    for px, py, pz in zip(x.ravel(), y.ravel(), heights.ravel(), strict=True):
+        top = max(height_of(column, px, py) for column in columns)
+        assert -ROUNDING <= top - pz <= 0.05 + ROUNDING
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.25])
+def test_even_ground_is_one_column(slope: float) -> None:
+    heights = np.tile(slope * np.linspace(-2.0, 2.0, 7), (5, 1))
+    (column,) = terrain_columns(heights, (4.0, 3.0), tolerance=0.0, depth=2.0)
+    # a box of 4 x 3 m, as deep as the mean height above the floor
+    assert ConvexHull(column).volume == pytest.approx(4.0 * 3.0 * (2.0 + 2.0 * slope))
+
+
+def test_rows_run_along_y_and_columns_along_x_from_the_low_corner() -> None:
+    heights = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    columns = terrain_columns(heights, (4.0, 2.0), tolerance=0.0, depth=1.0)
+    assert max(height_of(column, 2.0, 1.0) for column in columns) == pytest.approx(1.0)
+    assert max(height_of(column, -2.0, 1.0) for column in columns) == pytest.approx(0.0)
+    assert max(height_of(column, 2.0, -1.0) for column in columns) == pytest.approx(0.0)
+    assert max(height_of(column, 2.1, 1.0) for column in columns) == -np.inf
+
+
+# --- mesh files ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "off", "glb"])
+def test_mesh_files_are_read_as_their_author_placed_them(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"block.{suffix}"
+    mesh = trimesh.creation.box((1.0, 2.0, 3.0))
+    mesh.apply_translation((5.0, 0.0, 0.0))
+    mesh.export(path)
+    np.testing.assert_allclose(load_mesh(path).bounds, [[4.5, -1.0, -1.5], [5.5, 1.0, 1.5]], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("empty.stl", b"", "empty"),
+        ("garbage.stl", b"this is no mesh", "triangles|cannot be read|can be read"),
+        ("garbage.obj", b"\x00\x01\x02", "triangles|can be read"),
+        ("garbage.ply", b"plx\n", "can be read"),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\n", "triangles"),
+        ("mesh.xyzzy", b"abc", "can be read"),
+        ("nan.obj", b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "not finite|triangles"),
+    ],
+)
+def test_unusable_mesh_files_are_named(
+    name: str, content: bytes, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said) as caught:
+        load_mesh(path)
+    assert str(path) in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_missing_mesh_file_and_folder_are_named(tmp_path: Path) -> None:
+    for path in (tmp_path / "nowhere.stl", tmp_path):
+        with pytest.raises(InputError, match="no such mesh file") as caught:
+            load_mesh(path)
+        assert str(path) in str(caught.value)

@@ -1,0 +1,175 @@
+"""Torque, power and energy of a motion: a pendulum by hand, balances of energy, and Pinocchio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from machines import LENGTH, MASS, PENDULUM
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine.dynamics import GRAVITY, Dynamics, MotionEnergy, motion_costs, motion_energy
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.site.scene_file import Soil
+from backhoe_planner.site.soil import SoilReaction
+
+Array = NDArray[np.float64]
+
+RAM = {
+    "version": 1,
+    "pump": {"flow": 1e-3, "pressure": 4e7},
+    "engine": {"power": 2e4},
+    "cylinders": [
+        {"name": "ram", "joint": "hinge", "bore": 0.1, "rod": 0.06, "closed": 0.26, "open": 0.68,
+         "parent": [0.0, 0.0, 1.7], "child": [0.4, 0.0, 0.0]},
+    ],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory: pytest.TempPathFactory) -> bp.Robot:
+    folder: Path = tmp_path_factory.mktemp("pendulum")
+    (folder / "pendulum.urdf").write_text(PENDULUM, encoding="utf-8")
+    (folder / "pendulum.hydraulics.yaml").write_text(yaml.safe_dump(RAM), encoding="utf-8")
+    return bp.load_robot(folder / "pendulum.urdf", tip="end")
+
+
+def smooth(start: Array, end: Array, duration: float, count: int = 2001) -> tuple[Array, Array, Array, Array]:
+    """Time, q, v, a from rest to rest, exact derivatives."""
+    time = np.linspace(0.0, duration, count)
+    s = time / duration
+    move = (np.asarray(end) - start)[None, :]
+    q = start + (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))[:, None] * move
+    v = (30.0 * s**2 * (1.0 - s) ** 2 / duration)[:, None] * move
+    a = (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / duration**2)[:, None] * move
+    return time, q, v, a
+
+
+def wave(robot: bp.Robot, count: int = 4001) -> tuple[Array, Array, Array, Array]:
+    """All joints swinging at their own frequencies, exact derivatives."""
+    time = np.linspace(0.0, 3.0, count)
+    middle = robot.middle
+    size = 0.3 * np.minimum(robot.limits.upper - middle, 2.0)
+    w = np.arange(1.0, robot.n + 1.0)
+    angle = time[:, None] * w
+    return time, middle + size * np.sin(angle), size * w * np.cos(angle), -size * w**2 * np.sin(angle)
+
+
+def test_lifting_a_pendulum_costs_m_g_h(pendulum: bp.Robot) -> None:
+    time, q, v, a = smooth(np.array([-0.7]), np.array([0.8]), 60.0)
+    energy = motion_energy(pendulum, time, q=q, v=v, a=a)
+    height = LENGTH * (np.sin(0.8) - np.sin(-0.7))
+    assert energy.work[-1] == pytest.approx(MASS * GRAVITY * height, rel=1e-3)
+    assert energy.potential[-1] == pytest.approx(MASS * GRAVITY * height, rel=1e-9)
+    # one cylinder: the pump needs no more pressure than the load
+    assert energy.hydraulic is not None
+    assert energy.hydraulic[-1] == pytest.approx(energy.work[-1], rel=1e-6)
+
+
+def test_lifting_a_pendulum_with_a_payload_costs_its_weight_too(pendulum: bp.Robot) -> None:
+    time, q, v, a = smooth(np.array([-0.7]), np.array([0.8]), 60.0)
+    height = LENGTH * (np.sin(0.8) - np.sin(-0.7))
+    work = motion_costs(pendulum, time, q, v, a, payload=200.0)["work"]
+    assert work == pytest.approx((MASS + 200.0) * GRAVITY * height, rel=1e-3)
+
+
+def test_lowering_costs_nothing_and_gives_nothing_back(pendulum: bp.Robot) -> None:
+    time, q, v, a = smooth(np.array([0.8]), np.array([-0.7]), 60.0)
+    energy = motion_energy(pendulum, time, q=q, v=v, a=a)
+    height = LENGTH * (np.sin(0.8) - np.sin(-0.7))
+    assert energy.work[-1] == 0.0
+    assert energy.hydraulic is not None
+    assert energy.hydraulic[-1] == 0.0
+    assert np.trapezoid(energy.joint_power[:, 0], time) == pytest.approx(-MASS * GRAVITY * height, rel=1e-3)
+
+
+def test_pressing_level_with_a_force_at_the_tip_by_hand(pendulum: bp.Robot) -> None:
+    """At rest and level, a push up of 1 kN at 2 m takes 2 kN m off the 5886 N m of the weight."""
+    level = np.zeros(1)
+    torque = Dynamics(pendulum).torques(level, level, level, tip_force=np.array([500.0, 300.0, 1000.0]))
+    assert torque == pytest.approx([MASS * GRAVITY * LENGTH - 2000.0])
+
+
+@pytest.mark.parametrize("payload", [0.0, 250.0])
+@pytest.mark.parametrize("name", ["backhoe", "planar4", "panda"])
+def test_power_integrates_to_the_change_of_energy(name: str, payload: float, request: pytest.FixtureRequest) -> None:
+    robot: bp.Robot = request.getfixturevalue(name)
+    time, q, v, a = wave(robot)
+    energy = motion_energy(robot, time, q=q, v=v, a=a, payload=payload)
+    given = np.trapezoid(np.sum(energy.joint_power, axis=1), time)
+    gained = energy.kinetic[-1] - energy.kinetic[0] + energy.potential[-1]
+    assert given == pytest.approx(gained, rel=1e-5, abs=1e-5 * energy.work[-1])
+    assert np.all(np.diff(energy.work) >= 0.0)
+    assert energy.work[-1] >= given
+    assert (energy.hydraulic is None) == (name != "backhoe")
+
+
+def digging(backhoe: bp.Robot) -> tuple[tuple[Array, Array, Array, Array], Array, Array]:
+    """A drag of the bucket below the ground: its motion, the soil's force, and the tip's velocity."""
+    motion = smooth(np.array([0.2, -0.5, -0.8, -0.2]), np.array([0.2, -0.35, -1.7, -0.6]), 6.0)
+    _, q, v, _ = motion
+    kinematics = Kinematics(backhoe)
+    tip = np.array([kinematics.at(own).jacobian[:3] @ rate for own, rate in zip(q, v, strict=True)])
+    return motion, SoilReaction(backhoe, Soil()).force(q, v), tip
+
+
+def test_digging_costs_what_the_soil_takes(backhoe: bp.Robot) -> None:
+    (time, q, v, a), force, tip = digging(backhoe)
+    free = motion_energy(backhoe, time, q=q, v=v, a=a)
+    held = motion_energy(backhoe, time, q=q, v=v, a=a, tip_force=force)
+    taken = -np.trapezoid(np.sum(force * tip, axis=1), time)
+    more = np.trapezoid(np.sum(held.joint_power - free.joint_power, axis=1), time)
+    assert taken > 1e4
+    assert more == pytest.approx(taken, rel=1e-9)
+    assert held.work[-1] > free.work[-1]
+
+
+def test_a_load_sensing_pump_puts_in_no_less_than_the_work(backhoe: bp.Robot) -> None:
+    (time, q, v, a), force, _ = digging(backhoe)
+    energy = motion_energy(backhoe, time, q=q, v=v, a=a, payload=200.0, tip_force=force)
+    assert energy.hydraulic_power is not None
+    assert energy.hydraulic is not None
+    assert np.all(energy.hydraulic_power >= energy.power * (1.0 - 1e-9) - 1e-9)
+    assert energy.hydraulic[-1] > 1.05 * energy.work[-1]  # three functions at once, at one pressure
+
+
+def test_torques_with_a_force_at_the_tip_are_pinocchios(any_robot: bp.Robot) -> None:
+    model = any_robot.model
+    data = model.createData()
+    rng = np.random.default_rng(31)
+    frame = model.frames[any_robot.tip_frame]
+    for _ in range(20):
+        q, (v, a), force = any_robot.random_q(rng), rng.normal(size=(2, any_robot.n)), 1e3 * rng.normal(size=3)
+        pin.framesForwardKinematics(model, data, q)
+        at_tip = pin.SE3(data.oMi[frame.parentJoint].rotation, data.oMf[any_robot.tip_frame].translation)
+        # the same force, in the axes of the joint that carries the tip, then moved to its origin
+        local = at_tip.rotation.T @ force
+        arm = data.oMi[frame.parentJoint].actInv(at_tip.translation)
+        outside = pin.StdVec_Force()
+        for joint in range(model.njoints):
+            outside.append(pin.Force(local, np.cross(arm, local)) if joint == frame.parentJoint else pin.Force.Zero())
+        expected = pin.rnea(model, data, q, v, a, outside)
+        found = Dynamics(any_robot).torques(q, v, a, tip_force=force)
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-8)
+
+
+def test_costs_are_the_ends_of_the_series(backhoe: bp.Robot, planar4: bp.Robot) -> None:
+    time, q, v, a = wave(backhoe, 201)
+    costs, energy = motion_costs(backhoe, time, q, v, a), motion_energy(backhoe, time, q=q, v=v, a=a)
+    assert isinstance(energy, MotionEnergy)
+    assert energy.hydraulic is not None
+    assert costs["work"] == energy.work[-1]
+    assert costs["hydraulic"] == energy.hydraulic[-1]
+    assert costs["work"] == pytest.approx(np.trapezoid(energy.power, time))
+    assert "hydraulic" not in motion_costs(planar4, *wave(planar4, 11))
+
+
+def test_a_motion_of_one_sample_costs_nothing(backhoe: bp.Robot) -> None:
+    still = np.zeros((1, 4))
+    costs = motion_costs(backhoe, np.zeros(1), still, still, still)
+    assert set(costs) == {"velocity_norm", "kinetic", "effort", "work", "hydraulic"}
+    assert set(costs.values()) == {0.0}

@@ -1,0 +1,252 @@
+"""What a step costs: by hand, against full inverse dynamics, and searched through exhaustively."""
+
+from __future__ import annotations
+
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from machines import LENGTH, MASS, PENDULUM
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine.dynamics import GRAVITY
+from backhoe_planner.motion.objectives import OBJECTIVES, UNITS, Objective, trajectory_costs, trajectory_energy
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.paths.layered_graph import LayeredGraph
+from backhoe_planner.planning.paths.path_layers import PathLayers
+
+Array = NDArray[np.float64]
+
+LIFT = f"""<robot name="lift">
+  <link name="post"/>
+  <link name="cage"><inertial><mass value="{MASS}"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="hoist" type="prismatic"><parent link="post"/><child link="cage"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="3" velocity="1" effort="1e4"/></joint>
+</robot>"""
+
+
+def machine(folder: Path, text: str, tip: str) -> bp.Robot:
+    file = folder / "machine.urdf"
+    file.write_text(text, encoding="utf-8")
+    return bp.load_robot(file, tip=tip)
+
+
+def along(*points: tuple[float, float, float], speed: float | None = 0.4, **keys: Any) -> bp.Scene:
+    task: dict[str, Any] = {"waypoints": [{"position": list(point)} for point in points]}
+    if speed is not None:
+        task["speed"] = speed
+    return bp.scene_from_dict({"version": 1, "task": {"path": task}} | keys)
+
+
+@pytest.fixture(scope="module")
+def digging(backhoe: bp.Robot) -> Problem:
+    return build_problem(backhoe, along((4.5, 0.0, -0.5), (2.5, 0.5, 1.0)))
+
+
+def layers_of(problem: Problem, count: int, *, grid: float = 60.0) -> tuple[Array, list[Array]]:
+    assert problem.path is not None
+    stations = 0.05 * np.arange(float(count))
+    targets = [problem.path.target(s) for s in stations.tolist()]
+    return stations, PathLayers(problem.robot, grid=np.radians(grid)).at(stations, targets)
+
+
+# --- by hand ------------------------------------------------------------------------
+
+
+def test_a_pendulum_lift_costs_m_g_h(tmp_path: Path) -> None:
+    robot = machine(tmp_path, PENDULUM, "end")
+    problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
+    q = np.linspace(-0.7, 0.8, 60)[:, None]
+    stations = LENGTH * (q[:, 0] - q[0, 0])
+    lift = MASS * GRAVITY * LENGTH * (np.sin(0.8) - np.sin(-0.7))
+    objective = Objective(problem, "work")
+    assert objective.value(stations, q) == pytest.approx(lift, rel=1e-3)
+    # going down the load drives the joint, which gives nothing back
+    assert objective.value(stations, q[::-1]) == 0.0
+
+
+def test_a_planned_lift_costs_m_g_h(tmp_path: Path) -> None:
+    """And the payload's share of it, through the whole planner."""
+    robot = machine(tmp_path, LIFT, "cage")
+    scene = along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0), payload=100.0)
+    plan = bp.plan(robot, scene, method="optimal")
+    assert plan.verified, plan.message
+    lift = (MASS + 100.0) * GRAVITY * 1.5
+    assert plan.metrics["energy"]["work"] == pytest.approx(lift, rel=1e-3)
+    assert plan.metrics["objective"]["value"] == pytest.approx(lift, rel=1e-3)
+    # one joint leaves the law no choice either
+    assert plan.metrics["objective"]["saving_percent"] == pytest.approx(0.0, abs=0.1)
+
+
+def test_every_objective_of_a_pendulum_step_by_hand(tmp_path: Path) -> None:
+    """From level by 0.2 rad up over 0.4 m at 0.4 m/s, so in 1 s."""
+    robot = machine(tmp_path, PENDULUM, "end")
+    problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
+    q, stations = np.array([[0.0], [0.2]]), np.array([0.0, 0.4])
+    tau = MASS * GRAVITY * LENGTH * np.cos(q[:, 0])
+    expected = {
+        "velocity_norm": 0.04,
+        "kinetic": 0.5 * MASS * LENGTH**2 * 0.04,
+        "effort": float(np.mean(tau**2)),
+        "work": float(np.mean(tau)) * 0.2,
+        "time": 1.0,
+    }
+    for name, value in expected.items():
+        assert Objective(problem, name).value(stations, q) == pytest.approx(value, rel=1e-12), name
+    # a step that the joint cannot follow takes as long as the joint does: 0.5 rad at 1 rad/s
+    fast = np.array([[0.0], [0.5]])
+    assert Objective(problem, "time").value(np.array([0.0, 0.04]), fast) == pytest.approx(0.5)
+
+
+def test_a_change_of_rate_costs_the_time_that_it_takes(tmp_path: Path) -> None:
+    """0.1 rad and then 0.2 rad over 0.4 m each, at 0.4 m/s: 0 to 0.1 to 0.2 rad/s and back to 0, at 2 rad/s^2."""
+    robot = machine(tmp_path, PENDULUM, "end")
+    problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
+    assert problem.limits.acceleration.tolist() == [2.0]
+    q, stations = np.array([[0.0], [0.1], [0.3]]), np.array([0.0, 0.4, 0.8])
+    objective = Objective(problem, "time")
+    taken = (0.1 + 0.1 + 0.2) / 2.0
+    assert objective.unit * (objective.driven(stations, q) - objective.along(stations, q)) == pytest.approx(taken)
+    # what is told of it is the time of the steps alone
+    assert objective.value(stations, q) == pytest.approx(2.0)
+    for name in ("velocity_norm", "kinetic"):
+        quiet = Objective(problem, name)
+        assert quiet.driven(stations, q) == quiet.along(stations, q)
+
+
+def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging: Problem) -> None:
+    """The same tip path, the bucket swinging by a hand's breadth or not: the margin is on all the oil."""
+    s = np.linspace(0.0, 1.0, 41)[:, None]
+    still = np.array([0.1, 0.3, -1.4, -0.8]) + s * np.array([0.2, 0.25, -0.5, 0.0])
+    swinging = still + np.array([0.0, 0.0, 0.0, 0.1]) * np.sin(6.0 * np.pi * s)
+    objective = Objective(digging, "hydraulic")
+    stations = 1.2 * s[:, 0]
+    hydraulics = digging.robot.hydraulics
+    assert hydraulics is not None
+    (bucket,) = [c for c, joint in enumerate(hydraulics.joint_of) if joint == 3]
+    cylinder = hydraulics.cylinders[bucket]
+    change = np.diff(hydraulics.lengths(swinging)[:, bucket])
+    oil = float(np.sum(np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area) * np.abs(change)))
+    more = objective.along(stations, swinging) - objective.along(stations, still)
+    told = objective.value(stations, swinging) - objective.value(stations, still)
+    assert objective.unit * more - told >= 2e6 * oil * (1.0 - 1e-9)
+    assert objective.driven(stations, swinging) - objective.driven(stations, still) > more
+
+
+# --- against full inverse dynamics ------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_the_steps_add_up_to_what_is_reported_of_a_slow_motion(digging: Problem, name: str) -> None:
+    """Slow, so that torques of inertia do not count: 1.2 m at 0.4 m/s, the same over 300 steps."""
+    s = np.linspace(0.0, 1.0, 301)[:, None]
+    q = np.array([0.1, 0.3, -1.4, -0.8]) + s * np.array([0.2, 0.25, -0.5, 0.4])
+    time = 3.0 * s[:, 0]
+    moving = Trajectory(time=time, q=q, v=np.gradient(q, time, axis=0))
+    reported = trajectory_costs(digging, moving)[name]
+    if name in ("effort", "work", "hydraulic"):  # their inertia, for the motion is sudden at its ends
+        assert Objective(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=0.04)
+    else:
+        assert Objective(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=2e-3)
+
+
+def test_steps_between_many_nodes_equal_steps_one_by_one(digging: Problem) -> None:
+    stations, layers = layers_of(digging, 2, grid=30.0)
+    a, b = layers
+    assert len(a) > 2
+    for name in OBJECTIVES:
+        objective = Objective(digging, name)
+        together = objective.step_costs(a, b, float(stations[1]))
+        wide = np.max(np.abs(b[None] - a[:, None]), axis=2) > 0.7
+        assert np.isinf(together[wide]).all()
+        assert np.isfinite(together[~wide]).all()
+        for i, j in np.argwhere(~wide).tolist():
+            alone = objective.along(stations, np.array([a[i], b[j]]))
+            assert together[i, j] == pytest.approx(alone, rel=1e-9)
+
+
+def test_soil_costs_work_only_below_the_ground(backhoe: bp.Robot) -> None:
+    soil = {"density": 1700.0, "cohesion": 5000.0, "friction": 0.55}
+    for depth, more in ((0.3, True), (-0.3, False)):
+        points = ((4.4, 0.0, -depth), (3.0, 0.0, -depth))
+        dry, wet = (build_problem(backhoe, along(*points, soil=own)) for own in (None, soil))
+        plan = bp.plan(backhoe, dry.scene, method="reactive")
+        q, stations = plan.trajectory.q, np.linspace(0.0, 1.4, len(plan.trajectory))
+        without, against = (Objective(problem, "work").value(stations, q) for problem in (dry, wet))
+        costs = [trajectory_costs(problem, plan.trajectory)["work"] for problem in (dry, wet)]
+        if more:
+            assert against > 1.05 * without
+            assert costs[1] > 1.05 * costs[0]
+            # the trapezia and full inverse dynamics agree on what the soil takes
+            assert against - without == pytest.approx(costs[1] - costs[0], rel=0.15)
+        else:
+            assert against == without
+            assert costs[1] == costs[0]
+
+
+def test_power_adds_up_to_the_work_that_is_told(digging: Problem) -> None:
+    plan = bp.plan(digging.robot, digging.scene)
+    energy = trajectory_energy(digging, plan.trajectory)
+    assert float(np.trapezoid(energy.power, energy.time)) == pytest.approx(plan.metrics["energy"]["work"], rel=1e-12)
+    assert set(plan.metrics["energy"]) == set(OBJECTIVES) == set(UNITS)
+
+
+# --- the search ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_the_route_equals_an_exhaustive_search_with_the_same_cost(digging: Problem, name: str) -> None:
+    stations, layers = layers_of(digging, 4, grid=20.0)
+    assert all(3 <= len(layer) <= 12 for layer in layers)
+    objective = Objective(digging, name)
+    graph = LayeredGraph(stations, layers, cost=objective.step_costs, turning=1e-9, detours=False)
+    route = graph.best_route()
+    costs = []
+    for choice in product(*(range(len(layer)) for layer in layers)):
+        q = np.array([layer[index] for layer, index in zip(layers, choice, strict=True)])
+        if max(float(np.max(np.abs(b - a))) for a, b in pairwise(q)) <= 0.7:
+            costs.append((objective.along(stations, q), choice))
+    assert route is not None
+    assert len(costs) > 10
+    best = min(costs)
+    assert route.cost == pytest.approx(best[0], rel=1e-9)
+    q = np.array([layers[layer][index] for layer, index in route.nodes])
+    assert objective.along(stations, q) == pytest.approx(best[0], rel=1e-9)
+
+
+# --- misuse ---------------------------------------------------------------------------
+
+
+def test_hydraulic_needs_a_hydraulic_description(planar4: bp.Robot) -> None:
+    scene = along((2.0, -1.0, 0.0), (2.0, 1.0, 0.0), objective="hydraulic")
+    with pytest.raises(bp.SceneError, match=r"hydraulic description.*hydraulics\.yaml"):
+        bp.plan(planar4, scene)
+    problem = build_problem(planar4, along((2.0, -1.0, 0.0), (2.0, 1.0, 0.0)))
+    with pytest.raises(bp.InputError, match="hydraulic description"):
+        Objective(problem, "hydraulic")
+
+
+def test_an_unknown_objective_is_named(digging: Problem) -> None:
+    with pytest.raises(bp.InputError, match="velocity_norm, kinetic"):
+        Objective(digging, "beauty")
+
+
+def test_soil_needs_a_bucket(panda: bp.Robot) -> None:
+    scene = along((0.5, -0.2, 0.4), (0.5, 0.2, 0.4), soil={})
+    with pytest.raises(bp.SceneError, match="soil acts on a bucket"):
+        build_problem(panda, scene)
+
+
+def test_an_arm_without_mass_is_planned_all_the_same(tmp_path: Path) -> None:
+    """All ways cost nothing: the quietest one is taken."""
+    text = LIFT.replace(f'<mass value="{MASS}"/>', '<mass value="0"/>').replace(
+        '"1" iyy="1" izz="1"', '"0" iyy="0" izz="0"'
+    )
+    plan = bp.plan(machine(tmp_path, text, "cage"), along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0)), method="optimal")
+    assert plan.verified, plan.message
+    assert plan.metrics["energy"]["work"] == 0.0

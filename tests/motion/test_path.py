@@ -1,0 +1,126 @@
+"""The specified path, evaluated by arc length."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.site.scene_file import Waypoint
+
+
+def corner() -> TipPath:
+    """3 m along x, then 4 m along y."""
+    return TipPath(
+        [Waypoint(position=(0.0, 0.0, 0.0)), Waypoint(position=(3.0, 0.0, 0.0)), Waypoint(position=(3.0, 4.0, 0.0))]
+    )
+
+
+def test_stations_are_arc_lengths() -> None:
+    path = corner()
+    np.testing.assert_allclose(path.stations, [0.0, 3.0, 7.0])
+    assert path.length == 7.0
+    assert not path.asks_orientation
+
+
+def test_position_and_direction() -> None:
+    path = corner()
+    np.testing.assert_allclose(path(1.0), [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(path(5.0), [3.0, 2.0, 0.0])
+    np.testing.assert_allclose(path(1.0, 1), [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(path(5.0, 1), [0.0, 1.0, 0.0])
+    np.testing.assert_allclose(path(-1.0), [0.0, 0.0, 0.0])
+    np.testing.assert_allclose(path(8.0), [3.0, 4.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("point", "station", "distance"),
+    [
+        ([1.0, 0.5, 0.0], 1.0, 0.5),
+        ([3.0, 1.0, 2.0], 4.0, 2.0),
+        ([-3.0, 0.0, 4.0], 0.0, 5.0),
+        ([3.0, 7.0, 0.0], 7.0, 3.0),
+    ],
+)
+def test_nearest_point(point: list[float], station: float, distance: float) -> None:
+    assert corner().nearest(np.array(point)) == pytest.approx((station, distance))
+
+
+def test_nearest_point_of_a_part() -> None:
+    path = corner()
+    point = np.array([1.0, 0.0, 0.0])
+    assert path.nearest(point, low=2.0) == pytest.approx((2.0, 1.0))
+    assert path.nearest(point, low=0.0, high=0.5) == pytest.approx((0.5, 0.5))
+    assert path.nearest(point, low=5.0, high=6.0) == pytest.approx((5.0, np.hypot(2.0, 2.0)))
+
+
+def test_pitch_is_interpolated() -> None:
+    path = TipPath(
+        [Waypoint(position=(0.0, 0.0, 0.0), pitch=-1.0), Waypoint(position=(2.0, 0.0, 0.0), pitch=(-2.2, -1.8))]
+    )
+    assert path.asks_orientation
+    assert path.target(0.0).pitch == pytest.approx((-1.0, -1.0))
+    assert path.target(1.0).pitch == pytest.approx((-1.6, -1.4))
+    assert path.target(2.0).pitch == pytest.approx((-2.2, -1.8))
+
+
+def test_pitch_turns_the_short_way() -> None:
+    """From 3 to -3 rad it is 2 pi - 6 over pi, not 6 back over 0."""
+    path = TipPath([Waypoint(position=(0.0, 0.0, 0.0), pitch=3.0), Waypoint(position=(1.0, 0.0, 0.0), pitch=-3.0)])
+    pitch = path.target(0.5).pitch
+    assert pitch is not None
+    assert pitch == pytest.approx((np.pi, np.pi))
+
+
+def test_range_opens_towards_a_waypoint_without_pitch() -> None:
+    path = TipPath(
+        [
+            Waypoint(position=(0.0, 0.0, 0.0)),
+            Waypoint(position=(1.0, 0.0, 0.0), pitch=-1.0),
+            Waypoint(position=(3.0, 0.0, 0.0)),
+        ]
+    )
+    assert path.target(0.0).pitch is None
+    assert path.target(0.5).pitch == pytest.approx((-1.0 - np.pi / 2.0, -1.0 + np.pi / 2.0))
+    assert path.target(1.0).pitch == pytest.approx((-1.0, -1.0))
+    assert path.target(1.5).pitch == pytest.approx((-1.0 - np.pi / 4.0, -1.0 + np.pi / 4.0))
+    assert path.target(3.0).pitch is None
+
+
+def test_rotation_turns_evenly_about_one_axis() -> None:
+    """From yaw 0 to yaw 90 deg: after a third of the way 30 deg."""
+    half = np.sqrt(0.5)
+    path = TipPath(
+        [
+            Waypoint(position=(0.0, 0.0, 0.0), quaternion=(1.0, 0.0, 0.0, 0.0)),
+            Waypoint(position=(3.0, 0.0, 0.0), quaternion=(half, 0.0, 0.0, half)),
+        ]
+    )
+    rotation = path.target(1.0).rotation
+    assert rotation is not None
+    np.testing.assert_allclose(rotation, pin.utils.rotate("z", np.pi / 6.0), atol=1e-12)
+
+
+def test_a_rotation_at_one_end_holds_on_the_whole_leg() -> None:
+    asked = Waypoint(position=(0.0, 0.0, 0.0), rpy=(0.1, 0.2, 0.3))
+    path = TipPath([asked, Waypoint(position=(1.0, 0.0, 0.0))])
+    rotation = path.target(0.7).rotation
+    assert rotation is not None
+    np.testing.assert_allclose(rotation, pin.rpy.rpyToMatrix(0.1, 0.2, 0.3))
+
+
+def test_a_turn_on_the_spot_has_a_length() -> None:
+    path = TipPath(
+        [
+            Waypoint(position=(1.0, 0.0, 0.0), pitch=-1.0),
+            Waypoint(position=(1.0, 0.0, 0.0), pitch=-2.0),
+            Waypoint(position=(2.0, 0.0, 0.0), pitch=-2.0),
+        ]
+    )
+    turn = path.stations[1]
+    assert turn > 0.1
+    assert path.length == pytest.approx(turn + 1.0)
+    np.testing.assert_allclose(path(turn / 2.0), [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(path(turn / 2.0, 1), [0.0, 0.0, 0.0])
+    assert path.target(turn / 2.0).pitch == pytest.approx((-1.5, -1.5))

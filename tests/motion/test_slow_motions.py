@@ -1,0 +1,70 @@
+"""Motions that hardly get on: very slow ones, and places at which a path stands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.motion.timing.timing import time_along
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site.scene_file import Waypoint
+
+
+def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot) -> None:
+    """1 m of the tip at 0.1 mm/s is 500,000 periods; then the joints turn while the tip stands."""
+    stations = np.concatenate((np.linspace(0.0, 1.0, 101), np.ones(20)))
+    turn = np.concatenate((np.linspace(0.0, 0.3, 101), np.linspace(0.3, 1.0, 21)[1:]))
+    q = np.outer(turn, [1.0, -1.0, 0.5, 0.2])
+    limits = planar4.limits
+    motion = time_along(stations, q, limits, speed=1e-4)
+    assert len(motion) < 5000
+    assert motion.duration == pytest.approx(1e4, rel=0.01)
+    np.testing.assert_allclose(motion.q[[0, -1]], q[[0, -1]], atol=1e-12)
+    # a step is what is asked for, and what is done in one period of 0.02 s at full rate
+    assert np.all(np.abs(np.diff(motion.q, axis=0)) <= 2.5e-3 + 0.02 * limits.velocity)
+    assert np.all(np.abs(motion.segment_velocities()) <= limits.velocity * (1.0 + 1e-9))
+    assert np.all(np.abs(motion.accelerations()) <= limits.acceleration * (1.0 + 1e-9))
+
+
+def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> None:
+    points = [{"position": [4.6, 0.0, -0.3]}, {"position": [4.2, 0.0, -0.45]}]
+    scene = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points, "speed": 1e-4}}})
+    found = bp.plan(backhoe, scene)
+    assert found.verified, found.message
+    assert found.trajectory.duration == pytest.approx(np.hypot(0.4, 0.15) / 1e-4, rel=0.01)
+    assert len(found.trajectory) < 5000
+    assert found.certificate.tracking.max_error < 0.005
+
+
+A, B = {"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_waypoints_that_stand_twice_change_nothing(backhoe: bp.Robot, method: str) -> None:
+    """Warnings are errors here."""
+
+    def planned(*waypoints: dict[str, list[float]]) -> bp.Plan:
+        task = {"path": {"waypoints": list(waypoints), "speed": 0.5}}
+        return bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": task}), method=method)
+
+    once, twice = planned(A, B), planned(A, A, B, B)
+    assert once.verified
+    assert twice.verified
+    np.testing.assert_array_equal(twice.trajectory.q, once.trajectory.q)
+    assert twice.metrics.get("objective") == once.metrics.get("objective")
+
+
+def test_law_takes_a_leg_without_length_in_its_stride(backhoe: bp.Robot) -> None:
+    content = {"version": 1, "task": {"path": {"waypoints": [A, B]}}}
+    problem = build_problem(backhoe, bp.scene_from_dict(content))
+    path = TipPath([Waypoint.model_validate(point) for point in (A, A, B, B)])
+    kinematics, proximity = bp.Kinematics(backhoe), Proximity(backhoe, ())
+    start = bp.solve_inverse_kinematics(backhoe, path.target(0.0)).q
+    found = resolve_along(problem, path, 0.0, start, proximity=proximity, kinematics=kinematics)
+    assert found.blocker is None
+    assert np.all(np.isfinite(found.q))
+    assert found.reached == pytest.approx(np.hypot(0.7, 0.3))

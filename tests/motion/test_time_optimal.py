@@ -1,0 +1,404 @@
+"""Time-optimal motions against closed answers, and every limit of the machine kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from backhoe_planner.machine.dynamics import Dynamics
+from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
+from backhoe_planner.machine.robot import JointLimits, Robot, load_robot
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.motion.timing.drive import Drive, drive_of
+from backhoe_planner.motion.timing.limit_usage import limit_usage
+from backhoe_planner.motion.timing.retiming import retimed, use_of_drive
+from backhoe_planner.motion.timing.time_optimal import Rows, fastest
+from backhoe_planner.motion.timing.timing import time_along
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.plan.plan_file import load_plan
+from backhoe_planner.planning.planner import plan
+from backhoe_planner.proof.certificate import certify
+from backhoe_planner.site.scene_file import Scene, scene_from_dict
+
+Matrix = NDArray[np.float64]
+
+MASS, LENGTH, GRAVITY = 20.0, 1.5, 9.81
+PENDULUM = f"""
+<robot name="pendulum">
+  <link name="base"/>
+  <link name="rod"><inertial><origin xyz="{LENGTH} 0 0"/><mass value="{MASS}"/>
+    <inertia ixx="1e-9" iyy="1e-9" izz="1e-9" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="pivot" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 -1 0"/>
+    <limit lower="-3" upper="3" velocity="100" effort="{{effort}}" acceleration="1000"/></joint>
+</robot>
+"""
+
+
+def pendulum(folder: Path, effort: float) -> Robot:
+    file = folder / "pendulum.urdf"
+    file.write_text(PENDULUM.format(effort=effort))
+    return load_robot(file)
+
+
+def line(q_a: object, q_b: object, count: int = 40) -> tuple[Matrix, Matrix]:
+    """Stations and joints straight from the one to the other."""
+    part = np.linspace(0.0, 1.0, count)
+    a, b = np.asarray(q_a, dtype=float), np.asarray(q_b, dtype=float)
+    return part, a + part[:, None] * (b - a)
+
+
+def with_limits(
+    limits: JointLimits, *, velocity: float | tuple[float, ...], acceleration: float | tuple[float, ...]
+) -> JointLimits:
+    n = len(limits.lower)
+    return replace(
+        limits, velocity=np.broadcast_to(velocity, n).astype(float),
+        acceleration=np.broadcast_to(acceleration, n).astype(float),
+    )  # fmt: skip
+
+
+# --- closed answers ---------------------------------------------------------------
+
+
+def test_acceleration_alone_takes_two_roots_of_d_over_a(planar4: Robot) -> None:
+    limits = with_limits(planar4.limits, velocity=100.0, acceleration=(2.0, 0.5, 1.0, 1.0))
+    # the second joint is the slowest: 0.9 rad at 0.5 rad/s^2
+    motion = time_along(*line([0.0] * 4, [1.2, -0.9, 0.0, 0.3]), limits)
+    assert motion.duration == pytest.approx(2.0 * np.sqrt(0.9 / 0.5), rel=1e-3)
+
+
+def test_a_velocity_limit_adds_d_over_v_and_v_over_a(planar4: Robot) -> None:
+    limits = with_limits(planar4.limits, velocity=(0.4, 1.0, 1.0, 1.0), acceleration=(0.8, 2.0, 9.0, 9.0))
+    motion = time_along(*line([0.0] * 4, [1.5, 0.6, 0.0, 0.0]), limits)
+    assert motion.duration == pytest.approx(1.5 / 0.4 + 0.4 / 0.8, rel=1e-3)
+
+
+def test_two_joints_on_a_straight_way_share_the_tighter_of_each_limit(planar4: Robot) -> None:
+    # joint 1 bounds the speed (0.5 per unit), joint 2 the acceleration (0.25 per unit)
+    limits = with_limits(planar4.limits, velocity=(0.5, 3.0, 1.0, 1.0), acceleration=(1.0, 0.5, 1.0, 1.0))
+    motion = time_along(*line([0.0] * 4, [1.0, 2.0, 0.0, 0.0]), limits)
+    assert motion.duration == pytest.approx(1.0 / 0.5 + 0.5 / 0.25, rel=1e-3)
+
+
+def test_the_tip_speed_that_is_asked_bounds_the_motion(planar4: Robot) -> None:
+    part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
+    slow = time_along(2.0 * part, q, with_limits(planar4.limits, velocity=9.0, acceleration=1e3), speed=0.1)
+    assert slow.duration == pytest.approx(2.0 / 0.1, rel=1e-3)
+
+
+@pytest.mark.parametrize(("begin", "end", "effort"), [(-1.2, 1.0, 400.0), (1.3, -1.3, 400.0), (-0.4, 0.4, 420.0)])
+def test_a_pendulum_under_a_torque_limit_switches_once(tmp_path: Path, begin: float, end: float, effort: float) -> None:
+    """With tau = +-T the energy is known everywhere: one switch, and T by quadrature."""
+    robot = pendulum(tmp_path, effort)
+    inertia, weight = MASS * LENGTH**2, MASS * GRAVITY * LENGTH
+    sign = np.sign(end - begin)
+
+    def speeding(q: float) -> float:
+        return float(sign * effort * (q - begin) - weight * (np.sin(q) - np.sin(begin)))
+
+    def braking(q: float) -> float:
+        return float(sign * effort * (end - q) + weight * (np.sin(end) - np.sin(q)))
+
+    switch = brentq(lambda q: speeding(q) - braking(q), begin, end)
+
+    def slowness(root: float, origin: float, way: float, energy: object) -> float:
+        """dt / d root with q = origin + way root^2, which is smooth where the speed is 0."""
+        q = origin + way * root**2
+        assert callable(energy)
+        return float(2.0 * root / np.sqrt(2.0 * max(energy(q), 1e-300) / inertia))
+
+    first, _ = quad(slowness, 1e-9, np.sqrt(abs(switch - begin)), args=(begin, sign, speeding))
+    second, _ = quad(slowness, 1e-9, np.sqrt(abs(end - switch)), args=(end, -sign, braking))
+    motion = time_along(*line([begin], [end]), robot.limits, drive=Drive(robot))
+    assert motion.duration == pytest.approx(first + second, rel=1e-3)
+    effort_use, _ = use_of_drive(motion, Drive(robot))
+    assert np.max(effort_use) <= 1.001
+
+
+def slow_machine(robot: Robot, **changes: Any) -> tuple[Robot, Hydraulics]:
+    assert robot.hydraulics is not None
+    hydraulics = replace(robot.hydraulics, **changes)
+    return replace(robot, hydraulics=hydraulics), hydraulics
+
+
+def test_a_weak_pump_takes_volume_over_flow(backhoe: Robot) -> None:
+    robot, hydraulics = slow_machine(backhoe, pump_flow=2e-5)
+    # a boom that sinks extends, a stick that crowds extends: the caps are filled
+    stations, q = line([0.0, 0.3, -1.0, -1.0], [0.0, -0.4, -1.6, -1.0])
+    swept = hydraulics.lengths(q[-1]) - hydraulics.lengths(q[0])
+    caps = np.array([cylinder.cap_area for cylinder in hydraulics.cylinders])
+    moved = np.abs(swept) > 1e-9
+    assert np.all(swept[moved] > 0.0)
+    motion = time_along(stations, q, robot.limits, drive=Drive(robot), period=0.1)
+    assert motion.duration == pytest.approx(float(caps @ swept) / 2e-5, rel=1e-3)
+
+
+def test_a_weak_engine_takes_work_over_power(backhoe: Robot) -> None:
+    robot, hydraulics = slow_machine(backhoe, engine_power=500.0, efficiency=0.8)
+    stations, q = line([0.2, -0.5, -1.0, -1.0], [0.2, 0.6, -1.0, -1.0])
+    load = Dynamics(robot, payload=400.0)
+    work = load.potential_energy(q[-1]) - load.potential_energy(q[0])
+    motion = time_along(stations, q, robot.limits, drive=Drive(robot, payload=400.0), period=0.1)
+    assert motion.duration == pytest.approx(work / hydraulics.power_limit, rel=2e-3)
+    assert motion.duration > work / hydraulics.power_limit
+
+
+def test_a_run_within_rows_is_as_a_finer_linear_program_has_it() -> None:
+    """Random rows with room at rest: no point of the run can be passed faster, by bisection."""
+    rng = np.random.default_rng(3)
+    grid = np.linspace(0.0, 1.0, 61)
+    places = np.linspace(0.0, 2.0 * np.pi, 61)[:-1, None]
+    phases = rng.uniform(0.0, 6.0, (4, 8))
+    alpha, beta = np.sin(places + phases[0]), 2.0 * np.sin(2.0 * places + phases[1])
+    gamma = 1.2 + np.sin(places + phases[2])
+    law = fastest(grid, np.full(61, 4.0), Rows(alpha, beta, gamma), Rows(alpha, beta, gamma))
+    assert law is not None
+    for x in (law.x[:-1], law.x[1:]):
+        assert np.all(alpha * law.u[:, None] + beta * x[:, None] <= gamma + 1e-7)
+    slower = fastest(grid, np.full(61, 4.0), Rows(alpha, beta, 0.5 * gamma), Rows(alpha, beta, 0.5 * gamma))
+    assert slower is not None
+    assert np.all(slower.x <= law.x + 1e-9)
+    # another solver's optimum of the same discrete problem: the sum of x is greatest where every x is
+    from scipy.optimize import linprog
+
+    steps = np.diff(grid)[:, None]
+    count, rows = 61, []
+    bounds = []
+    for i in range(60):
+        for x_at in (i, i + 1):
+            row = np.zeros((8, count))
+            row[:, i + 1] += alpha[i] / (2.0 * steps[i])
+            row[:, i] -= alpha[i] / (2.0 * steps[i])
+            row[:, x_at] += beta[i]
+            rows.append(row)
+            bounds.append(gamma[i])
+    caps = [(0.0, 4.0)] * count
+    caps[0] = caps[-1] = (0.0, 0.0)
+    best = linprog(-np.ones(count), A_ub=np.vstack(rows), b_ub=np.concatenate(bounds), bounds=caps)
+    assert best.status == 0
+    np.testing.assert_allclose(law.x, best.x, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_without_a_drive_it_is_as_fast_as_toppra(backhoe: Robot, seed: int) -> None:
+    import logging
+
+    import toppra
+    import toppra.algorithm
+    import toppra.constraint
+
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)
+    q, limits = smooth_path(backhoe, seed), backhoe.limits
+    stations = np.linspace(0.0, 6.0, len(q))
+    turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    along = np.concatenate(([0.0], np.cumsum(np.diff(stations) + 0.1 * turn)))
+    both = [
+        toppra.constraint.JointVelocityConstraint(np.column_stack((-limits.velocity, limits.velocity))),
+        toppra.constraint.JointAccelerationConstraint(np.column_stack((-limits.acceleration, limits.acceleration))),
+    ]
+    curve = toppra.SplineInterpolator(along, q, bc_type="not-a-knot")
+    solver = toppra.algorithm.TOPPRA(both, curve, gridpoints=np.linspace(0.0, along[-1], 2001))
+    reference = float(solver.compute_trajectory(0.0, 0.0).duration)
+    assert time_along(stations, q, limits).duration == pytest.approx(reference, rel=2e-3)
+
+
+# --- every limit, and one that binds ------------------------------------------------
+
+
+def posed(robot: Robot, q: Matrix, **more: object) -> Problem:
+    scene = {
+        "version": 1,
+        "start": {"joints": dict(zip(robot.joint_names, q[0].tolist(), strict=True))},
+        "task": {"goal": {"position": [3.0, 0.0, 0.0]}},
+        **more,
+    }
+    return build_problem(robot, scene_from_dict(scene))
+
+
+def smooth_path(robot: Robot, seed: int) -> Matrix:
+    """(120, n) through four random configurations, within the limits of the joints."""
+    rng = np.random.default_rng(seed)
+    while True:
+        knots = np.array([robot.middle + 0.8 * (robot.random_q(rng) - robot.middle) for _ in range(4)])
+        q = CubicSpline(np.linspace(0.0, 1.0, 4), knots, bc_type="natural")(np.linspace(0.0, 1.0, 120))
+        if np.all((q > robot.limits.lower) & (q < robot.limits.upper)):
+            return np.asarray(q)
+
+
+def strong(robot: Robot, changes: dict[str, float]) -> Robot:
+    return slow_machine(robot, **changes)[0] if changes else robot
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    ("payload", "changes"),
+    [(500.0, {}), (0.0, {"pump_flow": 1.0}), (900.0, {"engine_power": 12e3})],
+    ids=["pump", "valves", "engine"],
+)
+def test_every_limit_holds_at_ten_times_finer_sampling_and_one_binds(
+    backhoe: Robot, seed: int, payload: float, changes: dict[str, float]
+) -> None:
+    """Left out of the second claim: the ends, and the change from one limit to another.
+
+    Where the binding limit changes between two points of the grid, for that one interval
+    the speed is that which meets both; those are less than a hundredth of all moments.
+    """
+    robot = strong(backhoe, changes)
+    q = smooth_path(robot, seed)
+    problem = posed(robot, q, payload=payload)
+    motion = time_along(np.linspace(0.0, 6.0, len(q)), q, problem.limits, drive=drive_of(problem), period=0.002)
+    usage = limit_usage(problem, motion)
+    assert np.max(usage.ratio) <= 1.001
+    inside = usage.greatest[2:-2]
+    assert np.mean(inside >= 0.98) >= 0.99
+    assert np.min(inside) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("changes", "payload", "expected"),
+    [
+        ({"pump_flow": 5e-4}, 0.0, "pump flow"),
+        ({"engine_power": 3e3}, 600.0, "engine power"),
+        ({"pump_flow": 1.0, "pressure": 5e6}, 0.0, "torque"),
+    ],
+)
+def test_it_is_said_which_limit_binds(backhoe: Robot, changes: dict[str, float], payload: float, expected: str) -> None:
+    robot = strong(backhoe, changes)
+    q = line([-0.8, -0.4, -1.4, -1.2], [0.8, 0.5, -0.9, -0.8])[1]
+    problem = posed(robot, q, payload=payload)
+    motion = time_along(np.linspace(0.0, 3.0, len(q)), q, problem.limits, drive=drive_of(problem))
+    usage = limit_usage(problem, motion)
+    names = [usage.names[index] for index in usage.binding]
+    assert np.mean([name.startswith(expected) for name in names]) > 0.3
+    assert usage.ratio.shape == (len(motion), len(usage.names))
+
+
+def test_soil_takes_torque_and_power(backhoe: Robot) -> None:
+    """A cut of a weak engine: slower in soil than in air, and within its power in both."""
+    robot = strong(backhoe, {"engine_power": 1e3})
+    q = line([0.0, -0.9, -0.6, -0.9], [0.0, -0.9, -1.4, -0.9])[1]
+    stations = np.linspace(0.0, 2.0, len(q))
+    cut = posed(robot, q, soil={"cohesion": 20000.0, "density": 1900.0, "surface": -3.4})
+    free = posed(robot, q)
+    against = drive_of(cut).soil_torques_towards(q, np.tile(q[-1] - q[0], (len(q), 1)))
+    assert np.min(against[:, 2]) < -1e3  # the stick has to crowd harder
+    through = time_along(stations, q, cut.limits, drive=drive_of(cut))
+    without = time_along(stations, q, free.limits, drive=drive_of(free))
+    assert through.duration > 1.05 * without.duration
+    usage = limit_usage(cut, through)
+    assert np.max(usage.ratio) <= 1.005
+    assert "engine power" in {usage.names[index] for index in usage.binding}
+
+
+# --- what cannot be held, and what is too fast ----------------------------------------
+
+
+def test_a_payload_that_cannot_be_held_is_named_with_joint_and_figures(backhoe: Robot) -> None:
+    scene = scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": 0.0, "boom": 0.2, "stick": -0.6, "bucket": -0.4}},
+            "task": {"goal": {"position": [4.6, 1.0, 1.0]}},
+            "payload": 4000.0,
+        }
+    )
+    found = plan(backhoe, scene)
+    assert (found.verdict, found.reason) == ("failed", "outside_limits")
+    assert "cannot hold the load" in found.message
+    assert found.certificate.effort is not None
+    assert found.certificate.effort.joint in found.message
+    assert found.certificate.effort.at_rest > 1.0
+    assert found.details["effort"]["joint"] == found.certificate.effort.joint
+    q = found.trajectory.q[int(np.argmin(np.abs(found.trajectory.time - found.certificate.effort.time)))]
+    gravity = Dynamics(backhoe, payload=4000.0).torques(q, np.zeros(4), np.zeros(4))
+    joint = backhoe.joint_names.index(found.certificate.effort.joint)
+    assert found.certificate.effort.needed == pytest.approx(gravity[joint], rel=0.1)
+
+
+def brisk(robot: Robot) -> Trajectory:
+    part = np.linspace(0.0, 1.0, 120)
+    bend = part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    return Trajectory.from_steps(
+        3.2 * part, np.array([0.0, 0.0, -1.2, -1.0]) + bend[:, None] * np.array([1.0, 0.5, -0.6, 0.8])
+    )
+
+
+def test_a_motion_that_the_pump_cannot_drive_is_refuted(backhoe: Robot) -> None:
+    robot = strong(backhoe, {"pump_flow": 1.5e-3})
+    motion = brisk(robot)
+    certificate = certify(robot, scene_at(motion), motion)
+    assert certificate.hydraulics is not None
+    assert certificate.hydraulics.kind == "pump flow"
+    assert not certificate.limits_kept
+    assert not certificate.safe
+    assert any("pump flow" in problem for problem in certificate.problems)
+
+
+def scene_at(motion: Trajectory) -> Scene:
+    names = ("swing", "boom", "stick", "bucket")
+    return scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(names, motion.q[0].tolist(), strict=True))},
+            "task": {"goal": {"position": [3.0, 0.0, 0.0]}},
+        }
+    )
+
+
+def test_retimed_keeps_every_sample_and_slows_only_where_it_must(backhoe: Robot) -> None:
+    robot = strong(backhoe, {"pump_flow": 1.5e-3})
+    motion, drive = brisk(robot), Drive(robot)
+    slower = retimed(motion, robot.limits, drive=drive)
+    assert np.array_equal(slower.q, motion.q)
+    effort, speeds = use_of_drive(slower, drive)
+    assert max(np.max(effort), np.max(speeds)) <= 1.01
+    _, before = use_of_drive(motion, drive)
+    # slowed by one factor throughout, it would take this long
+    assert motion.duration < slower.duration < motion.duration * np.max(before)
+    assert retimed(slower, robot.limits, drive=drive) is slower
+
+
+def test_the_plan_file_holds_the_use_of_the_drive(backhoe: Robot, tmp_path: Path) -> None:
+    import json
+
+    motion = brisk(backhoe)
+    found = plan(backhoe, scene_at(motion))
+    found.save(tmp_path / "plan.json")
+    content = json.loads((tmp_path / "plan.json").read_text())
+    assert content["certificate"]["limits"]["hydraulics"]["ratio"] <= 1.01
+    assert set(content["certificate"]["limits"]) == {"position", "velocity", "acceleration", "effort", "hydraulics"}
+    again = load_plan(tmp_path / "plan.json")
+    assert again.certificate.hydraulics == found.certificate.hydraulics
+    for kind in ("effort", "hydraulics"):  # as files were before
+        del content["certificate"]["limits"][kind]
+    (tmp_path / "plan.json").write_text(json.dumps(content))
+    assert load_plan(tmp_path / "plan.json").certificate.effort == found.certificate.effort
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+@pytest.mark.parametrize("moving", [{}, {"velocity": [0.1, 0.1, 0.0]}, {"appears_at": 1.0}], ids=str)
+def test_what_is_verified_can_be_driven(backhoe: Robot, method: str, moving: dict[str, object]) -> None:
+    """All joints at once at full rate would take more than twice the pump's flow."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.5, -1.5, 2.6]}
+    scene = scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": -1.0, "boom": -0.3, "stick": -1.9, "bucket": -1.6}},
+            "task": {"goal": {"position": [3.2, 2.2, 1.2]}},
+            "obstacles": [ball | moving],
+            "payload": 300.0,
+        }
+    )
+    found = plan(backhoe, scene, method=method)
+    assert found.verified, found.message
+    effort, speeds = use_of_drive(found.trajectory, drive_of(build_problem(backhoe, scene)))
+    assert max(np.max(effort), np.max(speeds)) <= 1.01
+    assert np.max(speeds) > 0.9

@@ -1,0 +1,72 @@
+"""Corners rounded within the tolerance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.planning.paths.corners import round_corners
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+
+TOLERANCE = 0.005
+
+
+def arc(bend: float) -> bp.Scene:
+    """Three legs of half a metre, with a bend of `bend` [rad] between them."""
+    points = [np.array([4.0, -0.8, 0.2])]
+    for leg in range(3):
+        heading = 0.5 * np.pi + (leg - 1) * bend
+        points.append(points[-1] + 0.5 * np.array([np.cos(heading), np.sin(heading), 0.0]))
+    path = {"waypoints": [{"position": point.tolist()} for point in points], "tolerance": TOLERANCE}
+    return bp.scene_from_dict({"version": 1, "task": {"path": path}})
+
+
+@pytest.mark.parametrize("bend", [0.1, 0.5, 1.5])
+def test_a_corner_is_cut_by_a_part_of_the_tolerance(backhoe: bp.Robot, bend: float) -> None:
+    problem = build_problem(backhoe, arc(bend))
+    assert problem.path is not None
+    proximity, kinematics = bp.Proximity(backhoe, problem.obstacles), bp.Kinematics(backhoe)
+    start = bp.plan(backhoe, arc(bend), method="reactive").trajectory.q[0]
+    law = resolve_along(problem, problem.path, 0.0, start, proximity=proximity, kinematics=kinematics)
+    assert law.complete
+    stations, q, left = round_corners(problem, problem.path, law.stations, law.q, proximity=proximity)
+    assert left.size == 0
+    assert np.all(np.diff(stations) > 0.0)
+    tips = np.array([kinematics.at(joints).tip_position for joints in q])
+    # a parabola is off its corner by half its height: 0.4 of the tolerance was asked
+    for corner in problem.path.points[1:-1]:
+        assert np.min(np.linalg.norm(tips - corner, axis=1)) == pytest.approx(0.4 * TOLERANCE, rel=0.05)
+    off = [problem.path.nearest(tip)[1] for tip in tips]
+    assert max(off) <= 0.4 * TOLERANCE + 1e-6
+    # no kink is left: the tip turns by a part of the bend at a time
+    steps = np.diff(tips, axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    turns = np.arccos(np.clip(np.sum(steps[:-1] * steps[1:], axis=1), -1.0, 1.0))
+    assert np.max(turns) < 0.35 * bend
+
+
+def test_the_way_back_is_stopped_at(planar4: bp.Robot) -> None:
+    path = {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-0.3, 0.3, -0.3)]}
+    scene = bp.scene_from_dict({"version": 1, "task": {"path": path}})
+    problem = build_problem(planar4, scene)
+    assert problem.path is not None
+    stations = np.linspace(0.0, 1.2, 61)
+    q = np.zeros((61, 4))
+    same, joints, left = round_corners(problem, problem.path, stations, q, proximity=bp.Proximity(planar4))
+    np.testing.assert_array_equal(same, stations)
+    np.testing.assert_array_equal(joints, q)
+    np.testing.assert_allclose(left, [0.6])
+
+
+def test_a_fine_polyline_is_not_stopped_at(backhoe: bp.Robot) -> None:
+    """17 points on an arc: but for the ends the tip never stands."""
+    points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.3] for a in np.linspace(-0.8, 0.8, 17)]
+    path = {"waypoints": [{"position": point} for point in points]}
+    found = bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": {"path": path}}), budget=60.0)
+    assert found.verified
+    rates = np.max(np.abs(found.trajectory.segment_velocities()), axis=1)
+    inside = (found.trajectory.time[1:] > 1.5) & (found.trajectory.time[1:] < found.trajectory.duration - 1.5)
+    assert np.min(rates[inside]) > 0.05
+    assert found.certificate.tracking.max_error < TOLERANCE

@@ -1,0 +1,354 @@
+"""The least of an objective along a path: converged, never worse for being refined, held against the law."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.motion.objectives import OBJECTIVES, Objective, trajectory_costs
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.paths.dynamic_programming import _cheapest_driven, cheapen_stretch
+from backhoe_planner.planning.paths.layered_graph import LayeredGraph
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.planning.paths.path_layers import PathLayers
+from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
+from backhoe_planner.planning.report.comparison import (
+    joined,
+    law_motion,
+    least_norm_resolution,
+    part_on_path,
+    stations_of,
+)
+
+Array = NDArray[np.float64]
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+CUT = [[4.4, 0.0, -0.4], [2.6, 0.4, 0.8]]
+
+
+def along(points: list[list[float]], **keys: Any) -> bp.Scene:
+    task = {"waypoints": [{"position": point} for point in points], "speed": 0.4}
+    return bp.scene_from_dict({"version": 1, "task": {"path": task}, "clearance": 0.02} | keys)
+
+
+def trench_cut(**keys: Any) -> bp.Scene:
+    """The shipped cut through the ground, otherwise asked for."""
+    content = yaml.safe_load((SCENES / "trench_cut.yaml").read_text(encoding="utf-8"))
+    return bp.scene_from_dict(content | keys)
+
+
+def posed(robot: bp.Robot, q: Array) -> dict[str, Any]:
+    return {"joints": dict(zip(robot.joint_names, q.tolist(), strict=True))}
+
+
+def resolved(problem: Problem, objective: Objective, *, grid: float, layer: float) -> Stretch:
+    assert problem.path is not None
+    resolver = PathResolver(
+        problem, problem.path, proximity=bp.Proximity(problem.robot, problem.obstacles),
+        find_detour=lambda *_: None, cost=objective.step_costs, grid=np.radians(grid), layer=layer,
+    )  # fmt: skip
+    (piece,) = resolver.resolve(None, detours=False).pieces
+    assert isinstance(piece, Stretch)
+    return piece
+
+
+# --- the grid and what comes after it ---------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["work", "effort", "velocity_norm"])
+def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) -> None:
+    problem = build_problem(backhoe, along(CUT, objective=name))
+    assert problem.path is not None
+    objective, proximity = Objective(problem), bp.Proximity(backhoe)
+    graph, refined = [], []
+    for grid, layer in ((10.0, 0.4), (5.0, 0.2), (2.5, 0.1)):
+        piece = resolved(problem, objective, grid=grid, layer=layer)
+        q = cheapen_stretch(
+            problem, problem.path, piece.stations, piece.q,
+            objective=objective, proximity=proximity, free_start=True, free_end=True,
+        )  # fmt: skip
+        graph.append(objective.driven(piece.stations, piece.q))
+        refined.append(objective.driven(piece.stations, q))
+    assert graph[2] < 1.01 * graph[0]
+    assert all(after <= before for before, after in zip(graph, refined, strict=True))
+    assert refined[2] == pytest.approx(refined[1], rel=0.01)
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+@pytest.mark.parametrize("machine", ["backhoe", "planar4"])
+def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: pytest.FixtureRequest) -> None:
+    """From seeded detours within the null space, beside an obstacle; ends stay where they are held."""
+    robot: bp.Robot = request.getfixturevalue(machine)
+    if name == "hydraulic" and robot.hydraulics is None:
+        assert machine == "planar4"
+        return
+    points = CUT if machine == "backhoe" else [[2.0, -0.6, 0.0], [2.0, 0.6, 0.0]]
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [3.2, 1.2, 0.4]}
+    problem = build_problem(robot, along(points, objective=name, obstacles=[ball] if machine == "backhoe" else []))
+    assert problem.path is not None
+    objective = Objective(problem)
+    proximity = bp.Proximity(robot, problem.obstacles)
+    piece = resolved(problem, Objective(problem, "velocity_norm"), grid=10.0, layer=0.1)
+    targets = TargetBatch.of([problem.path.target(float(s)) for s in piece.stations])
+    rng = np.random.default_rng(5)
+    fell = 0
+    for _ in range(2):
+        part = (piece.stations / problem.path.length)[:, None]
+        shake = sum(0.08 * rng.standard_normal(robot.n) * np.sin(k * np.pi * part) for k in (1, 2, 3))
+        q, reached = solve_batch(BatchKinematics(robot), targets, piece.q + shake)
+        if not reached.all() or any(np.any(proximity.distances(row) < proximity.clearance + 0.01) for row in q):
+            continue
+        cheap = cheapen_stretch(problem, problem.path, piece.stations, q, objective=objective, proximity=proximity)
+        before, after = objective.driven(piece.stations, q), objective.driven(piece.stations, cheap)
+        assert after <= before
+        fell += after < 0.9995 * before
+        np.testing.assert_array_equal(cheap[[0, -1]], q[[0, -1]])
+        at = BatchKinematics(robot).at(cheap)
+        np.testing.assert_allclose(at.tip_position, targets.position, atol=1e-6)
+        assert np.all(cheap >= problem.limits.lower)
+        assert np.all(cheap <= problem.limits.upper)
+        for row in cheap:
+            assert np.all(proximity.distances(row) >= proximity.clearance - 1e-4)
+    assert fell >= 1
+
+
+def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> None:
+    values = {}
+    for name in OBJECTIVES:
+        problem = build_problem(backhoe, along(CUT, objective=name))
+        piece = resolved(problem, Objective(problem), grid=10.0, layer=0.1)
+        assert problem.path is not None
+        q = cheapen_stretch(
+            problem, problem.path, piece.stations, piece.q, objective=Objective(problem),
+            proximity=bp.Proximity(backhoe), free_start=True, free_end=True,
+        )  # fmt: skip
+        values[name] = {other: Objective(problem, other).value(piece.stations, q) for other in OBJECTIVES}
+    for name in OBJECTIVES:
+        least = min(values[other][name] for other in OBJECTIVES)
+        assert values[name][name] <= 1.02 * least
+
+
+def test_the_routes_cost_falls_where_a_finer_grid_holds_the_coarser_one(backhoe: bp.Robot) -> None:
+    """On the same layers, so that every route of the coarse grid is one of the fine grid too."""
+    problem = build_problem(backhoe, along(CUT))
+    objective = Objective(problem)
+    costs = []
+    for grid in (12.0, 6.0, 3.0, 1.5):
+        problem_path = problem.path
+        assert problem_path is not None
+        stations = np.linspace(0.0, problem_path.length, 9)
+        layers = PathLayers(backhoe, grid=np.radians(grid)).at(
+            stations, [problem_path.target(s) for s in stations.tolist()]
+        )
+        route = LayeredGraph(stations, layers, cost=objective.step_costs, turning=1e-9, detours=False).best_route()
+        assert route is not None
+        costs.append(route.cost)
+    assert all(after <= before + 1e-9 for before, after in pairwise(costs))
+    assert costs[3] < 0.98 * costs[0]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_cheapest_way_over_three_knots_in_a_row_equals_an_exhaustive_search(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    knots, width = 5, 3
+    steps = rng.uniform(0.0, 1.0, (knots - 1, width, width))
+    turns = rng.uniform(0.0, 1.0, (knots - 2, width, width, width))
+    usable = rng.uniform(size=(knots, width)) < 0.7
+    usable[:, 1] = True
+
+    def cost(way: tuple[int, ...]) -> float:
+        pairs, triples = enumerate(pairwise(way)), enumerate(zip(way, way[1:], way[2:], strict=False))
+        return sum(float(steps[(k, *pair)]) for k, pair in pairs) + sum(float(turns[(k, *t)]) for k, t in triples)
+
+    open_ways = [way for way in product(range(width), repeat=knots) if all(usable[k, c] for k, c in enumerate(way))]
+    best = min(open_ways, key=cost)
+    assert tuple(_cheapest_driven(steps, turns, usable).tolist()) == best
+
+
+# --- whole plans --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_plans_keep_limits_and_clearances_by_the_certificate(backhoe: bp.Robot, name: str) -> None:
+    wall = {"name": "wall", "shape": "box", "size": [3.0, 0.2, 3.0], "position": [3.5, -0.8, 0.0], "clearance": 0.1}
+    scene = along(CUT, objective=name, obstacles=[wall])
+    plan = bp.plan(backhoe, scene, method="optimal")
+    assert plan.verified, plan.message
+    certificate = bp.certify(backhoe, scene, plan.trajectory)
+    assert certificate.verified
+    assert certificate.detours == ()
+    told = plan.metrics["objective"]
+    assert told["name"] == name
+    assert told["value"] == pytest.approx(plan.metrics["energy"][name], rel=1e-9)  # it begins on the path
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_plan_is_worse_than_the_law_and_a_free_start_is_no_worse(backhoe: bp.Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q = np.array([0.0, 0.5, -1.3, -0.9]) + 0.2 * rng.standard_normal(4)
+    begin = np.array(bp.Kinematics(backhoe).at(q).tip_position)
+    end = begin + rng.uniform(-1.0, 1.0, 3) * [1.0, 1.0, 0.8]
+    points = [begin.tolist(), end.tolist()]
+    same = bp.plan(backhoe, along(points, start=posed(backhoe, q)), method="optimal")
+    free = bp.plan(backhoe, along(points), method="optimal")
+    assert same.verified, same.message
+    assert free.verified, free.message
+    told = same.metrics["objective"]
+    assert told["law_breaks"] is None
+    assert told["value"] <= told["law"] * 1.001 + 1.0
+    assert free.metrics["objective"]["value"] <= 1.02 * told["value"] + 5.0
+
+
+def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, along(CUT), method="optimal")
+    problem = build_problem(backhoe, plan.scene)
+    assert problem.path is not None
+    kinematics = bp.Kinematics(backhoe)
+    motion = plan.trajectory
+    law = resolve_along(problem, problem.path, 0.0, motion.q[0], proximity=bp.Proximity(backhoe), kinematics=kinematics)
+    assert law.complete
+    # where the tip is at every sample, on the straight path
+    tips = np.array([kinematics.at(q).tip_position for q in motion.q])
+    s = np.linalg.norm(tips - np.array(CUT[0]), axis=1)
+    np.testing.assert_allclose(stations_of(problem.path, motion, kinematics=kinematics), s, atol=1e-4)
+    moved = law_motion(problem.path, law, motion, kinematics=kinematics)
+    np.testing.assert_array_equal(moved.time, motion.time)
+    for q, tip in zip(moved.q, tips, strict=True):
+        np.testing.assert_allclose(kinematics.at(q).tip_position, tip, atol=2e-4)
+    work = trajectory_costs(problem, moved)["work"]
+    told = plan.metrics["objective"]
+    assert told["law"] == pytest.approx(work, rel=1e-9)
+    assert told["saving_percent"] == pytest.approx(100.0 * (1.0 - plan.metrics["energy"]["work"] / work), rel=1e-9)
+
+
+def test_time_is_held_against_the_laws_own_timing(backhoe: bp.Robot) -> None:
+    """And no other objective is faster than the one that asks for it, but for a hair."""
+    plans = {name: bp.plan(backhoe, trench_cut(objective=name), method="optimal") for name in ("time", "work")}
+    told = plans["time"].metrics["objective"]
+    assert told["value"] == pytest.approx(plans["time"].trajectory.duration)  # it begins on the path
+    assert told["law"] >= told["value"] * 0.999
+    assert told["law"] != told["value"]
+    assert plans["time"].trajectory.duration <= 1.002 * plans["work"].trajectory.duration
+    # at 0.3 m/s from end to end it would be
+    problem = build_problem(backhoe, plans["time"].scene)
+    assert problem.path is not None
+    assert plans["time"].trajectory.duration > problem.path.length / 0.3
+
+
+@pytest.mark.parametrize("name", ["work", "hydraulic"])
+def test_a_cut_without_needless_reversals(backhoe: bp.Robot, name: str) -> None:
+    """Three legs: a joint has a reason to turn round at the two corners, and seldom another."""
+    plan = bp.plan(backhoe, trench_cut(objective=name), method="optimal")
+    assert plan.verified, plan.message
+    for rate in plan.trajectory.segment_velocities().T:
+        moving = np.sign(rate[np.abs(rate) > 0.02])
+        assert np.count_nonzero(np.diff(moving)) <= 2
+    assert plan.metrics["asked_speed"]["kept_percent"] > 90.0
+
+
+@pytest.mark.parametrize("name", ["work", "hydraulic", "time"])
+@pytest.mark.parametrize("length", [1e-2, 1e-3, 1e-6])
+def test_a_very_short_path_is_no_worse_than_the_laws(backhoe: bp.Robot, name: str, length: float) -> None:
+    """It is all speeding up and slowing down, which the search does not see."""
+    for start in (None, {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}):
+        keys = {} if start is None else {"start": start}
+        plan = bp.plan(backhoe, along([[4.0, 0.0, 0.3], [4.0 - length, 0.0, 0.3]], objective=name, **keys))
+        assert plan.verified, plan.message
+        told = plan.metrics["objective"]
+        assert told["value"] <= told["law"] * (1.0 + 1e-4)
+
+
+def test_the_approach_counts_where_all_of_the_motion_is_told(backhoe: bp.Robot) -> None:
+    start = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+    plan = bp.plan(backhoe, along(CUT, start=start))
+    assert plan.verified, plan.message
+    told = plan.metrics["objective"]
+    assert told["whole"] == pytest.approx(plan.metrics["energy"]["work"], rel=1e-12)
+    problem = build_problem(backhoe, plan.scene)
+    assert problem.path is not None
+    motion, begun = part_on_path(
+        problem.path, plan.trajectory, plan.certificate.tracking.approach_time, kinematics=bp.Kinematics(backhoe)
+    )
+    assert begun > plan.certificate.tracking.approach_time
+    tip = bp.Kinematics(backhoe).at(motion.q[0]).tip_position
+    np.testing.assert_allclose(tip, CUT[0], atol=1e-6)  # not just within the tolerance
+    assert told["whole"] > told["value"]
+    assert told["law_whole"] - told["law"] == pytest.approx(told["whole"] - told["value"])
+    assert told["saving_percent_whole"] == pytest.approx(100.0 * (1.0 - told["whole"] / told["law_whole"]))
+    assert told["saving_percent_whole"] < told["saving_percent"]
+    free = bp.plan(backhoe, along(CUT)).metrics["objective"]
+    assert free["whole"] == free["value"]
+
+
+def test_motions_are_joined_by_a_step_of_rest() -> None:
+    one = Trajectory.from_steps(np.array([0.0, 0.1, 0.2]), np.array([[0.0], [0.1], [0.2]]))
+    two = Trajectory.from_steps(np.array([0.0, 0.1, 0.3]), np.array([[0.2], [0.3], [0.4]]))
+    both = joined([one, two])
+    np.testing.assert_allclose(both.time, [0.0, 0.1, 0.2, 0.3, 0.4, 0.6])
+    np.testing.assert_allclose(both.q[:, 0], [0.0, 0.1, 0.2, 0.2, 0.3, 0.4])
+
+
+def test_the_least_norm_law_is_the_pseudo_inverse(backhoe: bp.Robot) -> None:
+    """Its first step has no part in the null space, and it goes on beyond a limit, which it names."""
+    problem = build_problem(backhoe, along(CUT))
+    assert problem.path is not None
+    kinematics = bp.Kinematics(backhoe)
+    plan = bp.plan(backhoe, along(CUT))
+    found = least_norm_resolution(problem, problem.path, plan.trajectory.q[0], kinematics=kinematics)
+    assert found is not None
+    J = kinematics.at(found.q[0]).jacobian[:3]
+    null = np.linalg.svd(J)[2][-1]
+    first = found.q[1] - found.q[0]
+    assert abs(null @ first) < 0.02 * np.linalg.norm(first)
+    outside = (found.q < problem.limits.lower - 1e-6) | (found.q > problem.limits.upper + 1e-6)
+    if found.blocker is None:
+        assert not outside.any()
+    else:
+        assert outside[:, backhoe.joint_names.index(found.blocker[1])].any()
+
+
+def test_a_law_that_is_blocked_by_an_obstacle_is_told(planar4: bp.Robot) -> None:
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.15, "position": [2.1, 0.0, 0.0]}
+    task = {"path": {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-1.0, 1.0)], "speed": 0.4}}
+    scene = bp.scene_from_dict({"version": 1, "task": task, "clearance": 0.02, "obstacles": [ball]})
+    plan = bp.plan(planar4, scene, budget=30.0)
+    assert plan.verified, plan.message
+    assert plan.certificate.detours
+    told = plan.metrics["objective"]
+    assert told["law"] is None
+    assert told["saving_percent"] is None
+    assert told["law_breaks"].startswith("clearance")
+
+
+def test_optimal_is_for_paths(backhoe: bp.Robot) -> None:
+    scene = bp.scene_from_dict(
+        {"version": 1, "start": posed(backhoe, backhoe.middle), "task": {"goal": {"position": [3.0, 0.0, 0.5]}}}
+    )
+    with pytest.raises(bp.InputError, match="path"):
+        bp.plan(backhoe, scene, method="optimal")
+
+
+def test_the_plan_file_holds_torque_and_power_over_time(backhoe: bp.Robot, tmp_path: Path) -> None:
+    plan = bp.plan(backhoe, along(CUT, payload=150.0), method="optimal")
+    plan.save(tmp_path / "plan.json")
+    content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    dynamics = content["dynamics"]
+    assert content["method"] == "optimal"
+    assert np.array(dynamics["torque"]).shape == plan.trajectory.q.shape
+    power = np.sum(np.maximum(np.array(dynamics["torque"]) * plan.trajectory.v, 0.0), axis=1)
+    np.testing.assert_allclose(dynamics["power"], power, rtol=1e-9, atol=1e-9)
+    assert dynamics["work"][-1] == pytest.approx(content["metrics"]["energy"]["work"], rel=1e-9)
+    assert dynamics["hydraulic"][-1] == pytest.approx(content["metrics"]["energy"]["hydraulic"], rel=1e-9)
+    again = bp.load_plan(tmp_path / "plan.json")
+    assert again.metrics["objective"] == plan.metrics["objective"]

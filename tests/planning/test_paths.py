@@ -1,0 +1,295 @@
+"""Paths whose answer is known: where they are left and rejoined, by which elbow, and why not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from random_scenes import SiteKey, load_machine, random_site  # type: ignore[import-not-found]
+
+import backhoe_planner as bp
+from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
+from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.planning.paths.path_layers import PathLayers, redundancy_of
+from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
+from backhoe_planner.planning.paths.smoothing import smooth_stretch, stretch_cost
+
+Data = dict[str, Any]
+
+CLEARANCE = 0.02
+BALL = 0.05  # at the elbow arm's tip
+LINE = [[2.0, -1.0, 0.0], [2.0, 1.0, 0.0]]
+
+# two links of 1 m, 4 cm thick, and a ball of 5 cm at the tip; every point within reach has an elbow up and one down
+ELBOW = """<robot name="elbow">
+  <link name="base"/>
+  <link name="upper"><collision><origin xyz="0.5 0 0" rpy="0 1.5707963 0"/>
+    <geometry><cylinder radius="0.02" length="0.96"/></geometry></collision></link>
+  <link name="lower"><collision><origin xyz="0.5 0 0" rpy="0 1.5707963 0"/>
+    <geometry><cylinder radius="0.02" length="0.96"/></geometry></collision></link>
+  <link name="tip"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" velocity="1" effort="100"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><axis xyz="0 0 1"/>
+    <origin xyz="1 0 0"/><limit lower="-2.9" upper="2.9" velocity="1" effort="100"/></joint>
+  <joint name="end" type="fixed"><parent link="lower"/><child link="tip"/><origin xyz="1 0 0"/></joint>
+</robot>"""
+
+
+def site(points: list[list[float]], obstacles: list[Data] | None = None, **keys: Any) -> bp.Scene:
+    path = {"waypoints": [{"position": point} for point in points]} | keys
+    content = {"version": 1, "task": {"path": path}, "clearance": CLEARANCE, "obstacles": obstacles or []}
+    return bp.scene_from_dict(content)
+
+
+def ball(x: float, y: float, radius: float) -> Data:
+    return {"name": "ball", "shape": "sphere", "radius": radius, "position": [x, y, 0.0]}
+
+
+@pytest.fixture(scope="module")
+def elbow(tmp_path_factory: pytest.TempPathFactory) -> bp.Robot:
+    file: Path = tmp_path_factory.mktemp("elbow") / "elbow.urdf"
+    file.write_text(ELBOW)
+    return bp.load_robot(file, tip="tip")
+
+
+HALF_WIDTH = 0.04  # of planar4's links: boxes that end at the tip
+
+
+# --- through an obstacle, along a wall, by one elbow, beyond a limit ----------------------
+
+
+def test_through_the_middle_of_an_obstacle(planar4: bp.Robot) -> None:
+    """The tip can follow up to the clearance where the last link points at the ball, a little less where it slants."""
+    found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)]), budget=60.0)
+    assert found.verified
+    near = 0.3 + CLEARANCE
+    [detour] = found.details["detours"]
+    assert 1.0 - near - HALF_WIDTH - 0.02 < detour["path_from"] < 1.0 - near + 1e-3
+    assert 1.0 + near - 1e-3 < detour["path_to"] < 1.0 + near + HALF_WIDTH + 0.02
+    assert detour["obstacle"] == "ball"
+    # beside the ball's middle the tip has to be at least as far from the path as from the ball
+    assert near - 1e-3 < found.metrics["detour"]["max_deviation"] < 2.5 * near
+    assert found.metrics["detour"]["length"] > np.pi * near * 0.9
+
+
+def test_where_detours_are_not_allowed_the_same_is_said(planar4: bp.Robot) -> None:
+    found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)], detour=False), budget=60.0)
+    near = 0.3 + CLEARANCE
+    assert found.reason == "blocked"
+    assert 1.0 - near - HALF_WIDTH - 0.02 < found.details["path_from"] < 1.0 - near + 1e-3
+    assert 1.0 + near - 1e-3 < found.details["path_to"] < 1.0 + near + HALF_WIDTH + 0.02
+    assert found.details["obstacle"] == "ball"
+    assert "ball" in found.message
+    assert "detours are not allowed" in found.message
+    assert found.metrics["detour"]["max_deviation"] > near - 1e-3
+
+
+def beside_a_wall(gap: float) -> bp.Scene:
+    """A path past a wall that leaves `gap` beside the ball at the elbow arm's tip [m]."""
+    wall = {"name": "wall", "shape": "box", "size": [0.5, 4.0, 1.0], "position": [1.4 + BALL + gap + 0.25, 0.0, 0.0]}
+    return site([[1.4, -0.5, 0.0], [1.4, 0.5, 0.0]], [wall], detour=False)
+
+
+def test_along_a_wall_at_exactly_the_clearance(elbow: bp.Robot) -> None:
+    found = bp.plan(elbow, beside_a_wall(CLEARANCE))
+    assert found.verified
+    assert found.certificate.detours == ()
+    tightest = found.certificate.min_clearance
+    assert tightest is not None
+    assert (tightest.obstacle, tightest.link) == ("wall", "tip")
+    assert tightest.margin == pytest.approx(0.0, abs=2e-4)
+
+
+def test_a_millimetre_nearer_the_wall_is_a_collision(elbow: bp.Robot) -> None:
+    found = bp.plan(elbow, beside_a_wall(CLEARANCE - 0.001))
+    assert found.reason == "goal_in_collision"
+    assert found.details["obstacle"] == "wall"
+    assert found.details["distance"] == pytest.approx(CLEARANCE - 0.001, abs=1e-6)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_gap_that_only_one_elbow_position_passes(elbow: bp.Robot, side: float) -> None:
+    """With the tip at (1.25, 0) the elbows are at (0.625, +-0.781); a ball stands at one of them."""
+    found = bp.plan(elbow, site([[0.8, 0.0, 0.0], [1.7, 0.0, 0.0]], [ball(0.625, side * 0.781, 0.1)], detour=False))
+    assert found.verified
+    assert np.all(side * found.trajectory.q[:, 1] > 0.1)
+
+
+def test_with_balls_at_both_elbows_nothing_passes(elbow: bp.Robot) -> None:
+    balls = [ball(0.625, 0.781, 0.1), ball(0.625, -0.781, 0.1) | {"name": "other ball"}]
+    found = bp.plan(elbow, site([[0.8, 0.0, 0.0], [1.7, 0.0, 0.0]], balls, detour=False))
+    # where the middle line of a link is nearer to the ball than radius, clearance and half its thickness
+    reach = np.linspace(0.8, 1.7, 901)
+    near = np.array([off_links(x, np.array([0.625, 0.781])) < 0.1 + CLEARANCE + 0.02 for x in reach])
+    assert found.reason == "blocked"
+    assert found.details["obstacle"] in ("ball", "other ball")
+    assert found.details["path_from"] == pytest.approx(reach[near][0] - 0.8, abs=0.01)
+    assert found.details["path_to"] == pytest.approx(reach[near][-1] - 0.8, abs=0.01)
+
+
+def off_links(x: float, point: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    """Distance of a point from the links of the elbow arm, elbow up, tip at (x, 0) [m]."""
+    corner = np.array([0.5 * x, np.sqrt(1.0 - 0.25 * x * x)])
+    found = np.inf
+    for a, b in ((np.zeros(2), corner), (corner, np.array([x, 0.0]))):
+        part = float(np.clip((point - a) @ (b - a), 0.0, 1.0))
+        found = min(found, float(np.linalg.norm(point - a - part * (b - a))))
+    return found
+
+
+def test_past_the_swing_limit(backhoe: bp.Robot) -> None:
+    """Swing ends at 90 degrees: a point to the left of and behind that is out of reach by a known distance."""
+    limit = backhoe.limits.upper[0]
+    points = [[4.0 * np.cos(a), 4.0 * np.sin(a), 0.0] for a in (limit - 0.4, limit - 0.1, limit + 0.25)]
+    found = bp.plan(backhoe, site(points))
+    assert found.reason == "unreachable"
+    assert "waypoint 3" in found.message
+    assert found.details["joints_at_limit"] == ["swing"]
+    # the nearest point of the half-plane at the limit, which goes through the swing axis
+    axis = bp.Kinematics(backhoe).at(backhoe.middle).points[0]
+    outward = np.array([-np.sin(limit), np.cos(limit), 0.0])
+    assert found.details["position_error"] == pytest.approx((np.array(points[2]) - axis) @ outward, rel=0.02)
+
+
+def test_an_obstacle_at_the_end_of_the_path(planar4: bp.Robot) -> None:
+    found = bp.plan(planar4, site(LINE, [ball(2.0, 1.0, 0.2)]), budget=60.0)
+    near = 0.2 + CLEARANCE
+    assert found.reason == "blocked"
+    assert 2.0 - near - HALF_WIDTH - 0.02 < found.details["path_from"] < 2.0 - near + 1e-3
+    assert found.details["path_to"] == pytest.approx(2.0, abs=1e-9)
+    assert found.details["obstacle"] == "ball"
+
+
+def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"swing": -1.0, "boom": 0.6, "stick": -1.8, "bucket": -0.5}},
+            "task": {"path": {"waypoints": [{"position": [4.0, 0.0, 0.2]}, {"position": [4.0, 1.5, 0.2]}]}},
+        }
+    )
+    found = bp.plan(backhoe, scene)
+    assert found.verified
+    np.testing.assert_allclose(found.trajectory.q[0], [-1.0, 0.6, -1.8, -0.5])
+
+
+def test_a_path_to_and_fro_over_its_own_beginning(planar4: bp.Robot) -> None:
+    points = [[2.0, -0.1, 0.0], [2.0, 0.1, 0.0]] * 12
+    found = bp.plan(planar4, site(points), budget=60.0)
+    assert found.verified
+    assert found.certificate.tracking.followed == pytest.approx(23 * 0.2, abs=1e-3)
+
+
+# --- seven joints -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("index", [0, 4])
+def test_seven_joints_follow_full_poses_among_boxes(index: int) -> None:
+    """At most 1 mm and 0.1 degrees off between the waypoints too, without a jump."""
+    robot = load_machine("panda")
+    place = random_site(robot, SiteKey("panda", "cluttered", "path", index))
+    found = bp.plan(robot, place.scene, budget=60.0)
+    assert found.verified
+    assert found.certificate.detours == ()
+    path = build_problem(robot, place.scene).path
+    assert path is not None
+    motion = found.trajectory
+    begin = found.certificate.tracking.approach_time
+    kinematics = bp.Kinematics(robot)
+    low = 0.0
+    for moment in np.linspace(begin, motion.duration, 400):
+        at = kinematics.at(motion.at(float(moment)))
+        low, off = path.nearest(at.tip_position, low=low, high=min(low + 0.1, path.length))
+        assert off < 1e-3
+        assert path.target(low).distances(at)[1] < np.radians(0.1)
+    assert (
+        np.max(np.abs(np.diff(motion.q, axis=0)) / np.diff(motion.time)[:, None] / robot.limits.velocity) < 1.0 + 1e-6
+    )
+
+
+# --- the layers ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "full", "expected"),
+    [("backhoe", False, 1), ("planar4", False, 2), ("panda", True, 1), ("panda", False, 4), ("ur5", True, 0)],
+)
+def test_redundancy(name: str, full: bool, expected: int, request: pytest.FixtureRequest) -> None:
+    robot: bp.Robot = request.getfixturevalue(name)
+    at = bp.Kinematics(robot).at(robot.middle)
+    target = TipTarget(at.tip_position.copy(), rotation=at.tip_rotation.copy() if full else None)
+    assert redundancy_of(robot, target) == expected
+
+
+@pytest.mark.parametrize(("name", "full"), [("backhoe", False), ("panda", True)])
+def test_no_branch_of_the_solutions_is_missed(name: str, full: bool, request: pytest.FixtureRequest) -> None:
+    """Whatever the inverse kinematics finds from anywhere has a node within two grid steps."""
+    robot: bp.Robot = request.getfixturevalue(name)
+    rng = np.random.default_rng(3)
+    grid = np.radians(5.0)
+    missed = 0
+    for _ in range(4):
+        at = bp.Kinematics(robot).at(robot.random_q(rng))
+        target = TipTarget(at.tip_position.copy(), rotation=at.tip_rotation.copy() if full else None)
+        # the layers are completed from neighbour to neighbour: here all at one place
+        nodes = PathLayers(robot, grid=grid).at(np.linspace(0.0, 2.0, 6), [target] * 6)[-1]
+        guesses = np.array([robot.random_q(rng) for _ in range(200)])
+        q, reached = solve_batch(BatchKinematics(robot), TargetBatch.of([target] * 200), guesses)
+        near = np.min(np.max(np.abs(q[reached][:, None] - nodes[None]), axis=2), axis=1)
+        missed += int(np.sum(near > 2.0 * grid))
+    assert missed == 0
+
+
+def test_nodes_are_on_the_path(backhoe: bp.Robot) -> None:
+    targets = [TipTarget(np.array([4.0, 0.2 * k, 0.0]), pitch=(-2.0, -1.0)) for k in range(4)]
+    layers = PathLayers(backhoe, grid=0.1).at(np.array([0.0, 0.2, 0.4, 0.6]), targets)
+    kinematics = bp.Kinematics(backhoe)
+    for target, nodes in zip(targets, layers, strict=True):
+        assert len(nodes) >= 5
+        for q in nodes:
+            assert max(target.distances(kinematics.at(q))) < 1e-7
+            assert np.all((q >= backhoe.limits.lower) & (q <= backhoe.limits.upper))
+
+
+# --- smoothing ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    begin = np.array([rng.uniform(3.0, 4.5), rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0)])
+    end = begin + np.array([rng.uniform(-1.0, 0.5), rng.uniform(-1.0, 1.0), rng.uniform(-0.5, 0.5)])
+    scene = site([begin.tolist(), end.tolist()], [ball(3.0, 2.0, 0.3)])
+    problem = build_problem(backhoe, scene)
+    assert problem.path is not None
+    proximity = bp.Proximity(backhoe, problem.obstacles)
+    resolved = PathResolver(
+        problem, problem.path, proximity=proximity, find_detour=lambda a, b, low, high: None
+    ).resolve(None, detours=False)  # fmt: skip
+    assert resolved.complete
+    [piece] = resolved.pieces
+    assert isinstance(piece, Stretch)
+    q = smooth_stretch(problem, problem.path, piece.stations, piece.q, proximity=proximity, free_end=True)
+    np.testing.assert_array_equal(q[0], piece.q[0])
+    assert stretch_cost(piece.stations, q) < stretch_cost(piece.stations, piece.q)
+    kinematics = bp.Kinematics(backhoe)
+    for s, joints in zip(piece.stations, q, strict=True):
+        assert max(problem.path.target(float(s)).distances(kinematics.at(joints))) < 1e-6
+        assert np.all(proximity.distances(joints) >= proximity.clearance - 1e-4)
+
+
+# --- the same again -----------------------------------------------------------------------
+
+
+def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot) -> None:
+    scene = site(LINE, [ball(2.0, 0.0, 0.3)])
+    one, other = (bp.plan(planar4, scene, seed=4, budget=60.0) for _ in range(2))
+    assert one.verified
+    np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
+    np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)
+    assert one.details == other.details

@@ -1,0 +1,237 @@
+"""The plan file and the exports: whole or not at all, and nothing in them is believed."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import backhoe_planner as bp
+from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.planning.plan.export import export_plan
+
+Data = dict[str, Any]
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="module")
+def solved(planar4: bp.Robot) -> bp.Plan:
+    """A short swing past a ball that has room to spare."""
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"joint1": 0.0, "joint2": 0.3, "joint3": 0.3, "joint4": 0.3}},
+            "task": {"goal": {"position": [2.6, 2.4, 0.0]}},
+            "obstacles": [{"name": "ball", "shape": "sphere", "radius": 0.3, "position": [-2.0, 2.0, 0.0]}],
+        }
+    )
+    found = bp.plan(planar4, scene)
+    assert found.verified, found.message
+    return found
+
+
+def saved(plan: bp.Plan, folder: Path) -> tuple[Path, Data]:
+    file = folder / "plan.json"
+    plan.save(file)
+    content: Data = json.loads(file.read_text(encoding="utf-8"))
+    return file, content
+
+
+def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
+    file, _ = saved(solved, tmp_path)
+    again = bp.load_plan(file)
+    assert again.verified
+    for name in ("time", "q", "v"):
+        np.testing.assert_array_equal(getattr(again.trajectory, name), getattr(solved.trajectory, name))
+    assert again.certificate == solved.certificate
+    assert again.scene.to_dict() == solved.scene.to_dict()
+    assert (again.method, again.seed, again.message) == (solved.method, solved.seed, solved.message)
+    assert again.metrics == json.loads(json.dumps(solved.metrics))
+    energy = solved.energy()
+    assert energy.torque.shape == solved.trajectory.q.shape
+    assert energy.work[-1] == pytest.approx(solved.metrics["energy"]["work"])
+    other = tmp_path / "again.json"
+    again.save(other)
+    assert other.read_bytes() == file.read_bytes()
+
+
+def test_layout_is_the_contracts(solved: bp.Plan, tmp_path: Path) -> None:
+    _, content = saved(solved, tmp_path)
+    assert (content["format"], content["version"], content["verdict"]) == ("backhoe-planner/plan", 1, "verified")
+    assert content["robot"]["joints"] == ["joint1", "joint2", "joint3", "joint4"]
+    count = len(content["trajectory"]["time"])
+    assert np.shape(content["trajectory"]["q"]) == np.shape(content["trajectory"]["v"]) == (count, 4)
+    assert set(content["certificate"]["min_clearance"]) == {"value", "margin", "obstacle", "link", "time"}
+    assert {"duration", "planning_time", "energy", "detour"} <= set(content["metrics"])
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "named"),
+    [
+        (["format"], "something else", "format"),
+        (["version"], 7, "version"),
+        (["robot"], None, "robot"),
+        (["robot", "urdf"], 3, "robot.urdf"),
+        (["scene"], [], "scene"),
+        (["scene", "clearance"], -1.0, "scene"),
+        (["trajectory"], "gone", "trajectory"),
+        (["trajectory", "time"], None, "trajectory.time"),
+        (["trajectory", "q"], [[0.0, 0.0], [0.0, 0.0]], "trajectory.q"),
+        (["trajectory", "q", 0, 0], "a", "trajectory.q"),
+        (["trajectory", "q", 0, 0], None, "trajectory.q"),
+        (["trajectory", "time", 1], -1.0, "trajectory.time"),
+        (["method"], "magic", "method"),
+        (["verdict"], "perhaps", "verdict"),
+        (["seed"], True, "seed"),
+        (["metrics"], 1.0, "metrics"),
+    ],
+)
+def test_a_damaged_file_names_the_key(
+    solved: bp.Plan, tmp_path: Path, keys: list[Any], value: object, named: str
+) -> None:
+    file, content = saved(solved, tmp_path)
+    record: Any = content
+    for key in keys[:-1]:
+        record = record[key]
+    record[keys[-1]] = value
+    file.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(bp.PlanFileError) as caught:
+        bp.load_plan(file)
+    assert str(file) in str(caught.value)
+    assert named in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"format": 1}'])
+def test_what_is_no_plan_file(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "plan.json"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(bp.PlanFileError, match="is not a plan file"):
+        bp.load_plan(file)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(bp.PlanFileError, match="no such plan file"):
+        bp.load_plan(tmp_path / "none.json")
+
+
+def test_a_changed_urdf_is_noticed(solved: bp.Plan, tmp_path: Path) -> None:
+    file, _ = saved(solved, tmp_path)
+    urdf = tmp_path / "planar4.urdf"
+    text = (ROOT / "models" / "planar4.urdf").read_text(encoding="utf-8")
+    urdf.write_text(text, encoding="utf-8")
+    assert bp.load_plan(file, urdf=urdf).verified
+    urdf.write_text(text.replace('velocity="1.0"', 'velocity="1.1"'), encoding="utf-8")
+    with pytest.raises(bp.RobotError) as caught:
+        bp.load_plan(file, urdf=urdf)
+    assert caught.value.key == "robot.sha256"
+
+
+def test_a_verdict_is_not_believed(solved: bp.Plan, tmp_path: Path) -> None:
+    """The ball is moved into the way in the file, which still says verified."""
+    file, content = saved(solved, tmp_path)
+    content["scene"]["obstacles"][0]["position"] = [1.0, 0.5, 0.0]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    again = bp.load_plan(file)
+    assert not again.verified
+    assert not again.certificate.safe
+    assert "ball" in again.message
+
+
+def test_an_edited_motion_is_not_believed(solved: bp.Plan, tmp_path: Path) -> None:
+    """One sample in the middle leaps into the ball; the certificate in the file is left as it was."""
+    file, content = saved(solved, tmp_path)
+    rows = content["trajectory"]["q"]
+    rows[len(rows) // 2] = [2.356, 0.0, 0.0, 0.0]
+    file.write_text(json.dumps(content), encoding="utf-8")
+    again = bp.load_plan(file)
+    assert not again.verified
+    assert again.certificate.min_clearance is not None
+    assert again.certificate.min_clearance.obstacle == "ball"
+    assert again.certificate.min_clearance.value < 0.0
+
+
+# --- writing ----------------------------------------------------------------------
+
+
+def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path) -> None:
+    file = tmp_path / "kept.txt"
+    file.write_text("old", encoding="utf-8")
+
+    def fail() -> None:
+        with whole_file(file) as stream:
+            stream.write("half of the new")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert file.read_text(encoding="utf-8") == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_a_file_appears_only_when_it_is_complete(tmp_path: Path) -> None:
+    file = tmp_path / "new.txt"
+    with whole_file(file) as stream:
+        stream.write("text")
+        assert not file.exists()
+    assert file.read_text(encoding="utf-8") == "text"
+
+
+def test_places_that_cannot_be_written(solved: bp.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(bp.OutputError, match="does not exist"):
+        solved.save(tmp_path / "none" / "plan.json")
+    with pytest.raises(bp.OutputError, match="is a folder"):
+        solved.save(tmp_path)
+    monkeypatch.setattr("os.access", lambda *_args, **_keys: False)  # root may write anywhere
+    with pytest.raises(bp.OutputError, match="may not be written"):
+        solved.save(tmp_path / "plan.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- exports ----------------------------------------------------------------------
+
+
+def test_csv_holds_the_motion(solved: bp.Plan, tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+    export_plan(solved, file)
+    with file.open(newline="", encoding="utf-8") as stream:
+        header, *rows = csv.reader(stream)
+    names = [f"joint{j}" for j in range(1, 5)]
+    assert header == ["time", *(f"{n}.position" for n in names), *(f"{n}.velocity" for n in names)]
+    values = np.array(rows, dtype=float)
+    motion = solved.trajectory
+    np.testing.assert_array_equal(values, np.column_stack((motion.time, motion.q, motion.v)))
+
+
+def test_npz_holds_the_motion(solved: bp.Plan, tmp_path: Path) -> None:
+    file = tmp_path / "motion.npz"
+    export_plan(solved, file)
+    with np.load(file) as arrays:
+        for name in ("time", "q", "v"):
+            np.testing.assert_array_equal(arrays[name], getattr(solved.trajectory, name))
+        assert arrays["joints"].tolist() == list(solved.robot.joint_names)
+
+
+def test_yaml_holds_a_joint_trajectory(solved: bp.Plan, tmp_path: Path) -> None:
+    file = tmp_path / "motion.yaml"
+    export_plan(solved, file)
+    message = yaml.safe_load(file.read_text(encoding="utf-8"))
+    assert message["joint_names"] == list(solved.robot.joint_names)
+    points, motion = message["points"], solved.trajectory
+    np.testing.assert_array_equal([point["positions"] for point in points], motion.q)
+    np.testing.assert_array_equal([point["velocities"] for point in points], motion.v)
+    np.testing.assert_array_equal([point["accelerations"] for point in points], motion.accelerations())
+    stamps = [point["time_from_start"] for point in points]
+    assert all(isinstance(stamp["sec"], int) and 0 <= stamp["nanosec"] < 10**9 for stamp in stamps)
+    np.testing.assert_allclose([s["sec"] + 1e-9 * s["nanosec"] for s in stamps], motion.time, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["motion.txt", "motion"])
+def test_an_unknown_ending(solved: bp.Plan, tmp_path: Path, name: str) -> None:
+    with pytest.raises(bp.OutputError, match=r"\.csv, \.npz, \.yaml"):
+        export_plan(solved, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []

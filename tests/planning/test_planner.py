@@ -1,0 +1,306 @@
+"""The planner: every ending is a plan, and what it calls verified is."""
+
+from __future__ import annotations
+
+import time as clock
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from independent import refutations  # type: ignore[import-not-found]
+from numpy.typing import NDArray
+from random_scenes import random_planar_scene  # type: ignore[import-not-found]
+
+import backhoe_planner as bp
+from backhoe_planner.planning.plan.plan_file import plan_to_dict
+
+Data = dict[str, Any]
+
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+STRETCHED: Data = {"joints": {"joint1": 0.0, "joint2": 0.0, "joint3": 0.0, "joint4": 0.0}}
+LINE = [[2.0, -1.0, 0.0], [2.0, 1.0, 0.0]]
+
+
+def site(task: Data, *, start: Data | None = STRETCHED, obstacles: list[Data] | None = None, **keys: Any) -> bp.Scene:
+    content = {"version": 1, "task": task, "clearance": 0.02, "influence": 0.4, "obstacles": obstacles or []} | keys
+    return bp.scene_from_dict(content if start is None else content | {"start": start})
+
+
+def goal(x: float, y: float, z: float = 0.0) -> Data:
+    return {"goal": {"position": [x, y, z]}}
+
+
+def path(points: list[list[float]] = LINE, **keys: Any) -> Data:
+    return {"path": {"waypoints": [{"position": point} for point in points]} | keys}
+
+
+def ball(x: float, y: float, radius: float) -> Data:
+    return {"name": "ball", "shape": "sphere", "radius": radius, "position": [x, y, 0.0]}
+
+
+def tips(plan: bp.Plan) -> NDArray[np.float64]:
+    return plan.tip_path()
+
+
+# --- what succeeds ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "urdf", "refine"),
+    [
+        ("levelling", "example:backhoe", 0),
+        ("loaded_swing", "example:backhoe", 0),
+        ("paper_planar", "example:planar4", 10),
+        ("pole", "example:backhoe", 1),
+        ("trench", "example:backhoe", 0),
+        ("trench_cut", "example:backhoe", 0),
+        ("truck", "example:backhoe", 0),
+        ("wall", "example:backhoe", 1),
+        ("worker", "example:backhoe", 1),
+    ],
+)
+def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int) -> None:
+    """And a check of distances that shares no code with the planner finds nothing against it."""
+    scene = bp.load_scene(SCENES / f"{name}.yaml")
+    plan = bp.plan(bp.load_robot(urdf, tip=scene.tip), scene, method="auto", budget=30.0)
+    assert plan.verified, plan.message
+    assert plan.reason == plan.message == ""
+    assert plan.certificate.verified
+    if scene.task.goal is not None:
+        asked = np.array(scene.task.goal.position)
+        assert np.linalg.norm(tips(plan)[-1] - asked) < 1e-3
+    else:
+        points = [np.array(waypoint.position) for waypoint in scene.waypoints()]
+        assert np.linalg.norm(tips(plan)[-1] - points[-1]) < 0.005
+        for point in points:
+            assert np.min(np.linalg.norm(tips(plan) - point, axis=1)) < 0.01
+    if refine:
+        assert refutations(plan, refine=refine, itself=False) == []
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_verified_plan_of_a_random_scene_is_refuted(planar4: bp.Robot, seed: int) -> None:
+    scene, _ = random_planar_scene(planar4, np.random.default_rng(seed))
+    plan = bp.plan(planar4, scene, budget=1.5)
+    assert plan.verified == (plan.reason == "") == plan.certificate.verified
+    assert refutations(plan, refine=4) == []
+    if seed in (2, 3, 4, 5, 7):  # each is solved in a small part of the budget
+        assert plan.verified, plan.message
+
+
+def test_a_path_with_nothing_in_the_way_is_followed_exactly(planar4: bp.Robot) -> None:
+    plan = bp.plan(planar4, site(path(speed=0.4), start=None))
+    assert plan.verified, plan.message
+    at = tips(plan)
+    assert np.max(np.abs(at[:, [0, 2]] - [2.0, 0.0])) < 1e-4
+    assert plan.certificate.tracking.max_error < 1e-4
+    assert np.all(np.diff(at[:, 1]) > -1e-6)
+    np.testing.assert_allclose(at[[0, -1], 1], [-1.0, 1.0], atol=1e-4)
+    assert plan.certificate.detours == ()
+    # the asked speed is kept, and used: 2 m at 0.4 m/s and the time to gather way
+    speed = np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(plan.trajectory.time)
+    assert np.max(speed) <= 0.4 * 1.01
+    assert 5.0 <= plan.trajectory.duration < 8.0
+
+
+def test_the_asked_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
+    points = [{"position": [4.2, 0.3, -0.2], "pitch": -1.5}, {"position": [3.2, 0.3, -0.5], "pitch": -1.9}]
+    plan = bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": points, "speed": 0.4}}}))
+    assert plan.verified, plan.message
+    kinematics = bp.Kinematics(backhoe)
+    for q in plan.trajectory.q:
+        at = kinematics.at(q)
+        asked = -1.5 - 0.4 * float(np.clip((4.2 - at.tip_position[0]) / 1.0, 0.0, 1.0))
+        assert at.pitch == pytest.approx(asked, abs=0.01)
+
+
+def test_a_detour_around_a_ball(planar4: bp.Robot) -> None:
+    scene = site(path(speed=0.4), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
+    plan = bp.plan(planar4, scene, budget=30.0)
+    assert plan.verified, plan.message
+    (detour,) = plan.certificate.detours
+    # the ball and its clearance cover the path for 0.13 m before and behind y = 0
+    reach = float(np.sqrt(0.17**2 - 0.1**2))
+    assert detour.path_from < 1.0 - reach
+    assert detour.path_to > 1.0 + reach
+    assert 0.07 < detour.max_deviation < 1.0
+    assert plan.metrics["detour"]["count"] == 1
+    assert np.min(np.linalg.norm(tips(plan) - [2.1, 0.0, 0.0], axis=1)) > 0.17
+    assert refutations(plan, refine=3) == []
+
+
+def test_where_detours_are_not_allowed_the_blocked_part_is_named(planar4: bp.Robot) -> None:
+    scene = site(path(speed=0.4, detour=False), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
+    plan = bp.plan(planar4, scene)
+    assert (plan.verdict, plan.reason) == ("failed", "blocked")
+    assert plan.details["obstacle"] == "ball"
+    assert 0.6 < plan.details["path_from"] < 1.0
+    assert "ball" in plan.message
+    assert f"{plan.details['path_from']:.2f} m" in plan.message
+    assert "detours are not allowed" in plan.message
+    assert plan.certificate.safe
+
+
+def test_an_obstacle_in_the_way_is_not_mistaken_for_a_joint_limit(planar4: bp.Robot) -> None:
+    """The law stops some centimetres before the ball, and no joint is near its limit."""
+    line = [[3.0, -1.0, 0.0], [3.0, 1.0, 0.0]]
+    scene = site(path(line, speed=0.4, detour=False), start=None, obstacles=[ball(3.0, 0.0, 0.1)])
+    plan = bp.plan(planar4, scene)
+    assert plan.reason == "blocked"
+    assert plan.details["obstacle"] == "ball"
+
+
+def test_the_start_may_be_given_by_the_tip(planar4: bp.Robot) -> None:
+    plan = bp.plan(planar4, site(goal(2.0, -1.0), start={"tip": {"position": [2.0, 1.0, 0.0]}}))
+    assert plan.verified, plan.message
+    np.testing.assert_allclose(tips(plan)[0], [2.0, 1.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(tips(plan)[-1], [2.0, -1.0, 0.0], atol=1e-3)
+
+
+# --- what fails, and why ----------------------------------------------------------
+
+
+def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
+    """4 m of arm, a goal at 5 m in the direction (3, 4): the nearest is 4 m along it."""
+    plan = bp.plan(planar4, site(goal(3.0, 4.0)))
+    assert (plan.verdict, plan.reason) == ("failed", "unreachable")
+    assert plan.details["position_error"] == pytest.approx(1.0, abs=1e-5)
+    np.testing.assert_allclose(plan.details["nearest_position"], [2.4, 3.2, 0.0], atol=1e-4)
+    assert "1.000 m away, at (2.40, 3.20, 0.00)" in plan.message
+    assert len(plan.trajectory) == 1
+
+
+def test_a_path_that_begins_out_of_reach(planar4: bp.Robot) -> None:
+    plan = bp.plan(planar4, site(path([[5.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), start=None))
+    assert plan.reason == "unreachable"
+    assert "beginning of the path" in plan.message
+
+
+def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
+    """The ball's centre is 0.1 m beside link 3's middle: 0.06 m outside it, 0.14 m of the radius inside."""
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.1, 0.2)]))
+    assert plan.reason == "start_in_collision"
+    assert (plan.details["link"], plan.details["obstacle"]) == ("link3", "ball")
+    assert plan.details["depth"] == pytest.approx(0.14, abs=1e-9)
+    assert "link3 is 0.140 m inside ball" in plan.message
+    np.testing.assert_array_equal(plan.trajectory.q, [[0.0, 0.0, 0.0, 0.0]])
+
+
+def test_start_closer_than_allowed(planar4: bp.Robot) -> None:
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.25, 0.2)]))
+    assert plan.reason == "start_in_collision"
+    assert plan.details["distance"] == pytest.approx(0.01, abs=1e-9)
+    assert "0.010 m closer than allowed" in plan.message
+
+
+def test_goal_in_collision(planar4: bp.Robot) -> None:
+    """Every posture has the middle of link 4's end face at the goal, 0.1 m inside the ball's surface."""
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.0, 2.1, 0.2)]))
+    assert plan.reason == "goal_in_collision"
+    assert plan.details["obstacle"] == "ball"
+    assert plan.details["link"] == "link4"
+    assert plan.details["depth"] >= 0.1 - 1e-6
+
+
+def test_start_outside_the_limits(planar4: bp.Robot) -> None:
+    start = {"joints": STRETCHED["joints"] | {"joint2": 4.0}}
+    plan = bp.plan(planar4, site(goal(2.0, 2.0), start=start))
+    assert plan.reason == "outside_limits"
+    assert plan.details["joints"] == ["joint2"]
+    assert "joint2 starts at 4" in plan.message
+
+
+def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
+    """Link 1 cannot pass two walls that leave a slit of 1.4 m for the base to stand in."""
+    walls = [
+        {"name": f"wall {side}", "shape": "box", "size": [0.1, 7.0, 0.5], "position": [0.0, side * 4.2, 0.0]}
+        for side in (-1.0, 1.0)
+    ]
+    plan = bp.plan(planar4, site(goal(-3.0, 1.0), obstacles=walls), budget=20.0)
+    assert (plan.verdict, plan.reason) == ("failed", "blocked")
+    assert plan.details["obstacle"].startswith("wall")
+    assert "attempts" in plan.message
+    assert plan.certificate.safe
+    assert not plan.certificate.verified
+
+
+def test_without_time_there_is_still_a_plan(planar4: bp.Robot) -> None:
+    scene = site(path(speed=0.4), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
+    begun = clock.monotonic()
+    plan = bp.plan(planar4, scene, budget=1e-6)
+    assert plan.reason == "budget"
+    assert clock.monotonic() - begun < 5.0
+    assert plan.certificate.safe
+
+
+# --- arguments --------------------------------------------------------------------
+
+
+def test_the_papers_law_takes_no_path(planar4: bp.Robot) -> None:
+    with pytest.raises(bp.InputError) as caught:
+        bp.plan(planar4, site(path(), start=None), method="paper")
+    assert caught.value.key == "method"
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ({"method": "reactiv"}, "method"),
+        ({"budget": 0.0}, "budget"),
+        ({"budget": float("nan")}, "budget"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_bad_arguments(planar4: bp.Robot, keys: Data, key: str) -> None:
+    with pytest.raises(bp.InputError) as caught:
+        bp.plan(planar4, site(goal(2.0, 2.0)), **keys)
+    assert caught.value.key == key
+    if key == "method":
+        assert "did you mean 'reactive'" in str(caught.value)
+
+
+def test_same_seed_same_plan(planar4: bp.Robot) -> None:
+    scene = bp.load_scene(SCENES / "paper_planar.yaml")
+    first, second = (plan_to_dict(bp.plan(planar4, scene, seed=3)) for _ in range(2))
+    for content in (first, second):
+        assert content["metrics"].pop("planning_time") > 0.0
+    assert first == second
+
+
+def test_the_watcher_sees_the_steps(planar4: bp.Robot) -> None:
+    seen: list[bp.Step] = []
+    plan = bp.plan(planar4, bp.load_scene(SCENES / "paper_planar.yaml"), watch=seen.append)
+    assert plan.verified
+    assert len(seen) > 10
+    assert all(step.q.shape == (4,) and np.all(np.isfinite(step.q)) for step in seen)
+    np.testing.assert_allclose(seen[-1].q, plan.trajectory.q[-1], atol=0.05)
+
+
+def test_a_detour_keeps_the_acceleration_limits_at_its_seams(planar4: bp.Robot) -> None:
+    """Followed piece, way round, followed piece: each from rest to rest, and together too."""
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "task": {
+                "path": {
+                    "waypoints": [{"position": [1.5, 1.5, 0.0]}, {"position": [3.0, 1.5, 0.0]}],
+                    "speed": 0.4,
+                }
+            },
+            "clearance": 0.02,
+            "influence": 0.4,
+            "obstacles": [{"name": "ball", "shape": "sphere", "radius": 0.1, "position": [2.2, 1.6, 0.0]}],
+        }
+    )
+    plan = bp.plan(planar4, scene)
+    assert plan.certificate.acceleration.ratio <= 1.0 + 1e-6
+    assert plan.verified, plan.message
+
+
+def test_a_waypoint_out_of_reach_is_named(planar4: bp.Robot) -> None:
+    waypoints = [{"position": [2.0, 0.0, 0.0]}, {"position": [3.0, 0.0, 0.0]}, {"position": [5.0, 0.0, 0.0]}]
+    plan = bp.plan(planar4, bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": waypoints}}}))
+    assert plan.reason == "unreachable"
+    assert "waypoint 3" in plan.message
+    assert plan.details["position_error"] == pytest.approx(1.0, abs=1e-4)

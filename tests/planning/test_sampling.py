@@ -1,0 +1,457 @@
+"""Ways found by sampling: proven, repeatable, silent, and possible to interrupt."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import subprocess
+import sys
+import time as clock
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.motion.timing.timing import time_way
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.deadline import OutOfTime
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import Way, sample_way
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.proof.certificate import certify_problem
+from backhoe_planner.site.proximity import Proximity
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Data = dict[str, Any]
+
+NEVER = float("inf")
+STRETCHED = np.zeros(4)
+TURNED = np.array([1.5, 0.0, 0.0, 0.0])
+# a bar across the arc that the stretched arm would sweep
+BAR: Data = {"name": "bar", "shape": "box", "size": [2.0, 0.2, 1.0], "position": [3.2, 2.2, 0.0], "rpy": [0, 0, 0.6]}
+
+
+def find_way(
+    problem: Problem,
+    proximity: Proximity,
+    start: Vector,
+    goals: list[Vector],
+    *,
+    seed: int,
+    deadline: float,
+    spare: float,
+    time: float = 0.0,
+    keep: Callable[[Vector], bool] | None = None,
+) -> Way | None:
+    ends = [np.array(q, dtype=float) for q in (start, *goals)]
+    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, deadline=deadline)
+    return sample_way(check, ends[0], ends[1:], seed=seed, deadline=deadline)
+
+
+def problem_of(robot: Robot, start: Vector, goal: Vector, obstacles: list[Data], **keys: Any) -> Problem:
+    joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
+    tip = Kinematics(robot).at(goal).tip_position
+    data: Data = {
+        "version": 1,
+        "start": {"joints": joints},
+        "task": {"goal": {"position": tip.tolist()}},
+        "obstacles": obstacles,
+        "clearance": 0.02,
+    }
+    return build_problem(robot, bp.scene_from_dict(data | keys))
+
+
+def across_bar(robot: Robot, *more: Data, **keys: Any) -> tuple[Problem, Proximity]:
+    problem = problem_of(robot, STRETCHED, TURNED, [BAR, *more], **keys)
+    return problem, Proximity(problem.robot, problem.obstacles)
+
+
+def least_margin(proximity: Proximity, q: Matrix, *, time: float = 0.0, pieces: int = 60) -> float:
+    """Over all pairs, on a dense row of configurations of a polyline."""
+    every = [
+        proximity.distances(a + t * (b - a), time=time) - proximity.clearance
+        for a, b in itertools.pairwise(q)
+        for t in np.linspace(0.0, 1.0, pieces)
+    ]
+    return float(np.min(every))
+
+
+# --- finding --------------------------------------------------------------------------
+
+
+def test_the_straight_line_is_taken_where_it_is_clear(planar4: Robot) -> None:
+    problem = problem_of(planar4, STRETCHED, TURNED, [])
+    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0)
+    assert way is not None
+    np.testing.assert_array_equal(way.q, [STRETCHED, TURNED])
+
+
+def test_the_goal_that_takes_the_slowest_joint_least_is_tried_first(planar4: Robot) -> None:
+    problem = problem_of(planar4, STRETCHED, TURNED, [])
+    far, near = np.array([1.5, 0.0, 0.0, 0.0]), np.array([0.9, 0.9, 0.9, 0.9])
+    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [far, near], seed=0, deadline=NEVER, spare=0.0)
+    assert way is not None
+    np.testing.assert_array_equal(way.q[-1], near)  # further in the Euclidean norm, sooner there
+
+
+def test_a_way_round_keeps_clearance_and_spare(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    assert least_margin(proximity, np.array([STRETCHED, TURNED])) < 0.0
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.03)
+    assert way is not None
+    assert len(way.q) > 2
+    np.testing.assert_array_equal(way.q[0], STRETCHED)
+    np.testing.assert_array_equal(way.q[-1], TURNED)
+    obstacles_alone = Proximity(problem.robot, problem.obstacles, self_collision=False)
+    assert least_margin(obstacles_alone, way.q) >= 0.03 - 1e-9
+    assert least_margin(proximity, way.q) >= 0.002 - 1e-9
+    assert np.all(way.q >= problem.limits.lower)
+    assert np.all(way.q <= problem.limits.upper)
+
+
+def test_goals_in_collision_are_left_out(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    inside = np.array([0.6, 0.0, 0.0, 0.0])
+    assert least_margin(proximity, np.array([inside, inside])) < 0.0
+    way = find_way(problem, proximity, STRETCHED, [inside, TURNED], seed=0, deadline=NEVER, spare=0.0)
+    assert way is not None
+    np.testing.assert_array_equal(way.q[-1], TURNED)
+    assert find_way(problem, proximity, STRETCHED, [inside], seed=0, deadline=NEVER, spare=0.0) is None
+    assert find_way(problem, proximity, inside, [TURNED], seed=0, deadline=NEVER, spare=0.0) is None
+
+
+def test_an_end_outside_the_limits_is_left_out(planar4: Robot) -> None:
+    problem = problem_of(planar4, STRETCHED, TURNED, [])
+    outside = problem.limits.upper + 0.1
+    assert np.all(np.isfinite(outside))
+    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [outside], seed=0, deadline=NEVER, spare=0.0)
+    assert way is None
+
+
+@pytest.mark.parametrize("margin", [0.0, 1e-5, 0.004])
+def test_a_start_tighter_than_the_spare_can_be_left(planar4: Robot, margin: float) -> None:
+    """A ball beside the stretched arm, at its clearance plus `margin` from link 3."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2.5, -0.26 - margin, 0.0]}
+    problem, proximity = across_bar(planar4, ball)
+    found = proximity.distances(STRETCHED) - proximity.clearance
+    assert float(found[proximity.owner == 1].min()) == pytest.approx(margin, abs=1e-9)
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.02)
+    assert way is not None
+    assert least_margin(proximity, way.q, pieces=400) >= -1e-6  # of which the certificate makes nothing
+    away = np.linalg.norm(way.q[1:-1], axis=1) > 0.5
+    assert away.any()
+    obstacles_alone = Proximity(problem.robot, problem.obstacles, self_collision=False)
+    for q in way.q[1:-1][away]:
+        assert least_margin(obstacles_alone, np.array([q, q]), pieces=1) >= 0.02 - 1e-9
+
+
+def test_a_further_condition_is_kept(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+
+    def folded(q: Vector) -> bool:
+        return bool(q[1] <= 0.05)
+
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0, keep=folded)
+    assert way is not None
+    assert np.max(way.q[:, 1]) <= 0.05
+    free = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0)
+    assert free is not None
+    assert np.max(free.q[:, 1]) > 0.05
+
+
+def test_obstacles_stand_where_they_are_at_the_time(planar4: Robot) -> None:
+    later = BAR | {"appears_at": 2.0, "velocity": [0.0, 1.0, 0.0]}
+    problem = problem_of(planar4, STRETCHED, TURNED, [later])
+    proximity = Proximity(planar4, problem.obstacles)
+
+    def corners(time: float) -> int:
+        way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0, time=time)
+        assert way is not None
+        return len(way.q)
+
+    assert corners(1.0) == 2  # it is not there yet
+    assert corners(2.0) > 2
+    assert corners(12.0) == 2  # it has gone 10 m
+
+
+def test_the_deadline_ends_a_search_without_a_way(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+
+    def cut_off(q: Vector) -> bool:
+        return bool(abs(q[0] - 0.7) > 0.1)
+
+    soon = clock.monotonic() + 0.1
+    assert find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=soon, spare=0.0, keep=cut_off) is None
+    assert clock.monotonic() > soon  # it searched as long as it might
+    assert find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=0.0, spare=0.0) is None
+
+
+def test_an_exception_of_the_condition_comes_through(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    asked = 0
+
+    def broken(q: Vector) -> bool:
+        nonlocal asked
+        asked += 1
+        if asked > 500:
+            raise ZeroDivisionError("of the condition")
+        return bool(abs(q[0] - 0.7) > 0.1)
+
+    with pytest.raises(ZeroDivisionError, match="of the condition"):
+        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0, keep=broken)
+    assert asked == 501
+
+
+def test_a_continuous_joint_may_turn_past_pi(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "models" / "planar4.urdf").read_text(encoding="utf-8")
+    before, first, after = text.partition('<joint name="joint1" type="revolute">')
+    assert first
+    free = tmp_path / "free.urdf"
+    free.write_text(before + '<joint name="joint1" type="continuous">' + after, encoding="utf-8")
+    robot = bp.load_robot(str(free))
+    assert not np.isfinite(robot.limits.upper[0])
+    start, goal = np.array([3.0, 0.0, 0.0, 0.0]), np.array([4.2, 0.0, 0.0, 0.0])
+    block = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [4 * np.cos(3.6), 4 * np.sin(3.6), 0.0]}
+    problem = problem_of(robot, start, goal, [block])
+    proximity = Proximity(robot, problem.obstacles)
+    way = find_way(problem, proximity, start, [goal], seed=1, deadline=NEVER, spare=0.0)
+    assert way is not None
+    assert len(way.q) > 2
+    assert least_margin(proximity, way.q) >= -1e-9
+
+
+# --- the same again, and quietly --------------------------------------------------------
+
+SCRIPT = """
+import os, signal, sys, threading, time
+import numpy as np
+import backhoe_planner as bp
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import sample_way
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.motion.timing.timing import time_way
+from test_sampling import STRETCHED, TURNED, across_bar
+
+def cut_off(q):
+    return abs(q[0] - 0.7) > 0.1
+
+def run(mode):
+    problem, proximity = across_bar(bp.load_robot("example:planar4"))
+    deadline = time.monotonic() + (0.2 if mode == "fail" else 60.0)
+    keep = None if mode == "find" else cut_off
+    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01, keep=keep, deadline=deadline)
+    if mode == "interrupt":
+        threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    way = sample_way(check, STRETCHED, [TURNED], seed=3, deadline=deadline)
+    if mode == "fail":
+        assert way is None
+        return
+    smooth = blend(check, shorten(check, way, seed=3))
+    time_way(smooth, problem.limits)
+    np.save(sys.argv[2], np.vstack((way.q, smooth.corners)))
+
+if sys.argv[1] == "caught":
+    try:
+        run("interrupt")
+    except KeyboardInterrupt:
+        sys.exit(7)
+run(sys.argv[1])
+"""
+
+
+def run_script(mode: str, file: Path) -> subprocess.CompletedProcess[str]:
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n{SCRIPT}"
+    return subprocess.run(
+        [sys.executable, "-c", code, mode, str(file)], capture_output=True, text=True, check=False, timeout=120,
+        # ignored where the tests run in the background
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
+
+
+def test_the_same_seed_gives_the_same_way_bit_for_bit(planar4: Robot, tmp_path: Path) -> None:
+    def plan(seed: int) -> Matrix:
+        problem, proximity = across_bar(planar4)
+        check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
+        way = sample_way(check, STRETCHED, [TURNED], seed=seed, deadline=NEVER)
+        assert way is not None
+        return np.vstack((way.q, blend(check, shorten(check, way, seed=seed)).corners))
+
+    first, other, again = plan(3), plan(4), plan(3)
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    done = run_script("find", tmp_path / "elsewhere.npy")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(first, np.load(tmp_path / "elsewhere.npy"))
+
+
+@pytest.mark.parametrize(("mode", "status"), [("find", 0), ("fail", 0), ("caught", 7)])
+def test_nothing_is_written_to_the_terminal(tmp_path: Path, mode: str, status: int) -> None:
+    done = run_script(mode, tmp_path / "way.npy")
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", "")
+
+
+def test_an_interrupt_ends_the_search_at_once(tmp_path: Path) -> None:
+    """The search could go on for a minute."""
+    done = run_script("interrupt", tmp_path / "way.npy")
+    assert done.returncode in (-signal.SIGINT, 130)
+    assert done.stderr.rstrip().endswith("KeyboardInterrupt")
+    assert "nanobind" not in done.stderr
+    assert done.stdout == ""
+
+
+# --- the proof --------------------------------------------------------------------------
+
+
+def test_a_motion_is_clear_exactly_where_plane_geometry_says_so(planar4: Robot) -> None:
+    """The end of the stretched arm turns past a ball: the gap is known."""
+    corner = float(np.hypot(4.0, 0.04))
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [4.3 * np.cos(0.7), 4.3 * np.sin(0.7), 0.0]}
+    problem = problem_of(planar4, STRETCHED, TURNED, [ball], clearance=0.0)
+    gap = 4.3 - 0.1 - corner
+
+    def clear(spare: float) -> bool:
+        check = MotionCheck(problem, Proximity(planar4, problem.obstacles), [STRETCHED, TURNED], spare=spare)
+        return check.segment_is_clear(STRETCHED, TURNED)
+
+    assert clear(gap - 1e-3)
+    assert not clear(gap + 1e-6)
+
+
+def test_what_is_proven_is_so(any_robot: Robot) -> None:
+    """Random motions among balls, against dense measurements; corners too."""
+    rng = np.random.default_rng(8)
+    reach = 3.0 if any_robot.n == 4 else 0.6
+    places = reach * rng.normal(size=(8, 3))
+    places[:, 0] = np.abs(places[:, 0])
+    obstacles: list[Data] = [
+        {"name": f"{k}", "shape": "sphere", "radius": 0.1 * reach, "position": place}
+        for k, place in enumerate(places.tolist())
+    ]
+    q_0 = any_robot.random_q(rng)
+    problem = problem_of(any_robot, q_0, q_0, obstacles)
+    proximity = Proximity(problem.robot, problem.obstacles)
+    check = MotionCheck(problem, proximity, [q_0], spare=0.0)
+    proven = refused = 0
+    for _ in range(60):
+        a = any_robot.random_q(rng)
+        b, c = (np.clip(a + 0.3 * rng.normal(size=any_robot.n), any_robot.limits.lower, any_robot.limits.upper)
+                for _ in range(2))  # fmt: skip
+        t = np.linspace(0.0, 1.0, 60)[:, None]
+        curves = {"segment": a + t * (b - a), "corner": (1 - t) ** 2 * a + 2 * t * (1 - t) * b + t**2 * c}
+        for kind, curve in curves.items():
+            least = min(float(np.min(proximity.distances(q) - proximity.clearance)) for q in curve)
+            if kind == "segment":
+                clear = check.segment_is_clear(a, b)
+            else:
+                clear = check.corner_is_clear(a, b, c, sagitta=np.zeros(any_robot.n))
+            assert least >= -1e-9 if clear else least < 0.01
+            proven, refused = proven + clear, refused + (not clear)
+    assert min(proven, refused) >= 10
+
+
+def test_far_from_everything_a_motion_takes_few_measurements(planar4: Robot) -> None:
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [60.0, 0.0, 0.0]}
+    problem = problem_of(planar4, STRETCHED, TURNED, [ball])
+    proximity = Proximity(planar4, problem.obstacles, self_collision=False)
+    check = MotionCheck(problem, proximity, [STRETCHED], spare=0.0)
+    before = check.measured
+    assert check.segment_is_clear(STRETCHED, TURNED)
+    assert check.segment_is_clear(TURNED, -TURNED)
+    assert check.measured - before == 1
+
+
+# --- shortening -------------------------------------------------------------------------
+
+
+def test_shortening_keeps_ends_and_clearance_and_never_lengthens(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
+    gains = []
+    for seed in range(4):
+        way = sample_way(check, STRETCHED, [TURNED], seed=seed, deadline=NEVER)
+        assert way is not None
+        short = shorten(check, way, seed=seed)
+        np.testing.assert_array_equal(short.q[[0, -1]], way.q[[0, -1]])
+        assert short.length(problem.limits) <= way.length(problem.limits)
+        assert least_margin(proximity, short.q) >= 0.002 - 1e-9
+        np.testing.assert_array_equal(short.q, shorten(check, way, seed=seed).q)
+        gains.append(short.length(problem.limits) / way.length(problem.limits))
+    assert max(gains) < 0.95
+
+
+def test_a_straight_way_is_not_changed(planar4: Robot) -> None:
+    problem = problem_of(planar4, STRETCHED, TURNED, [])
+    check = MotionCheck(problem, Proximity(planar4, ()), [STRETCHED, TURNED], spare=0.0)
+    way = Way(np.array([STRETCHED, TURNED]))
+    assert shorten(check, way, seed=0) is way
+    needless = Way(np.array([STRETCHED, [0.3, 0.9, 0.0, 0.0], TURNED]))
+    np.testing.assert_array_equal(shorten(check, needless, seed=0).q, way.q)
+
+
+def test_after_the_deadline_a_way_stays_as_it_is(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0)
+    assert way is not None
+    late = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, deadline=0.0)
+    assert shorten(late, way, seed=0) is way
+    assert np.all(blend(late, way).cuts == 0.0)
+    with pytest.raises(OutOfTime):
+        late.segment_is_clear(STRETCHED, TURNED)
+
+
+# --- all of it --------------------------------------------------------------------------
+
+
+SITES: dict[str, tuple[list[float], list[float], list[Data]]] = {
+    "planar4": ([0.0] * 4, [1.5, 0.0, 0.0, 0.0], [BAR]),
+    "backhoe": (
+        [-0.8, 0.2, -1.2, -0.8],
+        [0.9, 0.3, -1.4, -0.6],
+        [
+            {"name": "truck", "shape": "box", "size": [1.0, 0.6, 2.6], "position": [3.6, 0.1, 0.6], "clearance": 0.2},
+            {"name": "wire", "shape": "halfspace", "point": [0, 0, 6.0], "normal": [0, 0, -1], "clearance": 1.0},
+            {"name": "ground", "shape": "halfspace", "point": [0, 0, 0.0], "normal": [0, 0, 1], "links": ["boom"]},
+        ],
+    ),
+    "ur5": (
+        [-1.0, -1.2, 1.2, -1.4, -1.5, 0.0],
+        [1.0, -1.2, 1.2, -1.4, -1.5, 0.0],
+        [
+            {"name": "post", "shape": "box", "size": [0.1, 0.1, 0.9], "position": [0.5, 0.2, 0.45]},
+            {"name": "table", "shape": "halfspace", "point": [0, 0, 0], "normal": [0, 0, 1], "links": ["wrist_3_link"]},
+        ],
+    ),
+    "panda": (
+        [-0.9, 0.3, 0.0, -1.6, 0.0, 1.9, 0.8],
+        [0.9, 0.3, 0.0, -1.6, 0.0, 1.9, 0.8],
+        [{"name": "post", "shape": "capsule", "from": [0.5, 0, -0.1], "to": [0.5, 0, 0.6], "radius": 0.06}],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(SITES))
+def test_what_comes_out_in_the_end_is_verified(name: str, request: pytest.FixtureRequest) -> None:
+    robot: Robot = request.getfixturevalue(name)
+    begin, end, obstacles = SITES[name]
+    start, goal = np.array(begin), np.array(end)
+    problem = problem_of(robot, start, goal, obstacles)
+    proximity = Proximity(problem.robot, problem.obstacles)
+    check = MotionCheck(problem, proximity, [start, goal], spare=0.01)
+    assert not check.segment_is_clear(start, goal)  # the straight line is not the answer
+    way = sample_way(check, start, [goal], seed=0, deadline=clock.monotonic() + 60.0)
+    assert way is not None
+    trajectory = time_way(blend(check, shorten(check, way, seed=0)), problem.limits, drive=drive_of(problem))
+    certificate = certify_problem(problem, trajectory)
+    assert certificate.verified, certificate.problems
+    assert certificate.velocity.ratio <= 1.0
+    assert certificate.acceleration.ratio <= 1.0

@@ -1,0 +1,352 @@
+"""The certificate on motions whose least distance is known from plane geometry.
+
+The stretched arm of planar4 is a bar from the axis to 4 m, 0.08 m wide. Turned by
+joint 1 past a ball at 4.3 m, a corner of its end comes nearest.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from independent import box_distance  # type: ignore[import-not-found]
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.proof.certificate import Certificate, Clearance, certify, segment_is_clear
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Data = dict[str, Any]
+
+LINK = np.array([1.0, 0.08, 0.08])
+CORNER = float(np.hypot(4.0, 0.04))
+STILL = np.zeros(4)
+
+
+def site(obstacles: list[Data], *, q_start: Vector = STILL, **keys: Any) -> bp.Scene:
+    """A scene whose goal is where joint 1 at 1.4 rad holds the tip of the stretched arm."""
+    return bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {f"joint{j + 1}": float(q_start[j]) for j in range(4)}},
+            "task": {"goal": {"position": [4.0 * np.cos(1.4), 4.0 * np.sin(1.4), 0.0]}},
+            "obstacles": obstacles,
+            "clearance": 0.0,
+        }
+        | keys
+    )
+
+
+def ball(angle: float, radius: float = 0.1, at: float = 4.3, **keys: Any) -> Data:
+    position = [at * float(np.cos(angle)), at * float(np.sin(angle)), 0.0]
+    return {"name": "ball", "shape": "sphere", "radius": radius, "position": position} | keys
+
+
+def swing(samples: int = 201, *, duration: float = 4.0, angle: float = 1.4) -> Trajectory:
+    """Joint 1 from 0 to `angle` from rest to rest, the other joints at 0."""
+    part = np.linspace(0.0, 1.0, samples)
+    q = np.zeros((samples, 4))
+    q[:, 0] = angle * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    return Trajectory.from_steps(part * duration, q)
+
+
+def straight(q_a: Vector, q_b: Vector, duration: float = 10.0) -> Trajectory:
+    return Trajectory.from_steps(np.array([0.0, duration]), np.array([q_a, q_b]))
+
+
+def to(certificate: Certificate, name: str = "ball") -> Clearance:
+    (found,) = [entry for entry in certificate.clearances if entry.obstacle == name]
+    return found
+
+
+def assert_proven(found: Clearance, true: float) -> None:
+    """Never above the true distance, and below it by 0.1 mm or 2 % of the margin at most."""
+    clearance = found.value - found.margin
+    assert found.value <= true + 1e-9
+    assert found.value >= true - max(1e-4, 0.02 * (true - clearance)) - 1e-9
+
+
+def link_distances(q: Matrix, centre: Vector) -> Matrix:
+    """(T, 4) distances of a point in the plane from the four links, in plane geometry."""
+    found = np.empty((len(q), 4))
+    root = np.zeros((len(q), 2))
+    for link in range(4):
+        heading = q[:, : link + 1].sum(axis=1)
+        along = np.column_stack((np.cos(heading), np.sin(heading)))
+        off = centre[:2] - root
+        local = np.column_stack(
+            (
+                np.einsum("ij,ij->i", off, along) - 0.5,
+                along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0],
+                np.full(len(q), centre[2]),
+            )
+        )
+        found[:, link] = box_distance(local, LINK)
+        root += along
+    return found
+
+
+# --- distances --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [2, 3, 7, 201])
+def test_least_distance_of_a_swing_past_a_ball(planar4: bp.Robot, samples: int) -> None:
+    found = to(certify(planar4, site([ball(0.63)]), swing(samples)))
+    assert_proven(found, 4.3 - CORNER - 0.1)
+    assert found.link == "link4"
+
+
+def test_the_moment_of_the_tightest_spot(planar4: bp.Robot) -> None:
+    """At 10 s for 1.4 rad, the corner on the left passes the ball's angle a little early."""
+    found = to(certify(planar4, site([ball(0.63)], clearance=0.19), straight(STILL, np.array([1.4, 0.0, 0.0, 0.0]))))
+    passes = (0.63 + np.array([-1.0, 1.0]) * np.arctan2(0.04, 4.0)) / 0.14
+    assert np.min(np.abs(passes - found.time)) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_all_joints_at_once_against_dense_sampling(planar4: bp.Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    q_a, q_b = rng.uniform(-2.0, 2.0, 4), rng.uniform(-2.0, 2.0, 4)
+    radius = float(rng.uniform(0.05, 0.4))
+    angle, at = float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.5, 5.0))
+    scene = site([ball(angle, radius, at)], q_start=q_a, clearance=0.05)
+    part = np.linspace(0.0, 1.0, 20001)[:, None]
+    centre = np.array([at * np.cos(angle), at * np.sin(angle), 0.0])
+    true = float(np.min(link_distances((1.0 - part) * q_a + part * q_b, centre))) - radius
+    found = to(certify(planar4, scene, straight(q_a, q_b)))
+    spacing = 5e-4  # m: how far a sampled least can lie above the true one
+    assert found.value <= true + 1e-9
+    assert found.value >= true - spacing - max(1e-4, 0.02 * (true - 0.05))
+
+
+def test_a_thin_pole_between_two_samples_is_found(planar4: bp.Robot) -> None:
+    """Both samples are metres away from it; the motion between goes through."""
+    pole = {"name": "pole", "shape": "cylinder", "radius": 0.002, "length": 1.0, "position": [2.0, 2.0, 0.0]}
+    certificate = certify(planar4, site([pole]), straight(STILL, np.array([1.4, 0.0, 0.0, 0.0])))
+    assert not certificate.verified
+    assert not certificate.safe
+    assert to(certificate, "pole").value < 0.0
+    assert "pole" in certificate.problems[0]
+
+
+def test_a_thin_pole_is_missed_by_a_hair_and_kept(planar4: bp.Robot) -> None:
+    at = CORNER + 0.0052
+    pole = {"name": "pole", "shape": "sphere", "radius": 0.002, "position": [at * np.cos(0.7), at * np.sin(0.7), 0.0]}
+    certificate = certify(planar4, site([pole], clearance=0.003), swing())
+    assert_proven(to(certificate, "pole"), 0.0032)
+    assert certificate.verified
+
+
+def test_exactly_the_clearance_counts_as_kept(planar4: bp.Robot) -> None:
+    distance = 4.3 - CORNER - 0.1
+    kept = certify(planar4, site([ball(0.63)], clearance=distance), swing())
+    assert kept.verified
+    assert kept.problems == ()
+    broken = certify(planar4, site([ball(0.63)], clearance=distance + 3e-4), swing())
+    assert not broken.verified
+    (problem,) = broken.problems
+    assert "link4" in problem
+    assert "ball" in problem
+
+
+def test_an_obstacle_has_its_own_clearance(planar4: bp.Robot) -> None:
+    certificate = certify(planar4, site([ball(0.63, clearance=0.25)], clearance=0.0), swing())
+    assert not certificate.verified
+    assert to(certificate).margin == pytest.approx(4.3 - CORNER - 0.1 - 0.25, abs=2e-4)
+    assert certificate.min_clearance == to(certificate)
+
+
+def test_tightest_margin_comes_first(planar4: bp.Robot) -> None:
+    near = ball(0.3, 0.1, 4.4) | {"name": "near"}
+    demanding = ball(1.0, 0.1, 4.6, clearance=0.45) | {"name": "demanding"}
+    certificate = certify(planar4, site([near, demanding]), swing())
+    margins = [entry.margin for entry in certificate.clearances]
+    assert margins == sorted(margins)
+    assert certificate.clearances[0].obstacle == "demanding"
+
+
+def test_links_filter_an_obstacle(planar4: bp.Robot) -> None:
+    inside = ball(0.7, 0.1, 1.5)  # link 2 goes through it
+    assert not certify(planar4, site([inside]), swing()).verified
+    certificate = certify(planar4, site([inside | {"links": ["link4"]}]), swing())
+    assert certificate.verified
+    found = to(certificate)
+    assert found.link == "link4"
+    assert_proven(found, 3.0 - 1.5 - 0.1)
+
+
+def test_a_moving_obstacle_crosses_between_samples(planar4: bp.Robot) -> None:
+    """The arm stands still; the ball passes its end at 5 s, 0.4 m away, or goes through link 3."""
+    passing = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [4.5, -3.0, 0.0], "velocity": [0, 0.6, 0]}
+    found = to(certify(planar4, site([passing]), straight(STILL, STILL)))
+    assert_proven(found, 0.4)
+    # nearest while |y| <= 0.04, and within the resolution for a while around it
+    assert found.time == pytest.approx(5.0, abs=0.3)
+    hitting = passing | {"position": [2.5, -3.0, 0.0]}
+    certificate = certify(planar4, site([hitting]), straight(STILL, STILL))
+    assert to(certificate).value < 0.0
+    assert not certificate.safe
+
+
+def test_an_obstacle_counts_from_its_appearance_on(planar4: bp.Robot) -> None:
+    """The arm turns at 0.14 rad/s through a place at 0.2 rad where at 5 s a ball appears, 0.5 rad behind it."""
+    late = ball(0.2, at=3.9, appears_at=5.0)
+    motion = straight(STILL, np.array([1.4, 0.0, 0.0, 0.0]))
+    centre = np.array([3.9 * np.cos(0.2), 3.9 * np.sin(0.2), 0.0])
+    true = float(np.min(link_distances(np.array([[0.7, 0.0, 0.0, 0.0]]), centre))) - 0.1
+    found = to(certify(planar4, site([late]), motion))
+    assert_proven(found, true)
+    assert found.time == pytest.approx(5.0)
+    assert to(certify(planar4, site([late | {"appears_at": 0.0}]), motion)).value < 0.0
+
+
+def test_an_obstacle_moves_from_its_appearance_on(planar4: bp.Robot) -> None:
+    """At 2 m beside the arm it appears at 4 s, and moves 0.25 m/s towards it for 6 s."""
+    coming = {
+        "name": "ball", "shape": "sphere", "radius": 0.1, "position": [3.5, 2.04, 0.0],
+        "appears_at": 4.0, "velocity": [0.0, -0.25, 0.0],
+    }  # fmt: skip
+    found = to(certify(planar4, site([coming]), straight(STILL, STILL)))
+    assert_proven(found, 2.0 - 1.5 - 0.1)
+    assert found.time == pytest.approx(10.0)
+
+
+def test_one_that_appears_after_the_end_does_not_count(planar4: bp.Robot) -> None:
+    certificate = certify(planar4, site([ball(0.7, at=3.0, appears_at=4.5)]), swing())
+    assert certificate.verified
+    assert [entry.obstacle for entry in certificate.clearances if entry.obstacle == "ball"] == []
+
+
+def test_the_machine_itself_is_an_obstacle(planar4: bp.Robot) -> None:
+    folded = np.array([0.0, 2.4, 2.4, 0.0])
+    certificate = certify(planar4, site([]), straight(STILL, folded))
+    assert certificate.min_clearance is not None
+    assert certificate.min_clearance.obstacle.startswith("self: ")
+    assert not certificate.safe
+
+
+# --- limits and task --------------------------------------------------------------
+
+
+def test_use_of_limits_of_a_slow_swing(planar4: bp.Robot) -> None:
+    certificate = certify(planar4, site([]), swing(duration=4.0))
+    assert certificate.verified
+    # a quintic ramp peaks at 15/8 of the mean rate, and at 10/sqrt(3) of way / time^2
+    assert certificate.velocity.ratio == pytest.approx(1.875 * 1.4 / 4.0 / 1.0, rel=1e-3)
+    assert certificate.velocity.joint == "joint1"
+    assert certificate.velocity.time == pytest.approx(2.0, abs=0.03)
+    assert certificate.acceleration.ratio == pytest.approx(10.0 / np.sqrt(3.0) * 1.4 / 16.0 / 2.0, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("keys", "duration", "kinds"),
+    [
+        ({}, 2.5, {"velocity"}),
+        ({"limits": {"velocity_scale": 0.5}}, 4.0, {"velocity"}),
+        ({"limits": {"acceleration": {"joint1": 0.4}}}, 4.0, {"acceleration"}),
+        ({"limits": {"acceleration": {"joint2": 0.001}}}, 4.0, set()),
+        ({}, 1.0, {"velocity", "acceleration"}),
+    ],
+)
+def test_exceeded_rates_are_told_by_joint(planar4: bp.Robot, keys: Data, duration: float, kinds: set[str]) -> None:
+    certificate = certify(planar4, site([], **keys), swing(duration=duration))
+    assert {kind for kind in ("velocity", "acceleration") if not getattr(certificate, kind).kept} == kinds
+    assert certificate.safe == certificate.verified == (not kinds)
+    for kind in kinds:
+        assert any("joint1" in problem and kind in problem for problem in certificate.problems)
+
+
+def test_position_outside_the_limits(backhoe: bp.Robot) -> None:
+    low, high = backhoe.limits.lower[2], backhoe.limits.upper[2]
+    inside, outside = np.array([0.0, 0.3, high, -1.0]), np.array([0.0, 0.3, high + 0.02, -1.0])
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(backhoe.joint_names, inside.tolist(), strict=True))},
+            "task": {"goal": {"position": [3.0, 0.0, 0.0]}},
+        }
+    )
+    kept = certify(backhoe, scene, straight(inside, np.array([0.0, 0.3, low, -1.0]), 60.0))
+    assert kept.position.kept
+    broken = certify(backhoe, scene, straight(inside, outside, 60.0))
+    assert not broken.position.kept
+    assert broken.position.joint == "stick"
+    assert broken.position.ratio == pytest.approx(1.02)
+    assert broken.position.time == 60.0
+    assert any("stick" in problem and "position" in problem for problem in broken.problems)
+
+
+def test_the_task_must_be_done_from_the_asked_start(planar4: bp.Robot) -> None:
+    short = certify(planar4, site([]), swing(angle=1.3))
+    assert short.safe
+    assert not short.verified
+    missing = 2.0 * 4.0 * np.sin(0.05)
+    assert short.tracking.max_error == pytest.approx(missing)
+    assert f"{missing:.3f} m" in short.problems[0]
+    elsewhere = certify(planar4, site([], q_start=np.array([0.1, 0.0, 0.0, 0.0])), swing())
+    assert any("start" in problem for problem in elsewhere.problems)
+
+
+def test_another_number_of_joints_is_refused(planar4: bp.Robot) -> None:
+    with pytest.raises(bp.InputError):
+        certify(planar4, site([]), Trajectory.from_steps(np.arange(2.0), np.zeros((2, 3))))
+
+
+# --- one segment ------------------------------------------------------------------
+
+
+def test_segment_is_clear_is_never_true_where_sampling_shows_a_violation(planar4: bp.Robot) -> None:
+    rng = np.random.default_rng(7)
+    spots = rng.uniform(-3.0, 3.0, (5, 2))
+    radii = rng.uniform(0.1, 0.4, 5)
+    obstacles = [
+        {"name": f"ball {k}", "shape": "sphere", "radius": float(radii[k]), "position": [*spots[k].tolist(), 0.0]}
+        for k in range(5)
+    ]
+    proximity = bp.Proximity(planar4, build_problem(planar4, site(obstacles, clearance=0.05)).obstacles)
+    clear = blocked = roomy = 0
+    part = np.linspace(0.0, 1.0, 60)[:, None]
+    for _ in range(250):
+        q_a = rng.uniform(-2.5, 2.5, 4)
+        q_b = q_a + rng.uniform(-1.0, 1.0, 4) * rng.choice([0.02, 0.1, 0.4])
+        q = (1.0 - part) * q_a + part * q_b
+        balls = min(float(np.min(link_distances(q, np.array([*spots[k], 0.0])))) - radii[k] - 0.05 for k in range(5))
+        itself = min(
+            float(np.min((proximity.distances(row) - proximity.clearance)[proximity.owner < 0])) for row in q[::6]
+        )
+        said = segment_is_clear(proximity, q_a, q_b)
+        if min(balls, itself) < 0.0:
+            assert not said
+            blocked += 1
+        else:
+            clear += said
+        # 2^6 pieces: each bound is good to 1/64 of the way, at most 4 joints * 4 m * 0.4 rad / 64 / 2
+        if min(balls, itself) > 0.06:
+            assert said
+            roomy += 1
+    assert clear > 50
+    assert blocked > 50
+    assert roomy > 30
+
+
+def test_segment_is_clear_looks_between_its_ends(planar4: bp.Robot) -> None:
+    pole = {"name": "pole", "shape": "cylinder", "radius": 0.002, "length": 1.0, "position": [2.0, 2.0, 0.0]}
+    proximity = bp.Proximity(planar4, build_problem(planar4, site([pole])).obstacles)
+    far = np.array([1.4, 0.0, 0.0, 0.0])
+    assert not segment_is_clear(proximity, STILL, far)
+    assert segment_is_clear(proximity, STILL, np.array([0.7, 0.0, 0.0, 0.0]))
+
+
+def test_segment_is_clear_knows_what_moves_and_appears(planar4: bp.Robot) -> None:
+    crossing = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [2.5, -3.0, 0.0], "velocity": [0, 0.6, 0]}
+    proximity = bp.Proximity(planar4, build_problem(planar4, site([crossing])).obstacles)
+    assert segment_is_clear(proximity, STILL, STILL, time=0.0, dt=4.0)
+    assert not segment_is_clear(proximity, STILL, STILL, time=0.0, dt=10.0)
+    assert segment_is_clear(proximity, STILL, STILL, time=6.0, dt=4.0)
+    late = bp.Proximity(planar4, build_problem(planar4, site([ball(0.0, at=2.5, appears_at=5.0)])).obstacles)
+    assert segment_is_clear(late, STILL, STILL, time=0.0, dt=4.9)
+    assert not segment_is_clear(late, STILL, STILL, time=0.0, dt=5.1)

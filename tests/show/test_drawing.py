@@ -1,0 +1,212 @@
+"""What is drawn: names, shells, camera, messages. None of it needs a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+import umsgpack
+
+from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.show.drawing.animation import PlanAnimation, Track
+from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, frame
+from backhoe_planner.show.drawing.machine_meshes import machine_meshes
+from backhoe_planner.show.drawing.names import node_name, node_names
+from backhoe_planner.show.drawing.palette import FAR, TIGHT, margin_rgb
+from backhoe_planner.show.drawing.scene_graph import SceneGraph
+from backhoe_planner.show.drawing.solids import facets, fattened, grid, solid, together, tube
+from backhoe_planner.show.drawing.timeline import ITSELF, timeline
+from backhoe_planner.show.page.recording import Recording
+from backhoe_planner.site.scene_file import scene_from_dict
+
+START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+
+
+def test_a_name_is_one_level_of_the_tree() -> None:
+    assert "/" not in node_name("a/b")
+    assert node_name("  ") == "_"
+    assert node_name("__proto__") != "__proto__"
+    assert node_name("gas pipe") == "gas pipe"
+
+
+def test_names_that_would_share_a_node_are_kept_apart() -> None:
+    nodes = node_names(["a/b", "a\N{DIVISION SLASH}b", "c"])
+    assert len(set(nodes.values())) == 3
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.3])
+def test_the_shell_of_a_box_is_the_clearance_away(clearance: float) -> None:
+    size = np.array([1.0, 2.0, 0.5])
+    piece = shapes.box(size, pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 0.9), np.array([1.0, 2.0, 3.0])))
+    shell = fattened(piece.hull, clearance)
+    local = (shell.vertices - piece.placement.translation) @ piece.placement.rotation
+    outside = np.linalg.norm(np.maximum(np.abs(local) - size / 2.0, 0.0), axis=1)
+    assert outside.max() <= clearance + 1e-9
+    assert outside.min() >= 0.98 * clearance
+    # the rounded box of Steiner's formula, less what the ball's facets cut off
+    exact = 1.0 + 7.0 * clearance + np.pi * 3.5 * clearance**2 + 4.0 / 3.0 * np.pi * clearance**3
+    assert shell.volume == pytest.approx(exact, rel=0.01)
+
+
+def test_a_capsule_has_its_volume() -> None:
+    drawn = solid(shapes.capsule(0.2, 1.5, pin.SE3.Identity()))
+    assert drawn.volume == pytest.approx(np.pi * 0.04 * 1.5 + 4.0 / 3.0 * np.pi * 0.008, rel=0.02)
+
+
+def test_a_box_keeps_its_edges_and_a_ball_is_smooth() -> None:
+    box = facets(trimesh.creation.box(extents=[1.0, 1.0, 1.0]))
+    assert len(box.vertices) == 24  # three normals at each corner
+    assert np.allclose(np.sort(np.abs(box.normals), axis=1)[:, 2], 1.0)
+    ball = facets(trimesh.creation.icosphere(subdivisions=3))
+    assert len(ball.vertices) == 642
+    np.testing.assert_allclose(ball.normals, ball.vertices, atol=0.02)
+
+
+def test_a_tube_follows_its_line() -> None:
+    line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5]])
+    points = tube(line, 0.05).vertices
+    low, high = points.min(axis=0), points.max(axis=0)
+    np.testing.assert_allclose(low, [-0.05, -0.05, -0.05], atol=0.01)
+    np.testing.assert_allclose(high, [1.05, 1.05, 0.55], atol=0.01)
+    assert len(tube(np.zeros((1, 3)), 0.05).faces) > 0
+    assert len(tube(np.zeros((4, 3)), 0.05).faces) > 0
+
+
+def test_margin_colours() -> None:
+    assert margin_rgb(-0.1, 0.6) == margin_rgb(0.0, 0.6) == TIGHT
+    assert margin_rgb(0.3, 0.6) == margin_rgb(9.0, 0.6) == FAR
+
+
+@pytest.mark.parametrize("aspect", [0.6, 1.0, 1.7, 2.4])
+@pytest.mark.parametrize("ceiling", [None, 4.0])
+def test_every_point_is_in_view(aspect: float, ceiling: float | None) -> None:
+    points = np.random.default_rng(3).uniform([-4, -2, -1], [6, 5, 3], size=(200, 3))
+    view = frame(points, side=1.0, ceiling=ceiling)
+    eye = view.eye(aspect)
+    right = np.cross([0.0, 0.0, 1.0], view.direction)
+    right /= np.linalg.norm(right)
+    up = np.cross(view.direction, right)
+    depth = (eye - points) @ view.direction
+    assert depth.min() > 0.0
+    half = np.tan(FIELD_OF_VIEW / 2.0)
+    assert np.max(np.abs((points - eye) @ up) / depth) <= half
+    assert np.max(np.abs((points - eye) @ right) / depth) <= half * aspect * 1.03  # the table is interpolated
+    assert view.direction[1] > 0.0
+
+
+def test_of_several_messages_about_one_thing_the_last_is_kept() -> None:
+    recording = Recording()
+    node = recording.visualizer()["machine"]["boom"]
+    for x in (1.0, 2.0):
+        node.set_transform(trimesh.transformations.translation_matrix([x, 0.0, 0.0]))
+    recording.visualizer()["site"].set_property("visible", False)
+    ((_, message), (key, _)) = recording.messages()
+    assert isinstance(message, bytes)
+    assert umsgpack.unpackb(message)["matrix"][12:15] == [2.0, 0.0, 0.0]
+    assert key == ("set_property", "/site", "visible")
+    recording.visualizer()["machine"].delete()
+    assert [key[1] for key, _ in recording.messages()] == ["/site"]
+
+
+def test_a_track_is_packed_as_32_bit_numbers() -> None:
+    values = np.array([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]])
+    animation = PlanAnimation([Track("/machine/boom", "position", np.array([0.0, 0.5]), values)], 0.5)
+    (clip,) = animation.lower()
+    (track,) = clip["clip"]["tracks"]
+    assert (track["name"], track["type"], clip["clip"]["fps"]) == (".position", "vector3", 1)
+    np.testing.assert_array_equal(np.frombuffer(track["values"].data, "<f4").reshape(2, 3), values)
+
+
+def test_the_machine_is_drawn_where_pinocchio_says(backhoe: Robot) -> None:
+    scene = scene_from_dict({"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}})
+    recording = Recording()
+    graph = SceneGraph(recording.visualizer(), build_problem(backhoe, scene))
+    q = np.array([0.3, 0.5, -1.2, -0.4])
+    graph.move(q)
+    drawn = {key[1]: message for key, message in recording.messages() if key[0] == "set_transform"}
+    data = backhoe.model.createData()
+    pin.forwardKinematics(backhoe.model, data, q)
+    for link in ("swing_post", "boom", "stick", "bucket"):
+        message = drawn[f"/machine/{link}"]
+        assert isinstance(message, bytes)
+        matrix = np.array(umsgpack.unpackb(message)["matrix"]).reshape(4, 4).T
+        joint = next(visual.joint for visual in backhoe.visuals if visual.link == link)
+        np.testing.assert_allclose(matrix, data.oMi[joint].homogeneous, atol=1e-12)
+    assert graph.warnings == ()
+
+
+def test_a_timeline_ends_with_the_motion_and_knows_what_is_near(backhoe: Robot) -> None:
+    scene = scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": START},
+            "task": {"goal": {"position": [3.0, 1.0, 0.0]}},
+            "obstacles": [
+                {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2.9, 0.0, -1.9], "clearance": 0.1},
+                {"name": "far", "shape": "sphere", "radius": 0.2, "position": [90.0, 0.0, 0.0]},
+            ],
+        }
+    )
+    q = np.array([[0.0, 0.4, -1.6, -0.9], [0.5, 0.4, -1.6, -0.9]])
+    frames = timeline(build_problem(backhoe, scene), Trajectory.from_steps(np.array([0.0, 1.01]), q))
+    assert frames.obstacles == ("ball", "far", ITSELF)
+    assert frames.time[-1] == 1.01
+    np.testing.assert_allclose(frames.q[-1], q[-1])
+    assert np.all(np.diff(frames.time) <= 1.0 / 30.0 + 1e-9)
+    assert np.all(np.isnan(frames.margins(1)))
+    spot = frames.nearest[0][0]
+    assert spot is not None
+    assert spot.distance == pytest.approx(np.linalg.norm(spot.point_obstacle - spot.point_link))
+    assert spot.margin == pytest.approx(spot.distance - 0.1)
+
+
+def test_a_mesh_that_cannot_be_read_is_replaced_and_said(tmp_path: Path) -> None:
+    (tmp_path / "broken.dae").write_text("this is not a mesh")
+    (tmp_path / "arm.urdf").write_text(
+        """<robot name="arm"><link name="base"/>
+        <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+          <limit lower="-1" upper="1" effort="10" velocity="1"/></joint>
+        <link name="arm">
+          <visual><geometry><mesh filename="broken.dae"/></geometry></visual>
+          <collision><geometry><box size="1 0.1 0.1"/></geometry></collision>
+        </link></robot>"""
+    )
+    meshes, warnings = machine_meshes(load_robot(tmp_path / "arm.urdf"))
+    assert [drawn.link for drawn in meshes] == ["arm"]
+    np.testing.assert_allclose(np.ptp(meshes[0].facets.vertices, axis=0), [1.0, 0.1, 0.1])
+    assert len(warnings) == 1
+    assert "broken.dae" in warnings[0]
+    assert "arm" in warnings[0]
+
+
+def test_mesh_colours_come_from_their_files(panda: Robot) -> None:
+    meshes, warnings = machine_meshes(panda)
+    assert warnings == ()
+    assert {drawn.link for drawn in meshes} >= {"panda_link0", "panda_link7", "panda_hand"}
+    assert any(max(drawn.rgba[:3]) < 0.3 for drawn in meshes)  # its black parts
+    assert any(min(drawn.rgba[:3]) > 0.95 for drawn in meshes)  # its white ones
+
+
+def test_the_lines_of_a_grid_lie_in_their_plane_on_round_numbers() -> None:
+    """A wall through (3, 2.25, 1) across y: lines at whole metres of x and z, none beyond the rim."""
+    lines = grid(np.array([3.0, 2.25, 1.0]), np.array([0.0, 1.0, 0.0]), 2.5, (1.0, 0.5, 0.0, 0.8))
+    np.testing.assert_allclose(lines.vertices[:, 1], 2.25, atol=1e-12)
+    away = np.linalg.norm(lines.vertices - [3.0, 2.25, 1.0], axis=1)
+    assert away.max() < 2.5 + 0.02
+    # every strip is 3 cm wide around its line
+    pairs = lines.vertices.reshape(-1, 2, 3)
+    np.testing.assert_allclose(np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1), 0.03, atol=1e-12)
+    middles = pairs.mean(axis=1).reshape(-1, 33, 3)
+    constant = [line[0, axis] for line in middles for axis in (0, 2) if np.ptp(line[:, axis]) < 1e-9]
+    assert sorted(round(value, 9) for value in constant) == [-1.0, 0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 4.0, 5.0]
+    assert lines.rgba is not None
+    assert lines.rgba[:, 3].max() <= 0.8
+    both = together(lines, lines)
+    assert len(both.vertices) == 2 * len(lines.vertices)
+    np.testing.assert_array_equal(both.faces[len(lines.faces) :], lines.faces + len(lines.vertices))

@@ -1,0 +1,262 @@
+"""The page and the live view, looked at with a real browser."""
+
+from __future__ import annotations
+
+import io
+import socket
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from backhoe_planner.errors import InputError, OutputError
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.proof.certificate import certify
+from backhoe_planner.show.page.page import plan_page, write_page
+from backhoe_planner.show.viewer.viewer import Viewer
+from backhoe_planner.site.scene_file import Scene, scene_from_dict
+
+HOSTILE = "</script><script>window.pwned=1</script><img src=x onerror='window.pwned=1'> \"q\" \u2028 \u4e2d a/b &amp;"
+START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+END = [0.9, 0.6, -1.3, -0.5]
+SWING = "backhoe.viewer.scene_tree.find(['machine', 'swing_post']).object.quaternion.toArray()"
+
+
+class Tab:
+    """A page of the browser, and everything that it complained about or asked the network for."""
+
+    def __init__(self, browser: Any) -> None:
+        self.page = browser.new_page(viewport={"width": 560, "height": 400}, reduced_motion="reduce")
+        self.page.set_default_timeout(15_000)
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+
+    def open(self, url: str) -> None:
+        self.page.goto(url)
+        self.page.wait_for_function("window.backhoe !== undefined && document.querySelector('#joints td') !== null")
+
+    def ask(self, expression: str) -> Any:
+        return self.page.evaluate(expression)
+
+    def picture(self) -> np.ndarray[Any, Any]:
+        return np.asarray(Image.open(io.BytesIO(self.page.locator("#meshcat-pane canvas").screenshot())).convert("RGB"))
+
+
+@pytest.fixture
+def tab(browser: Any) -> Iterator[Tab]:
+    opened = Tab(browser)
+    yield opened
+    opened.page.close()
+
+
+def the_scene(name: str) -> Scene:
+    return scene_from_dict(
+        {
+            "version": 1,
+            "name": name,
+            "start": {"joints": START},
+            "task": {"goal": {"position": [3.0, 1.0, 0.0], "pitch": [-2.0, -1.0]}},
+            "obstacles": [
+                {"name": "gas pipe", "shape": "capsule", "from": [1, -3, -2], "to": [1, 3, -2], "radius": 0.1},
+                {"name": HOSTILE, "shape": "box", "size": [1, 1, 1], "position": [5.0, -1.5, 0.5], "clearance": 0.3},
+                {"name": "constructor", "shape": "cylinder", "radius": 0.2, "length": 2, "position": [4.6, 2.0, 1.0]},
+                {"name": "__proto__", "shape": "halfspace", "point": [0, 0, 7], "normal": [0, 0, -1], "clearance": 1},
+                {"name": "late", "shape": "sphere", "radius": 0.3, "position": [-2, -3, 1], "appears_at": 1.0,
+                 "velocity": [0.5, 0, 0]},
+            ],
+        }
+    )  # fmt: skip
+
+
+def the_plan(robot: Robot, *, verified: bool = True, name: str = HOSTILE) -> Plan:
+    scene = the_scene(name)
+    part = np.linspace(0.0, 1.0, 60)[:, None]
+    first = np.array([START[joint] for joint in robot.joint_names])
+    q = first + (10 * part**3 - 15 * part**4 + 6 * part**5) * (np.array(END) - first)
+    trajectory = Trajectory.from_steps(4.0 * part[:, 0], q)
+    return Plan(
+        verdict="verified" if verified else "failed",
+        reason="" if verified else "blocked",
+        message="" if verified else f"{HOSTILE} blocks the way",
+        robot=robot,
+        scene=scene,
+        method="reactive",
+        seed=0,
+        trajectory=trajectory,
+        certificate=certify(robot, scene, trajectory),
+        metrics={"planning_time": 0.5, "energy": {"work": 1234.0}},
+    )
+
+
+def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:
+    file = tmp_path / "plan.html"
+    assert write_page(the_plan(backhoe), file) == ()
+    assert list(tmp_path.iterdir()) == [file]
+    tab.open(file.as_uri())
+    tab.ask("backhoe.seek(0)")
+    tab.page.wait_for_timeout(300)
+    before, straight = tab.picture(), tab.ask(SWING)
+    assert before.std(axis=(0, 1)).min() > 8.0  # not blank
+    assert len(np.unique(before.reshape(-1, 3), axis=0)) > 500
+
+    tab.page.locator("#scrubber").fill("4")
+    tab.page.wait_for_timeout(300)
+    turned = tab.ask(SWING)
+    assert abs(turned[2]) == pytest.approx(np.sin(END[0] / 2.0), abs=1e-4)  # about z by the swing angle
+    assert straight == pytest.approx([0.0, 0.0, 0.0, 1.0])
+    assert np.mean(np.any(np.abs(tab.picture().astype(int) - before) > 12, axis=2)) > 0.01
+    assert tab.page.locator("#clock").inner_text() == "4.00 / 4.00 s"
+    assert f"{np.degrees(END[0]):.1f}°" in tab.page.locator("#joints").inner_text()
+
+    assert "Verified" in tab.page.locator("#verdict").inner_text()
+    assert tab.page.locator("#title").text_content() == HOSTILE
+    assert "1.2 kJ" in tab.page.locator("#facts").inner_text()
+    assert tab.ask("window.pwned") is None
+    assert tab.ask("document.querySelectorAll('#panel img').length") == 0
+    assert tab.ask("[...document.querySelectorAll('.margin .name')].map((e) => e.textContent)")[:4] == [
+        "gas pipe", HOSTILE, "constructor", "__proto__",
+    ]  # fmt: skip
+    assert tab.complaints == []
+    assert [url for url in tab.requests if not url.startswith(("file:", "data:"))] == []
+
+
+def test_play_and_the_switches(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:
+    write_page(the_plan(backhoe, verified=False, name="a site"), tmp_path / "plan.html")
+    tab.open((tmp_path / "plan.html").as_uri())
+    badge = tab.page.locator("#verdict")
+    assert badge.get_attribute("class") == "failed"
+    assert badge.inner_text().startswith("Failed: blocked")
+    assert f"{HOSTILE} blocks the way".split()[-3:] == badge.inner_text().split()[-3:]
+
+    assert tab.ask("backhoe.time") == 0  # who asks for less motion is not played to
+    tab.page.locator("#speed").select_option("4")
+    tab.page.locator("#play").click()
+    tab.page.wait_for_function("backhoe.time > 0.5")
+    tab.page.locator("#play").click()
+    stopped = tab.ask("backhoe.time")
+    tab.page.wait_for_timeout(200)
+    assert tab.ask("backhoe.time") == stopped
+
+    shells = "backhoe.viewer.scene_tree.find(['clearance']).object.visible"
+    assert tab.ask(shells) is False
+    tab.page.locator("[data-node=clearance]").check()
+    assert tab.ask(shells) is True
+
+    late = "backhoe.viewer.scene_tree.find(['site', 'late']).object"
+    tab.ask("backhoe.seek(0.5)")
+    assert tab.ask(f"{late}.scale.x") < 1e-3  # not there yet
+    tab.ask("backhoe.seek(3)")
+    assert tab.ask(f"[{late}.scale.x, {late}.position.x]") == pytest.approx([1.0, 1.0], abs=0.02)
+
+    assert not tab.page.locator(".dg.main").is_visible()
+    tab.page.locator("#tree").click()
+    assert tab.page.locator(".dg.main").is_visible()
+    assert tab.complaints == []
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(backhoe: Robot, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="does not exist"):
+        write_page(the_plan(backhoe), tmp_path / "nowhere" / "plan.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_of_one_sample_has_a_page(backhoe: Robot) -> None:
+    whole = the_plan(backhoe, verified=False)
+    trajectory = Trajectory.from_steps(np.zeros(1), whole.trajectory.q[:1])
+    page, _ = plan_page(
+        Plan(
+            verdict="failed", reason="budget", message="no time", robot=backhoe, scene=whole.scene, method="auto",
+            seed=0, trajectory=trajectory, certificate=certify(backhoe, whole.scene, trajectory), metrics={},
+        )
+    )  # fmt: skip
+    assert "<script>window.pwned" not in page
+
+
+def test_the_live_view(backhoe: Robot, tab: Tab) -> None:
+    plan = the_plan(backhoe)
+    with Viewer(port=0) as viewer:
+        assert viewer.show_problem(build_problem(backhoe, plan.scene)) == ()
+        assert not viewer.wait_for_browser(0.05)
+        tab.open(viewer.url)
+        assert viewer.wait_for_browser(20.0)
+        assert viewer.alive()
+
+        assert viewer.show_step(plan.trajectory.q[-1], 4.0)
+        assert not viewer.show_step(plan.trajectory.q[0], 4.0)  # too soon
+        tab.page.wait_for_function(f"Math.abs({SWING}[2]) > 0.3")
+        assert abs(tab.ask(SWING)[2]) == pytest.approx(np.sin(END[0] / 2.0), abs=1e-6)
+        assert f"{np.degrees(END[0]):.1f}°" in tab.page.locator("#joints").inner_text()
+
+        viewer.play(plan)
+        tab.page.wait_for_function("backhoe.plan !== null")
+        tab.ask("backhoe.seek(0)")
+        assert tab.ask(SWING) == pytest.approx([0.0, 0.0, 0.0, 1.0])
+        assert "Verified" in tab.page.locator("#verdict").inner_text()
+    assert not viewer.alive()
+    tab.page.wait_for_function("!document.getElementById('notice').hidden")
+    # three.js warns where a frame falls between a light and the word that it casts no shadow
+    expected = ("WebSocket", "has no shadow")
+    assert [text for text in tab.complaints if not any(word in text for word in expected)] == []
+
+
+def test_steps_cost_little_when_they_come_fast(backhoe: Robot) -> None:
+    plan = the_plan(backhoe)
+    with Viewer(port=0) as viewer:
+        viewer.show_problem(build_problem(backhoe, plan.scene))
+        begun, drawn, spent = time.perf_counter(), 0, 0.0
+        while (now := time.perf_counter()) - begun < 1.0:
+            shown = viewer.show_step(plan.trajectory.q[drawn % 60], 0.0)
+            drawn += shown
+            spent += (time.perf_counter() - now) if shown else 0.0
+        assert 5 <= drawn <= 31
+        assert spent < 0.1  # 4 %, and room for a busy machine
+
+
+def test_closing_leaves_nothing_behind(backhoe: Robot) -> None:
+    viewer = Viewer(port=0)
+    with urllib.request.urlopen(viewer.url, timeout=5.0) as answer:
+        assert b"meshcat-pane" in answer.read()
+    viewer.close()
+    viewer.close()
+    assert not [thread for thread in threading.enumerate() if thread.name == "live view"]
+    port = int(viewer.url.rsplit(":", 1)[1].strip("/"))
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
+
+
+def test_a_port_that_is_taken_is_an_error() -> None:
+    with Viewer(port=0) as viewer:
+        port = int(viewer.url.rsplit(":", 1)[1].strip("/"))
+        with pytest.raises(OutputError, match="port"):
+            Viewer(port=port)
+
+
+def test_the_viewer_belongs_to_one_thread(backhoe: Robot) -> None:
+    problem = build_problem(backhoe, the_scene("a site"))
+    caught: list[BaseException] = []
+
+    def misuse(viewer: Viewer) -> None:
+        try:
+            viewer.show_problem(problem)
+        except InputError as error:
+            caught.append(error)
+
+    with Viewer(port=0) as viewer:
+        other = threading.Thread(target=misuse, args=(viewer,))
+        other.start()
+        other.join()
+        with pytest.raises(InputError, match="problem first"):
+            viewer.show_step(np.zeros(4))
+    assert "thread" in str(caught[0])

@@ -1,0 +1,106 @@
+"""Figures are written whole, in the format that their suffix names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from backhoe_planner.errors import OutputError
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.proof.certificate import certify
+from backhoe_planner.show.plots.plots import plot_envelope, plot_plan
+from backhoe_planner.site.scene_file import scene_from_dict
+
+START = [0.0, 0.4, -1.6, -0.9]
+MAGIC = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+
+
+def a_plan(robot: Robot, *, samples: int = 40, name: str = "_a $1 \N{LATIN SMALL LETTER U WITH DIAERESIS}") -> Plan:
+    part = np.linspace(0.0, 1.0, samples)[:, None] if samples > 1 else np.zeros((1, 1))
+    q = np.array(START) + (10 * part**3 - 15 * part**4 + 6 * part**5) * np.array([0.6, 0.3, 0.2, 0.3])
+    scene = scene_from_dict(
+        {
+            "version": 1,
+            "name": name,
+            "payload": 200.0,
+            "task": {
+                "path": {
+                    "waypoints": [{"position": [2.9, 0.0, -1.07]}, {"position": [3.0, 1.5, 0.2]}],
+                    "tolerance": 0.02,
+                }
+            },
+            "obstacles": [{"name": name, "shape": "sphere", "radius": 0.3, "position": [3.0, -0.8, -1.0]}],
+        }
+    )
+    trajectory = Trajectory.from_steps(4.0 * part[:, 0], q)
+    certificate = certify(robot, scene, trajectory)
+    return Plan(
+        verdict="failed", reason="blocked", message="", robot=robot, scene=scene, method="reactive", seed=0,
+        trajectory=trajectory, certificate=certificate, metrics={},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf"])
+def test_a_plan_is_plotted_in_every_format(backhoe: Robot, tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"plan{suffix.upper() if suffix == '.png' else suffix}"
+    plot_plan(a_plan(backhoe), file)
+    assert file.read_bytes().startswith(MAGIC[suffix])
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+
+
+def test_labels_carry_units_and_names(backhoe: Robot, tmp_path: Path) -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        plot_plan(a_plan(backhoe, name="_costs $5 or $6"), tmp_path / "plan.svg")
+    text = (tmp_path / "plan.svg").read_text()
+    for label in (
+        "joint angle [deg]",
+        "joint rate [deg/s]",
+        "margin [m]",
+        "off the path [mm]",
+        "limit used [%]",
+        "power [kW]",
+    ):
+        assert label in text
+    assert text.count("_costs $5 or $6") >= 2  # title and legend
+    assert "swing" in text
+    assert "bucket" in text
+
+
+def test_a_plan_that_never_moved_is_plotted(backhoe: Robot, tmp_path: Path) -> None:
+    plot_plan(a_plan(backhoe, samples=1), tmp_path / "plan.svg")
+    assert (tmp_path / "plan.svg").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", ["plan.jpg", "plan", "plan.json"])
+def test_another_suffix_is_an_error_that_names_the_allowed_ones(backhoe: Robot, tmp_path: Path, name: str) -> None:
+    with pytest.raises(OutputError, match=r"\.png, \.svg, \.pdf"):
+        plot_plan(a_plan(backhoe), tmp_path / name)
+    with pytest.raises(OutputError, match=r"\.png, \.svg, \.pdf"):
+        plot_envelope(backhoe, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_does_not_exist_is_an_error(backhoe: Robot, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="does not exist"):
+        plot_plan(a_plan(backhoe), tmp_path / "nowhere" / "plan.svg")
+
+
+def test_the_envelope_has_the_data_sheets_figures(backhoe: Robot, tmp_path: Path) -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        plot_envelope(backhoe, tmp_path / "reach.svg")
+    text = (tmp_path / "reach.svg").read_text()
+    for figure in ("digging depth 4.38 m", "reach at ground level 5.65 m", "loading height 3.61 m"):
+        assert figure in text
+
+
+def test_the_reach_of_a_level_arm_is_seen_from_above(planar4: Robot, tmp_path: Path) -> None:
+    plot_envelope(planar4, tmp_path / "reach.png")
+    assert (tmp_path / "reach.png").read_bytes().startswith(MAGIC[".png"])

@@ -1,0 +1,254 @@
+"""Obstacles and their files: each becomes convex pieces where the scene puts it, or is refused by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.site.obstacles import Obstacle, build_obstacles, read_heights, read_points
+from backhoe_planner.site.scene_file import load_scene, scene_from_dict
+
+Points = NDArray[np.float64]
+
+
+def build(robot: Robot, folder: Path, **keys: object) -> Obstacle:
+    data: dict[str, Any] = {
+        "version": 1,
+        "start": {"joints": {}},
+        "task": {"goal": {"position": [0, 0, 0]}},
+        "obstacles": [{"name": "thing", **keys}],
+    }
+    return build_obstacles(scene_from_dict(data, folder=folder, file=folder / "scene.yaml"), robot)[0]
+
+
+def extent(obstacle: Obstacle) -> Points:
+    """(2, 3) lowest and highest corner of all pieces, world."""
+    points = np.vstack([piece.hull for piece in obstacle.pieces])
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+BLOCK = b"solid block\nendsolid block\n"
+
+FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
+    "mesh missing": ("mesh", "a.stl", None, {}, "no such mesh file"),
+    "mesh empty": ("mesh", "a.stl", b"", {}, "empty"),
+    "mesh garbage": ("mesh", "a.stl", b"no triangles in here", {}, "triangles|can be read"),
+    "mesh without triangles": ("mesh", "a.stl", BLOCK, {}, "triangles|can be read"),
+    "mesh of an unknown kind": ("mesh", "a.dwgx", b"x", {}, "can be read"),
+    "heights missing": ("heightmap", "a.csv", None, {"size": [1, 1]}, "no such file"),
+    "heights empty": ("heightmap", "a.csv", b"", {"size": [1, 1]}, "empty"),
+    "heights blank": ("heightmap", "a.csv", b" \n", {"size": [1, 1]}, "empty"),
+    "heights not text": ("heightmap", "a.csv", b"\xff\xfe\x81", {"size": [1, 1]}, "cannot be read"),
+    "heights in words": ("heightmap", "a.csv", b"x,y\n1,2\n", {"size": [1, 1]}, "table of numbers.*'x'"),
+    "heights ragged": ("heightmap", "a.csv", b"1,2,3\n4,5\n", {"size": [1, 1]}, r"different lengths; found \[2, 3\]"),
+    "heights with a hole": ("heightmap", "a.csv", b"1,,3\n4,5,\n", {"size": [1, 1]}, "table of numbers"),
+    "one height": ("heightmap", "a.csv", b"1\n", {"size": [1, 1]}, r"at least 2 x 2 heights; found \(1, 1\)"),
+    "one row of heights": (
+        "heightmap",
+        "a.csv",
+        b"1,2,3\n",
+        {"size": [1, 1]},
+        r"at least 2 x 2 heights; found \(1, 3\)",
+    ),
+    "height NaN": ("heightmap", "a.csv", b"1,nan\n2,3\n", {"size": [1, 1]}, "not finite"),
+    "height infinite": ("heightmap", "a.csv", b"1,inf\n2,3\n", {"size": [1, 1]}, "not finite"),
+    "points missing": ("pointcloud", "a.ply", None, {"resolution": 0.1}, "no such file"),
+    "points empty": ("pointcloud", "a.ply", b"", {"resolution": 0.1}, "empty|can be read|no points"),
+    "points garbage": ("pointcloud", "a.ply", b"ply?\nnot really\n", {"resolution": 0.1}, "can be read"),
+    "points text empty": ("pointcloud", "a.xyz", b"", {"resolution": 0.1}, "empty"),
+    "points header only": ("pointcloud", "a.csv", b"x,y,z\n", {"resolution": 0.1}, "no points"),
+    "points of two numbers": (
+        "pointcloud",
+        "a.xyz",
+        b"1 2 3\n4 5\n",
+        {"resolution": 0.1},
+        "line 2: has fewer than three",
+    ),
+    "points in words": (
+        "pointcloud",
+        "a.xyz",
+        b"1 2 3\n4 five 6\n",
+        {"resolution": 0.1},
+        "line 2: is not a number.*five",
+    ),
+    "point NaN": ("pointcloud", "a.xyz", b"1 2 3\nnan nan nan\n", {"resolution": 0.1}, "not finite"),
+    "points too fine": (
+        "pointcloud",
+        "a.xyz",
+        b"\n".join(b"%d %d 0" % (k, 2 * (k % 200)) for k in range(0, 42000, 2)),
+        {"resolution": 0.5},
+        "thing: is too fine.*convex pieces.*coarser resolution",
+    ),
+}
+
+
+@pytest.mark.parametrize(("shape", "name", "content", "keys", "said"), FILES.values(), ids=FILES.keys())
+def test_unusable_file_of_an_obstacle_is_named_with_scene_and_obstacle(
+    shape: str,
+    name: str,
+    content: bytes | None,
+    keys: dict[str, object],
+    said: str,
+    planar4: Robot,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(SceneError, match=said) as caught:
+        build(planar4, tmp_path, shape=shape, file=name, **keys)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'scene.yaml'}: obstacles[0] (thing).file: ")
+    if "too fine" not in message:
+        assert str(tmp_path / name) in message
+    assert capfd.readouterr() == ("", "")
+
+
+def test_folder_in_place_of_a_file_is_refused(planar4: Robot, tmp_path: Path) -> None:
+    for shape, keys in (("mesh", {}), ("heightmap", {"size": [1, 1]}), ("pointcloud", {"resolution": 1.0})):
+        with pytest.raises(SceneError, match=r"\(thing\)\.file"):
+            build(planar4, tmp_path, shape=shape, file=".", **keys)
+
+
+def test_files_are_looked_for_beside_the_scene(planar4: Robot, tmp_path: Path) -> None:
+    folder = tmp_path / "site"
+    folder.mkdir()
+    trimesh.creation.box((1.0, 1.0, 1.0)).export(folder / "block.stl")
+    (folder / "scene.yaml").write_text(
+        "version: 1\nstart: {joints: {}}\ntask: {goal: {position: [0, 0, 0]}}\n"
+        "obstacles: [{name: block, shape: mesh, file: block.stl, position: [0, 0, 5]}]\n"
+    )
+    (found,) = build_obstacles(load_scene(folder / "scene.yaml"), planar4)
+    np.testing.assert_allclose(extent(found), [[-0.5, -0.5, 4.5], [0.5, 0.5, 5.5]], atol=1e-9)
+
+
+PLACED: dict[str, tuple[dict[str, object], list[list[float]]]] = {
+    "box": ({"shape": "box", "size": [1, 2, 3], "position": [1, 1, 1]}, [[0.5, 0, -0.5], [1.5, 2, 2.5]]),
+    "box turned": ({"shape": "box", "size": [1, 2, 3], "rpy": [0, 0, np.pi / 2]}, [[-1, -0.5, -1.5], [1, 0.5, 1.5]]),
+    "box turned by quaternion": (
+        {"shape": "box", "size": [1, 2, 3], "quaternion": [np.sqrt(0.5), 0, np.sqrt(0.5), 0]},
+        [[-1.5, -1, -0.5], [1.5, 1, 0.5]],
+    ),
+    "sphere": ({"shape": "sphere", "radius": 0.4, "position": [4, 0.5, -0.3]}, [[4, 0.5, -0.3], [4, 0.5, -0.3]]),
+    "capsule": ({"shape": "capsule", "from": [1, -3, -1], "to": [1, 3, -1], "radius": 0.1}, [[1, -3, -1], [1, 3, -1]]),
+    "capsule downwards": (
+        {"shape": "capsule", "from": [0, 0, 2], "to": [0, 0, -1], "radius": 0.1},
+        [[0, 0, -1], [0, 0, 2]],
+    ),
+}
+
+
+@pytest.mark.parametrize(("keys", "expected"), PLACED.values(), ids=PLACED.keys())
+def test_shape_lies_where_the_scene_puts_it(
+    keys: dict[str, object], expected: list[list[float]], planar4: Robot, tmp_path: Path
+) -> None:
+    np.testing.assert_allclose(extent(build(planar4, tmp_path, **keys)), expected, atol=1e-12)
+
+
+def test_cylinder_is_the_prism_of_32_sides_around_it(planar4: Robot, tmp_path: Path) -> None:
+    (piece,) = build(planar4, tmp_path, shape="cylinder", radius=1.0, length=2.0).pieces
+    assert piece.hull.shape == (64, 3)
+    np.testing.assert_allclose(np.abs(piece.hull[:, 2]), 1.0)
+    np.testing.assert_allclose(np.hypot(piece.hull[:, 0], piece.hull[:, 1]), 1.0 / np.cos(np.pi / 32))
+
+
+def test_mesh_is_scaled_then_placed(planar4: Robot, tmp_path: Path) -> None:
+    trimesh.creation.box((1000.0, 1000.0, 1000.0)).export(tmp_path / "mm.stl")
+    metres = build(planar4, tmp_path, shape="mesh", file="mm.stl", scale=0.001, position=[1, 0, 0])
+    np.testing.assert_allclose(extent(metres), [[0.5, -0.5, -0.5], [1.5, 0.5, 0.5]], atol=1e-6)
+    flat = build(planar4, tmp_path, shape="mesh", file="mm.stl", scale=[0.001, 0.002, 0.003])
+    np.testing.assert_allclose(extent(flat), [[-0.5, -1.0, -1.5], [0.5, 1.0, 1.5]], atol=1e-6)
+
+
+def test_flat_mesh_is_an_obstacle_too(planar4: Robot, tmp_path: Path) -> None:
+    """Qhull refuses a flat hull, and coal ends the process with it."""
+    sheet = trimesh.Trimesh([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], [[0, 1, 2], [0, 2, 3]])
+    sheet.export(tmp_path / "sheet.stl")
+    found = extent(build(planar4, tmp_path, shape="mesh", file="sheet.stl"))
+    np.testing.assert_allclose(found, [[0, 0, 1], [1, 1, 1]], atol=1e-3)
+
+
+def test_flat_mesh_in_a_tilted_plane_is_an_obstacle_too(planar4: Robot, tmp_path: Path) -> None:
+    turn = trimesh.transformations.euler_matrix(0.3, 0.2, 0.1)
+    sheet = trimesh.Trimesh([[0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]], [[0, 1, 2], [1, 3, 2]])
+    sheet.apply_transform(turn).export(tmp_path / "sheet.stl")
+    found = extent(build(planar4, tmp_path, shape="mesh", file="sheet.stl"))
+    np.testing.assert_allclose(found, sheet.bounds, atol=1e-3)
+
+
+def test_height_map_is_centred_and_reaches_50_m_below_its_lowest_point(planar4: Robot, tmp_path: Path) -> None:
+    (tmp_path / "hill.csv").write_text("0,0,0\n0,1,0\n0,0,0\n")
+    found = build(planar4, tmp_path, shape="heightmap", file="hill.csv", size=[4, 6], position=[10, 0, 2])
+    np.testing.assert_allclose(extent(found), [[8, -3, 2 - 50], [12, 3, 2 + 1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["0,1\n2,3\n", "0;1\r\n2;3\r\n", "\ufeff0, 1,\n2, 3,\n\n"])
+def test_heights_are_read_with_commas_semicolons_and_what_spreadsheets_leave(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "heights.csv"
+    path.write_text(text, encoding="utf-8")
+    np.testing.assert_array_equal(read_heights(path), [[0.0, 1.0], [2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("scan.xyz", "1 2 3\n4 5 6\n"),
+        ("scan.csv", "x,y,z,intensity\n1,2,3,9\n4,5,6,9\n"),
+        ("scan.txt", "# a scan\n1 2 3 255 0 0\n\n4 5 6 255 0 0\n"),
+        (
+            "scan.ply",
+            "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+            "end_header\n1 2 3\n4 5 6\n",
+        ),
+    ],
+)
+def test_points_are_read_from_text_and_ply(name: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text(text)
+    np.testing.assert_array_equal(read_points(path), [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+
+
+def test_voxels_of_a_scan_turn_with_it(planar4: Robot, tmp_path: Path) -> None:
+    (tmp_path / "scan.xyz").write_text("1.05 0.05 0.05\n1.15 0.05 0.05\n")
+    found = build(
+        planar4,
+        tmp_path,
+        shape="pointcloud",
+        file="scan.xyz",
+        resolution=0.1,
+        position=[0, 0, 1],
+        rpy=[0, 0, np.pi / 2],
+    )
+    assert len(found.pieces) == 1
+    np.testing.assert_allclose(extent(found), [[-0.1, 1.0, 1.0], [0.0, 1.2, 1.1]], atol=1e-12)
+
+
+def test_record_carries_what_the_scene_says(planar4: Robot, tmp_path: Path) -> None:
+    found = build(
+        planar4, tmp_path, shape="sphere", radius=1, clearance=0.3, links=["link4"], appears_at=2.0, velocity=[0, -1, 0]
+    )
+    assert (found.name, found.clearance, found.links, found.appears_at, found.moves) == (
+        "thing",
+        0.3,
+        ("link4",),
+        2.0,
+        True,
+    )
+    np.testing.assert_array_equal(found.velocity, [0.0, -1.0, 0.0])
+    with pytest.raises(ValueError, match="read-only"):
+        found.velocity[0] = 1.0
+    assert not build(planar4, tmp_path, shape="sphere", radius=1).moves
+
+
+def test_errors_of_readers_are_input_errors(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_heights(tmp_path / "nowhere.csv")
+    with pytest.raises(InputError, match="no such file"):
+        read_points(tmp_path / "nowhere.xyz")

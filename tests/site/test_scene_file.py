@@ -1,0 +1,649 @@
+"""The scene file: what is valid is read as meant, what is not is explained."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from strategies import scenes
+
+from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.live.servo.servo import Servo
+from backhoe_planner.machine.description.urdf import shipped
+from backhoe_planner.machine.robot import load_robot
+from backhoe_planner.site.scene_file import (
+    Capsule,
+    HalfSpace,
+    Scene,
+    load_scene,
+    obstacle_from_dict,
+    scene_from_dict,
+    scene_schema,
+)
+
+Data = dict[str, Any]
+
+GOAL: Data = {"version": 1, "start": {"joints": {"swing": 0.0}}, "task": {"goal": {"position": [4.2, 1.0, -1.0]}}}
+POINTS: list[Data] = [{"position": [5.0, 0.0, -0.6]}, {"position": [3.0, 0.0, -1.2]}]
+SPHERE: Data = {"name": "boulder", "shape": "sphere", "radius": 0.4}
+
+# Every key of the contract, in one scene.
+WHOLE = """
+version: 1
+name: trench beside a gas pipe
+tip: bucket_tip
+start: {joints: {swing: 0.0, boom: 0.4, stick: -1.6, bucket: -0.9}}
+task:
+  path:
+    waypoints:
+      - {position: [5.0, 0.0, -0.6]}
+      - {position: [3.0, 0.0, -1.2], pitch: -1.4}
+    speed: 0.5
+    tolerance: 0.005
+    detour: true
+clearance: 0.05
+influence: 0.6
+obstacles:
+  - {name: gas pipe,   shape: capsule, from: [1, -3, -1], to: [1, 3, -1], radius: 0.1, clearance: 0.5}
+  - {name: truck,      shape: box, size: [2.4, 6.0, 1.5], position: [4, 4, 1.2], rpy: [0, 0, 0.2]}
+  - {name: pole,       shape: cylinder, radius: 0.15, length: 8.0, position: [3, -2, 4]}
+  - {name: boulder,    shape: sphere, radius: 0.4, position: [4, 0.5, -0.3]}
+  - {name: power line, shape: halfspace, point: [0, 0, 6], normal: [0, 0, -1], clearance: 3.0}
+  - {name: spoil,      shape: mesh, file: spoil.stl, position: [2, 3, 0]}
+  - {name: terrain,    shape: heightmap, file: terrain.csv, size: [12, 12], links: [boom, stick]}
+  - {name: scan,       shape: pointcloud, file: scan.ply, resolution: 0.1}
+  - {name: worker,     shape: capsule, from: [5, 2, 0], to: [5, 2, 1.8], radius: 0.3,
+     clearance: 1.0, appears_at: 2.0, velocity: [0, -0.8, 0]}
+gains: {s_e: 0.2, s_o: 0.2, s_k: {boom: 0.01, stick: 0.01}}
+limits: {velocity_scale: 1.0, acceleration: {swing: 0.4, boom: 0.7}}
+objective: work
+payload: 250.0
+soil: {density: 1700, cohesion: 5000, friction: 0.55}
+"""
+
+
+def scene(**changes: object) -> Data:
+    return {**copy.deepcopy(GOAL), **changes}
+
+
+def goal(**keys: object) -> Data:
+    return scene(task={"goal": {"position": [4.2, 1.0, -1.0], **keys}})
+
+
+def path(*waypoints: Data, **keys: object) -> Data:
+    return scene(task={"path": {"waypoints": list(waypoints), **keys}})
+
+
+def obstacle(**keys: object) -> Data:
+    return scene(obstacles=[{**SPHERE, **keys}])
+
+
+def shaped(kind: str, **keys: object) -> Data:
+    return scene(obstacles=[{"name": "thing", "shape": kind, **keys}])
+
+
+# --- what is valid ------------------------------------------------------------
+
+
+def test_scene_of_the_contract_is_read_as_written(tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_text(WHOLE)
+    found = load_scene(file)
+    assert (found.name, found.tip, found.clearance, found.payload) == (
+        "trench beside a gas pipe",
+        "bucket_tip",
+        0.05,
+        250.0,
+    )
+    assert (found.folder, found.file) == (tmp_path, file)
+    assert found.start is not None
+    assert found.start.joints == {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    assert [waypoint.pitch_range for waypoint in found.waypoints()] == [None, (-1.4, -1.4)]
+    assert [thing.shape for thing in found.obstacles] == [
+        "capsule",
+        "box",
+        "cylinder",
+        "sphere",
+        "halfspace",
+        "mesh",
+        "heightmap",
+        "pointcloud",
+        "capsule",
+    ]
+    pipe, worker = found.obstacles[0], found.obstacles[-1]
+    assert isinstance(pipe, Capsule)
+    assert (pipe.start, pipe.end, pipe.clearance, pipe.velocity) == ((1, -3, -1), (1, 3, -1), 0.5, (0, 0, 0))
+    assert (worker.appears_at, worker.velocity) == (2.0, (0.0, -0.8, 0.0))
+    assert found.obstacles[6].links == ("boom", "stick")
+    assert found.gains != "auto"
+    assert found.gains.s_k == {"boom": 0.01, "stick": 0.01}
+    assert found.limits.acceleration == {"swing": 0.4, "boom": 0.7}
+    assert found.soil is not None
+    assert found.soil.density == 1700.0
+
+
+def test_what_is_left_out_has_the_defaults_of_the_contract() -> None:
+    found = scene_from_dict(GOAL)
+    assert (found.tip, found.name, found.obstacles, found.gains, found.objective) == (None, "", (), "auto", "work")
+    assert (found.clearance, found.influence, found.payload, found.soil) == (0.05, 0.6, 0.0, None)
+    assert (found.limits.velocity_scale, found.limits.acceleration) == (1.0, {})
+    followed = scene_from_dict(path(*POINTS)).task.path
+    assert followed is not None
+    assert (followed.speed, followed.tolerance, followed.detour) == (None, 0.005, True)
+
+
+def test_start_may_be_left_out_with_a_path() -> None:
+    found = path(*POINTS)
+    del found["start"]
+    assert scene_from_dict(found).start is None
+
+
+def test_pitch_is_a_number_or_a_range() -> None:
+    for given_pitch, expected in ((-1.4, (-1.4, -1.4)), ([-2.2, -1.2], (-2.2, -1.2)), (None, None)):
+        found = scene_from_dict(goal(pitch=given_pitch)).task.goal
+        assert found is not None
+        assert found.pitch_range == expected
+        assert found.rotation is None
+
+
+def test_rpy_and_quaternion_of_a_quarter_turn_about_z_are_one_rotation() -> None:
+    half = np.sqrt(0.5)
+    for keys in (
+        {"rpy": [0, 0, np.pi / 2]},
+        {"quaternion": [half, 0, 0, half]},
+        {"quaternion": [0.7071, 0, 0, 0.7071]},
+    ):
+        found = scene_from_dict(goal(**keys)).task.goal
+        assert found is not None
+        assert found.rotation is not None
+        np.testing.assert_allclose(found.rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+
+
+def test_what_was_normalised_once_stays_as_it_is_to_the_last_digit() -> None:
+    rng = np.random.default_rng(0)
+    for parts in rng.normal(size=(500, 4)).tolist():
+        unit = [part / math.hypot(*parts) for part in parts]
+        goal_once = scene_from_dict(goal(quaternion=unit)).task.goal
+        assert goal_once is not None
+        again = scene_from_dict(goal(quaternion=goal_once.quaternion)).task.goal
+        assert again is not None
+        assert again.quaternion == goal_once.quaternion
+        once = scene_from_dict(shaped("halfspace", point=[0, 0, 0], normal=parts[:3])).obstacles[0]
+        assert isinstance(once, HalfSpace)
+        twice = scene_from_dict(shaped("halfspace", point=[0, 0, 0], normal=once.normal)).obstacles[0]
+        assert isinstance(twice, HalfSpace)
+        assert twice.normal == once.normal
+
+
+def test_normal_of_any_length_becomes_a_unit_vector() -> None:
+    for normal in ([0, 3, 4], [0, 3e-9, 4e-9], [0, 3e200, 4e200]):
+        thing = scene_from_dict(shaped("halfspace", point=[0, 0, 0], normal=normal)).obstacles[0]
+        assert isinstance(thing, HalfSpace)
+        np.testing.assert_allclose(thing.normal, [0.0, 0.6, 0.8], atol=1e-15)
+
+
+def test_scene_cannot_be_changed_after_reading() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        scene_from_dict(GOAL).clearance = 1.0
+
+
+def test_reading_does_not_change_the_data_it_is_given() -> None:
+    given_data = obstacle()
+    before = copy.deepcopy(given_data)
+    scene_from_dict(given_data)
+    assert given_data == before
+
+
+def test_shipped_scenes_are_read_and_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    files = sorted(shipped("scenes").glob("*.yaml"))
+    assert files
+    for file in files:
+        assert load_scene(f"scenes/{file.name}") == load_scene(file)
+
+
+def test_one_obstacle_is_read_with_keys_as_in_a_scene() -> None:
+    found = obstacle_from_dict(SPHERE)
+    assert found == scene_from_dict(scene(obstacles=[SPHERE])).obstacles[0]
+
+
+NO_OBSTACLE: list[tuple[Data, list[str]]] = [
+    ({"shape": "ball", "name": "b"}, ["b: is not an obstacle", "no shape 'ball'", "Allowed: box, capsule, cylinder"]),
+    ({"name": "b"}, ["b: is not an obstacle: shape is missing", "box, capsule"]),
+    ({"shape": "sphere", "name": "b"}, ["b: is not an obstacle: radius: is missing"]),
+    ({"shape": "sphere", "radius": 1.0}, ["obstacle: is not an obstacle: name: is missing"]),
+    ({"shape": "sphere", "name": "b", "radios": 1.0, "radius": 1.0}, ["radios", "did you mean 'radius'?"]),
+]
+
+
+@pytest.mark.parametrize(("data", "said"), NO_OBSTACLE)
+def test_what_is_wrong_with_one_obstacle_is_said_as_of_a_scene(data: Data, said: list[str]) -> None:
+    servo = Servo(load_robot("example:planar4"), scene_from_dict(scene()), q=np.zeros(4))
+    for read in (obstacle_from_dict, servo.add):
+        with pytest.raises(InputError) as caught:
+            read(data)
+        for fragment in said:
+            assert fragment in str(caught.value)
+        assert "http" not in str(caught.value)
+        assert len(str(caught.value).splitlines()) == 1
+
+
+# --- what is not --------------------------------------------------------------
+
+BAD: dict[str, tuple[Data, list[str]]] = {
+    "unknown key": (scene(clearence=0.1), ["clearence", "no such key", "did you mean 'clearance'?", "influence"]),
+    "unknown key, like none": (scene(wibble=1), ["wibble: there is no such key. Allowed: clearance"]),
+    "unknown key of an obstacle": (obstacle(radios=1), ["obstacles[0].radios", "did you mean 'radius'?", "velocity"]),
+    "key of another shape": (obstacle(length=1), ["obstacles[0].length", "no such key"]),
+    "unknown key of a goal": (goal(pich=1), ["task.goal.pich", "did you mean 'pitch'?"]),
+    "unknown key of a waypoint": (
+        path(POINTS[0], {**POINTS[1], "pitc": 1}),
+        ["task.path.waypoints[1].pitc", "'pitch'"],
+    ),
+    "unknown key of a path": (path(*POINTS, sped=1), ["task.path.sped", "did you mean 'speed'?"]),
+    "unknown key of gains": (scene(gains={"s_x": 1}), ["gains.s_x", "s_e, s_k, s_o"]),
+    "unknown key of limits": (scene(limits={"velocity_scal": 1}), ["limits.velocity_scal", "'velocity_scale'"]),
+    "unknown key of soil": (scene(soil={"densty": 1}), ["soil.densty", "did you mean 'density'?"]),
+    "unknown key of the start": (scene(start={"joint": {}}), ["start.joint", "did you mean 'joints'?"]),
+    "key that is no text": (scene(obstacles=[]) | {1: 2}, ["1", "strings"]),  # type: ignore[dict-item]
+    "no version": ({"task": GOAL["task"], "start": GOAL["start"]}, ["version: is missing"]),
+    "later version": (scene(version=2), ["version", "1", "found 2"]),
+    "no task": ({"version": 1}, ["task: is missing"]),
+    "no radius": (shaped("sphere"), ["obstacles[0].radius: is missing"]),
+    "no name": (scene(obstacles=[{"shape": "sphere", "radius": 1}]), ["obstacles[0].name: is missing"]),
+    "empty name": (obstacle(name=""), ["obstacles[0].name", "at least 1 character"]),
+    "no shape": (scene(obstacles=[{"name": "thing"}]), ["obstacles[0]: shape is missing", "box, capsule, cylinder"]),
+    "unknown shape": (shaped("sfere"), ["no shape 'sfere'", "did you mean 'sphere'?", "halfspace, heightmap"]),
+    "no end of a capsule": (shaped("capsule", **{"from": [0, 0, 0], "radius": 1}), ["obstacles[0].to: is missing"]),
+    "obstacle that is text": (scene(obstacles=["boulder"]), ["obstacles[0]", "found 'boulder'"]),
+    "text for a number": (obstacle(radius="big"), ["obstacles[0].radius", "valid number", "found 'big'"]),
+    "quoted number": (obstacle(radius="0.3"), ["obstacles[0].radius", "valid number", "found '0.3'"]),
+    "truth for a number": (obstacle(radius=True), ["obstacles[0].radius", "valid number", "found True"]),
+    "number for a name": (obstacle(name=5), ["obstacles[0].name", "string", "found 5"]),
+    "number for a vector": (goal(position=5), ["task.goal.position", "found 5"]),
+    "vector of two": (scene(task={"goal": {"position": [1, 2]}}), ["task.goal.position[2]", "missing"]),
+    "vector of four": (scene(task={"goal": {"position": [1, 2, 3, 4]}}), ["task.goal.position", "at most 3"]),
+    "NaN": (scene(task={"goal": {"position": [1, 2, float("nan")]}}), ["task.goal.position[2]", "finite", "nan"]),
+    "infinite": (scene(clearance=float("inf")), ["clearance", "finite", "found inf"]),
+    "infinite joint": (scene(start={"joints": {"boom": float("-inf")}}), ["start.joints.boom", "finite"]),
+    "negative radius": (obstacle(radius=-1), ["obstacles[0].radius", "greater than or equal to 0.000001", "found -1"]),
+    "zero radius": (obstacle(radius=0), ["obstacles[0].radius", "greater than or equal to 0.000001", "found 0"]),
+    "radius of rounding": (obstacle(radius=1e-300), ["obstacles[0].radius", "equal to 0.000001", "found 1e-300"]),
+    "negative edge": (shaped("box", size=[1, -1, 1]), ["obstacles[0].size[1]", "equal to 0.000001", "-1"]),
+    "thin block": (shaped("box", size=[1, 1e-9, 1]), ["obstacles[0].size[1]", "equal to 0.000001", "found 1e-09"]),
+    "thin cylinder": (
+        shaped("cylinder", radius=1.0, length=1e-9),
+        ["obstacles[0].length", "equal to 0.000001", "found 1e-09"],
+    ),
+    "flat cylinder": (
+        shaped("cylinder", radius=1e5, length=1e-3),
+        [
+            "obstacles[0]: a cylinder's",
+            "length is 1e-05 to 100000 times its radius",
+            "0.001 m and 100000 m (1e-08 times)",
+        ],
+    ),
+    "needle": (shaped("cylinder", radius=1e-5, length=10.0), ["obstacles[0]", "10 m and 1e-05 m (1e+06 times)"]),
+    "fine voxels": (shaped("pointcloud", file="a.xyz", resolution=1e-9), ["obstacles[0].resolution", "0.000001"]),
+    "wall of three coordinates": (
+        scene(zones=[{"name": "w", "kind": "wall", "from": [5, 0, 1], "to": [5, 3]}]),
+        ["zones[0].from", "three coordinates", "two, x and y", "found [5, 0, 1]", "point and normal"],
+    ),
+    "negative clearance": (scene(clearance=-0.1), ["clearance", "greater than or equal to 0", "-0.1"]),
+    "appears in the past": (obstacle(appears_at=-1), ["obstacles[0].appears_at", "greater than or equal to 0"]),
+    "negative payload": (scene(payload=-1), ["payload", "greater than or equal to 0"]),
+    "no speed": (path(*POINTS, speed=0), ["task.path.speed", "greater than 0"]),
+    "more than full rate": (
+        scene(limits={"velocity_scale": 1.5}),
+        ["limits.velocity_scale", "less than or equal to 1"],
+    ),
+    "no acceleration": (scene(limits={"acceleration": {"boom": 0}}), ["limits.acceleration.boom", "greater than 0"]),
+    "steep friction": (scene(soil={"friction": 2.0}), ["soil.friction", "less than 1.57"]),
+    "unknown objective": (scene(objective="energy"), ["objective", "'work'", "found 'energy'"]),
+    "unknown gains": (scene(gains="automatic"), ["gains", "'auto'", "found 'automatic'"]),
+    "goal and path": (
+        scene(task={"goal": {"position": [1, 2, 3]}, "path": {"waypoints": POINTS}}),
+        ["task", "exactly one of goal, path"],
+    ),
+    "neither goal nor path": (scene(task={}), ["task", "exactly one of goal, path"]),
+    "waypoints and file": (path(*POINTS, file="p.csv"), ["task.path", "exactly one of waypoints, file"]),
+    "neither waypoints nor file": (scene(task={"path": {}}), ["task.path", "exactly one of waypoints, file"]),
+    "joints and tip": (scene(start={"joints": {}, "tip": POINTS[0]}), ["start", "exactly one of joints, tip"]),
+    "empty start": (scene(start={}), ["start", "exactly one of joints, tip"]),
+    "goal without start": ({"version": 1, "task": GOAL["task"]}, ["start is needed with a goal"]),
+    "path of one point": (path(POINTS[0]), ["task.path", "at least 2 waypoints", "has 1"]),
+    "path of no point": (path(), ["task.path", "at least 2 waypoints", "has 0"]),
+    "path in one point": (path(POINTS[0], POINTS[0], POINTS[0]), ["task.path", "all lie in one point"]),
+    "mixed path": (
+        path({**POINTS[0], "pitch": 0.1}, {**POINTS[1], "rpy": [0, 0, 0]}),
+        ["task.path", "mixes pitch and full orientation"],
+    ),
+    "pitch and quaternion": (
+        goal(pitch=0.1, quaternion=[1, 0, 0, 0]),
+        ["task.goal", "only one of", "pitch and quaternion"],
+    ),
+    "rpy and quaternion": (goal(rpy=[0, 0, 0], quaternion=[1, 0, 0, 0]), ["task.goal", "rpy and quaternion"]),
+    "rpy and quaternion of a box": (
+        shaped("box", size=[1, 1, 1], rpy=[0, 0, 0], quaternion=[1, 0, 0, 0]),
+        ["obstacles[0]: only one of rpy, quaternion"],
+    ),
+    "reversed pitch range": (goal(pitch=[-1.2, -2.2]), ["task.goal", "reversed", "[-1.2, -2.2]"]),
+    "pitch of three": (goal(pitch=[1, 2, 3]), ["task.goal.pitch", "at most 2"]),
+    "long quaternion": (goal(quaternion=[1, 1, 0, 0]), ["task.goal.quaternion", "length 1", "1.414"]),
+    "no quaternion": (goal(quaternion=[0, 0, 0, 0]), ["task.goal.quaternion", "length 1"]),
+    "no normal": (shaped("halfspace", point=[0, 0, 0], normal=[0, 0, 0]), ["obstacles[0].normal", "no direction"]),
+    "two of one name": (scene(obstacles=[SPHERE, SPHERE]), ["two obstacles are named 'boulder'"]),
+    "several at once": (scene(clearence=1, payload=-1), ["2 problems", "clearence", "payload"]),
+}
+
+
+@pytest.mark.parametrize(("data", "said"), BAD.values(), ids=BAD.keys())
+def test_what_is_wrong_with_a_scene_is_said_with_its_key(data: Data, said: list[str]) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_from_dict(data, file=Path("site/trench.yaml"))
+    message = str(caught.value)
+    assert message.startswith("site/trench.yaml: ")
+    for fragment in said:
+        assert fragment in message
+    for inner in ("tuple", "validation", "literal[", "union", "tagged", "function-", "pydantic", "Value error"):
+        assert inner not in message, "a name of the schema's machinery, not of the scene"
+
+
+def test_scene_error_is_an_input_error_and_a_value_error() -> None:
+    for kind in (InputError, ValueError):
+        with pytest.raises(kind):
+            scene_from_dict({})
+
+
+# --- YAML ---------------------------------------------------------------------
+
+
+def load_text(folder: Path, text: str) -> Scene:
+    file = folder / "scene.yaml"
+    file.write_text(text)
+    return load_scene(file)
+
+
+BAD_YAML = {
+    "duplicate key": ("version: 1\nname: a\ntask: {}\nname: b\n", ["name: the key stands twice", "line 2 and line 4"]),
+    "duplicate key inside": (
+        "version: 1\nobstacles:\n  - name: a\n    radius: 1\n    radius: 2\n",
+        ["obstacles.0.radius|obstacles[0].radius", "line 4 and line 5"],
+    ),
+    "tab": ("version: 1\ntask:\n\tgoal: 1\n", ["line 3", "tab", "spaces"]),
+    "empty": ("", ["the file is empty"]),
+    "blank": (" \n\n", ["the file is empty"]),
+    "comments only": ("# nothing yet\n", ["does not hold keys and values"]),
+    "a list": ("- version: 1\n", ["does not hold keys and values"]),
+    "a word": ("trench\n", ["does not hold keys and values"]),
+    "unclosed quote": ('name: "trench\n', ["line 2", "is not YAML"]),
+    "unclosed bracket": ("task: {goal: {position: [1, 2, 3}\n", ["line 1", "is not YAML"]),
+    "two documents": ("version: 1\n---\nversion: 1\n", ["line 2", "another document"]),
+    "unknown alias": ("name: *other\n", ["line 1", "other"]),
+    "Python object": ("name: !!python/object:os.system x\n", ["line 1", "is not YAML"]),
+    "control character": ("name: a\x00b\n", ["is not YAML", "#x0000"]),
+    "list as a key": ("? [1]\n: 2\n", ["line 1", "is not YAML"]),
+    "endless nesting": ("a: &a [*a]\n", ["cannot be understood"]),
+    "line of a wrong value": (
+        "version: 1\nstart: {joints: {}}\ntask: {goal: {position: [1, 2, 3]}}\nobstacles:\n"
+        "  - {name: a, shape: sphere, radius: 1}\n  - name: b\n    shape: sphere\n    radius: -2\n",
+        ["obstacles[1].radius (line 8)", "equal to 0.000001", "found -2"],
+    ),
+    "line of an unknown key": ("version: 1\ntask: {}\n\nclearanc: 1\n", ["clearanc (line 4)", "'clearance'"]),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BAD_YAML.values(), ids=BAD_YAML.keys())
+def test_what_is_wrong_with_a_file_is_said_once_with_its_line(text: str, said: list[str], tmp_path: Path) -> None:
+    with pytest.raises(SceneError) as caught:
+        load_text(tmp_path, text)
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "scene.yaml"))
+    assert message.count(str(tmp_path)) == 1
+    for fragment in said:
+        assert any(either in message for either in fragment.split("|")), message
+
+
+def test_file_that_is_not_utf8_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_bytes("name: Gräben".encode("latin-1"))
+    with pytest.raises(SceneError, match=r"scene\.yaml: is not UTF-8 text: .* at byte 8"):
+        load_scene(file)
+
+
+def test_missing_file_and_folder_are_named(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"nowhere\.yaml: no such scene file"):
+        load_scene(tmp_path / "nowhere.yaml")
+    with pytest.raises(SceneError, match="is a folder, not a scene file"):
+        load_scene(tmp_path)
+
+
+TASK = "task: {goal: {position: [0, 0, 0]}}\n"
+NUMBERS = [("1e-3", 1e-3), (".5", 0.5), ("5.", 5.0), ("+2", 2.0), ("1E2", 100.0), ("007", 7.0), ("1.5e+1", 15.0)]
+
+
+@pytest.mark.parametrize(("text", "value"), NUMBERS)
+def test_numbers_are_those_of_yaml_1_2(text: str, value: float, tmp_path: Path) -> None:
+    found = load_text(tmp_path, f"version: 1\nstart: {{joints: {{boom: {text}}}}}\n{TASK}")
+    assert found.start is not None
+    assert found.start.joints == {"boom": value}
+
+
+@pytest.mark.parametrize("text", ["no", "yes", "on", "off", "y", "2024-01-01", "1_000", "1:30", "0x10", "NO", "<<"])
+def test_words_that_older_yaml_takes_for_something_else_are_text(text: str, tmp_path: Path) -> None:
+    found = load_text(tmp_path, f"version: 1\nname: {text}\nstart: {{joints: {{}}}}\n{TASK}")
+    assert found.name == text
+
+
+def test_byte_order_mark_and_windows_line_ends_do_no_harm(tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    file.write_bytes(b"\xef\xbb\xbf" + WHOLE.strip().replace("\n", "\r\n").encode())
+    assert load_scene(file).name == "trench beside a gas pipe"
+
+
+def test_anchors_are_understood(tmp_path: Path) -> None:
+    found = load_text(
+        tmp_path,
+        "version: 1\ntask: {path: {waypoints: [{position: &a [1, 2, 3]}, {position: [0, 0, 0]}, {position: *a}]}}\n",
+    )
+    assert [waypoint.position for waypoint in found.waypoints()] == [(1, 2, 3), (0, 0, 0), (1, 2, 3)]
+
+
+# --- the path file ------------------------------------------------------------
+
+
+def from_path_file(folder: Path, text: str | bytes | None) -> Scene:
+    if text is not None:
+        (folder / "path.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+    return scene_from_dict(scene(task={"path": {"file": "path.csv"}}), folder=folder)
+
+
+def test_path_file_of_positions(tmp_path: Path) -> None:
+    found = from_path_file(tmp_path, "x,y,z\n1,2,3\n4,5.5,-6e-1\n").waypoints()
+    assert [waypoint.position for waypoint in found] == [(1.0, 2.0, 3.0), (4.0, 5.5, -0.6)]
+
+
+def test_path_file_with_pitch_in_any_order_of_columns(tmp_path: Path) -> None:
+    found = from_path_file(tmp_path, "pitch, z, y, x\n-1.4, 3, 2, 1\n\n-1.5, 6, 5, 4\n").waypoints()
+    assert [(waypoint.position, waypoint.pitch) for waypoint in found] == [((1, 2, 3), -1.4), ((4, 5, 6), -1.5)]
+
+
+def test_path_file_with_quaternions(tmp_path: Path) -> None:
+    found = from_path_file(tmp_path, "x,y,z,qw,qx,qy,qz\n1,2,3,1,0,0,0\n4,5,6,0,0,0,1\n").waypoints()
+    assert found[1].rotation is not None
+    np.testing.assert_allclose(found[1].rotation, np.diag([-1.0, -1.0, 1.0]), atol=1e-15)
+
+
+def test_path_file_saved_by_a_spreadsheet(tmp_path: Path) -> None:
+    assert len(from_path_file(tmp_path, b"\xef\xbb\xbfx,y,z\r\n1,2,3\r\n4,5,6\r\n").waypoints()) == 2
+
+
+BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
+    "missing": (None, ["no such path file"]),
+    "empty": ("", ["empty"]),
+    "blank": ("\n\n", ["empty"]),
+    "header only": ("x,y,z\n", ["at least 2 waypoints", "found 0"]),
+    "one row": ("x,y,z\n1,2,3\n", ["at least 2 waypoints", "found 1"]),
+    "no header": ("1,2,3\n4,5,6\n", ["header", "unknown column", "found 1", "x, y, z, pitch"]),
+    "unknown column": (
+        "x,y,z,speed\n1,2,3,4\n4,5,6,7\n",
+        ["header", "unknown column", "found speed", "x, y, z, pitch"],
+    ),
+    "missing column": ("x,y\n1,2\n3,4\n", ["header", "a column is missing", "z"]),
+    "column twice": ("x,y,z,z\n1,2,3,4\n4,5,6,7\n", ["header", "twice", "z"]),
+    "half a quaternion": ("x,y,z,qw\n1,2,3,1\n4,5,6,1\n", ["header", "a column is missing", "qx, qy, qz"]),
+    "quaternion without w": ("x,y,z,qx,qy,qz\n1,2,3,1,0,0\n4,5,6,1,0,0\n", ["header", "a column is missing", "qw"]),
+    "pitch and quaternion": (
+        "x,y,z,pitch,qw,qx,qy,qz\n1,2,3,0,1,0,0,0\n4,5,6,0,1,0,0,0\n",
+        ["line 2", "only one of", "pitch and quaternion"],
+    ),
+    "word in a cell": ("x,y,z\n1,2,3\n4,five,6\n", ["line 3, y", "not a number", "'five'"]),
+    "empty cell": ("x,y,z\n1,2,3\n4,,6\n", ["line 3, y", "not a number", "''"]),
+    "NaN": ("x,y,z\n1,2,nan\n4,5,6\n", ["line 2, z", "not finite"]),
+    "short row": ("x,y,z\n1,2,3\n4,5\n", ["line 3", "2 cells", "header 3"]),
+    "not a unit quaternion": ("x,y,z,qw,qx,qy,qz\n1,2,3,1,0,0,0\n4,5,6,1,1,0,0\n", ["line 3", "length 1"]),
+    "all in one point": ("x,y,z\n1,2,3\n1,2,3\n", ["all lie in one point"]),
+    "not text": (b"\xff\xfe\x00x", ["cannot be read"]),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BAD_PATHS.values(), ids=BAD_PATHS.keys())
+def test_what_is_wrong_with_a_path_file_is_said_with_its_line(
+    text: str | bytes | None, said: list[str], tmp_path: Path
+) -> None:
+    with pytest.raises(SceneError) as caught:
+        from_path_file(tmp_path, text).waypoints()
+    message = str(caught.value)
+    assert message.startswith(str(tmp_path / "path.csv"))
+    for fragment in said:
+        assert any(either in message for either in fragment.split("|")), message
+
+
+# --- round trip, schema -------------------------------------------------------
+
+drawn = settings(max_examples=60)
+
+
+@drawn
+@given(scenes())
+def test_scene_written_as_plain_data_is_read_as_the_same_scene(data: Data) -> None:
+    first = scene_from_dict(data)
+    again = scene_from_dict(json.loads(json.dumps(first.to_dict())))
+    assert again == first
+    assert again.to_dict() == first.to_dict()
+
+
+@drawn
+@given(data=scenes())
+def test_scene_written_as_json_which_is_yaml_is_read_as_the_same_scene(
+    data: Data, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    file = tmp_path_factory.getbasetemp() / "drawn.yaml"
+    file.write_text(json.dumps(data, ensure_ascii=False), encoding="utf-8")
+    assert load_scene(file).to_dict() == scene_from_dict(data).to_dict()
+
+
+def check_schema(data: object) -> None:
+    jsonschema.Draft202012Validator(scene_schema()).validate(data)
+
+
+def test_schema_is_a_schema() -> None:
+    jsonschema.Draft202012Validator.check_schema(scene_schema())
+
+
+@drawn
+@given(scenes())
+def test_schema_accepts_what_the_loader_accepts(data: Data) -> None:
+    scene_from_dict(data)
+    check_schema(data)
+
+
+def test_schema_accepts_the_scene_of_the_contract_and_what_is_written_of_it(tmp_path: Path) -> None:
+    check_schema(yaml.safe_load(WHOLE))
+    check_schema(load_text(tmp_path, WHOLE).to_dict())
+
+
+SHAPELY = [
+    "unknown key",
+    "unknown key, like none",
+    "unknown key of an obstacle",
+    "key of another shape",
+    "unknown key of a goal",
+    "unknown key of a waypoint",
+    "unknown key of a path",
+    "unknown key of gains",
+    "unknown key of limits",
+    "unknown key of soil",
+    "unknown key of the start",
+    "no version",
+    "later version",
+    "no task",
+    "no radius",
+    "no name",
+    "empty name",
+    "no shape",
+    "unknown shape",
+    "no end of a capsule",
+    "obstacle that is text",
+    "text for a number",
+    "quoted number",
+    "truth for a number",
+    "number for a name",
+    "number for a vector",
+    "vector of two",
+    "vector of four",
+    "negative radius",
+    "zero radius",
+    "radius of rounding",
+    "negative edge",
+    "thin block",
+    "thin cylinder",
+    "fine voxels",
+    "wall of three coordinates",
+    "negative clearance",
+    "appears in the past",
+    "negative payload",
+    "no speed",
+    "more than full rate",
+    "no acceleration",
+    "steep friction",
+    "unknown objective",
+    "unknown gains",
+    "pitch of three",
+]
+
+
+@pytest.mark.parametrize("name", SHAPELY)
+def test_schema_refuses_what_the_loader_refuses(name: str) -> None:
+    """All that concerns one key at a time; what several keys must agree on only the loader knows."""
+    with pytest.raises(jsonschema.ValidationError):
+        check_schema(BAD[name][0])
+
+
+def test_schema_describes_the_keys_in_the_words_of_the_code() -> None:
+    schema = scene_schema()
+    assert schema["properties"]["payload"]["description"] == "Mass in the bucket [kg]."
+    assert set(schema["$defs"]["Capsule"]["properties"]) >= {"from", "to", "radius"}
+
+
+def test_schema_describes_soil_and_each_of_its_keys_with_its_default() -> None:
+    schema = scene_schema()
+    assert "digs" in schema["properties"]["soil"]["description"]
+    for key, record in schema["$defs"]["Soil"]["properties"].items():
+        assert "default" in record["description"], key
+        default = record["default"]
+        if default is not None:
+            assert f"{default:g} by default" in record["description"]
+
+
+def test_the_schema_beside_the_scenes_is_the_one_in_the_code() -> None:
+    beside = shipped("scenes") / "scene.schema.json"
+    assert json.loads(beside.read_text(encoding="utf-8")) == scene_schema()

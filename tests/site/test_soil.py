@@ -1,0 +1,246 @@
+"""The fundamental earthmoving equation: by hand, by brute force, and on the machine."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.site.scene_file import Soil
+from backhoe_planner.site.soil import (
+    LIP,
+    SoilReaction,
+    blade_force,
+    bucket_width,
+    failure_angle,
+    soil_force,
+)
+
+Array = NDArray[np.float64]
+
+SOILS = {
+    "the default": Soil(),
+    "dry sand": Soil(density=1500.0, cohesion=0.0, friction=0.6),
+    "clay": Soil(density=1900.0, cohesion=30e3, friction=0.2, adhesion=10e3, tool_friction=0.1),
+    "loaded ground": Soil(density=1700.0, cohesion=2e3, friction=0.5, surcharge=10e3),
+    "no friction": Soil(density=1800.0, cohesion=20e3, friction=1e-3, adhesion=5e3, tool_friction=0.0),
+    "very steep friction": Soil(density=1700.0, cohesion=1e3, friction=1.5),
+}
+
+
+def terms(soil: Soil, depth: float, rake: float, beta: Array, width: float) -> Array:
+    """F as the textbook prints it, term by term."""
+    phi = soil.friction
+    delta = 2.0 / 3.0 * phi if soil.tool_friction is None else soil.tool_friction
+
+    def cot(angle: Any) -> Any:
+        return 1.0 / np.tan(angle)
+
+    D = np.cos(rake + delta) + np.sin(rake + delta) * cot(beta + phi)
+    n_gamma = (cot(rake) + cot(beta)) / (2.0 * D)
+    n_c = (1.0 + cot(beta) * cot(beta + phi)) / D
+    n_a = (1.0 - cot(rake) * cot(beta + phi)) / D
+    force = (
+        soil.density * 9.81 * depth**2 * n_gamma
+        + soil.cohesion * depth * n_c
+        + soil.surcharge * depth * 2.0 * n_gamma
+        + soil.adhesion * depth * n_a
+    )
+    return np.asarray(np.where(D > 0.0, width * force, np.inf))
+
+
+@pytest.mark.parametrize("soil", SOILS.values(), ids=SOILS.keys())
+@pytest.mark.parametrize("depth", [0.01, 0.2, 1.0])
+def test_the_failure_angle_is_the_one_that_brute_force_finds(soil: Soil, depth: float) -> None:
+    for rake in np.radians([15.0, 30.0, 45.0, 60.0]):
+        delta = 2.0 / 3.0 * soil.friction if soil.tool_friction is None else soil.tool_friction
+        widest = math.pi - rake - delta - soil.friction
+        if rake > 0.9 * (math.pi - delta - soil.friction):
+            continue  # no wedge can slide up so steep a blade
+        beta = np.linspace(0.0, widest, 400_001)[1:-1]
+        force = terms(soil, depth, rake, beta, 0.6)
+        best = int(np.argmin(force))
+        found = float(blade_force(np.array(depth), np.array(rake), soil, width=0.6))
+        assert found == pytest.approx(force[best], rel=1e-6)
+        assert found <= force[best] * (1.0 + 1e-12)
+        assert float(failure_angle(np.array(depth), np.array(rake), soil)) == pytest.approx(beta[best], abs=1e-3)
+
+
+def test_an_upright_smooth_blade_meets_rankines_passive_pressure() -> None:
+    """alpha 90 deg, delta 0: F = w (gamma d^2 Kp / 2 + 2 c d sqrt Kp + q d Kp), beta = 45 deg - phi / 2."""
+    phi, depth, width = 0.6, 0.4, 0.7
+    soil = Soil(density=1600.0, cohesion=4e3, friction=phi, tool_friction=0.0, surcharge=3e3)
+    Kp = math.tan(math.pi / 4.0 + phi / 2.0) ** 2
+    expected = width * (0.5 * 1600.0 * 9.81 * depth**2 * Kp + 2.0 * 4e3 * depth * math.sqrt(Kp) + 3e3 * depth * Kp)
+    upright = np.array(math.pi / 2.0)
+    assert blade_force(np.array(depth), upright, soil, width=width) == pytest.approx(expected, rel=1e-12)
+    assert failure_angle(np.array(depth), upright, soil) == pytest.approx(math.pi / 4.0 - phi / 2.0, abs=1e-12)
+
+
+def test_it_grows_with_depth_cohesion_density_load_and_width() -> None:
+    depth = np.linspace(0.0, 2.0, 201)
+    rake = np.radians(50.0)
+    plain = {"density": 1700.0, "cohesion": 5e3, "friction": 0.55}
+
+    def force(width: float = 0.6, **keys: float) -> Array:
+        return blade_force(depth, rake, Soil(**(plain | keys)), width=width)
+
+    usual = force()
+    assert usual[0] == 0.0
+    assert np.all(np.diff(usual) > 0.0)
+    for more in ({"density": 1900.0}, {"cohesion": 9e3}, {"friction": 0.65}, {"surcharge": 1e3}, {"adhesion": 2e3}):
+        assert np.all(force(**more)[1:] > usual[1:]), more
+    np.testing.assert_allclose(force(1.2), 2.0 * usual, rtol=1e-12)
+
+
+def test_above_the_ground_there_is_no_force() -> None:
+    np.testing.assert_array_equal(blade_force(np.array([-1.0, -1e-9, 0.0]), np.array(0.9), Soil(), width=0.6), 0.0)
+
+
+# --- the force on the teeth ----------------------------------------------------------------
+
+OUT = np.array([1.0, 0.0, 0.0])
+PITCH = -1.2  # the cutting plate then stands at a rake of 69.1 deg, its face towards the machine
+
+
+def push(soil: Soil, velocity: Any, *, depth: float = 0.3, pitch: float = PITCH, forward: Array = OUT) -> Array:
+    position = np.array([4.0, 0.0, soil.surface - depth])
+    return soil_force(position, np.array(velocity), pitch=np.array(pitch), forward=forward, soil=soil, width=0.6)
+
+
+def test_the_force_on_a_level_cut_by_hand() -> None:
+    soil = Soil(density=1700.0, cohesion=5e3, friction=0.55, tool_friction=0.35, adhesion=1e3)
+    rake = math.pi - (LIP - PITCH)
+    beta = np.linspace(0.05, 1.2, 1_000_001)
+    F = float(np.min(terms(soil, 0.3, rake, beta, 0.6)))
+    stuck = 1e3 * 0.6 * 0.3
+    expected = [F * math.sin(rake + 0.35) + stuck / math.tan(rake), 0.0, -F * math.cos(rake + 0.35) + stuck]
+    np.testing.assert_allclose(push(soil, [-5.0, 0.0, 0.0]), expected, rtol=1e-5, atol=1e-9)
+    # draft of some 10 kN at 30 cm in loam: a machine that digs with 40 to 65 kN can do it
+    assert 5e3 < expected[0] < 3e4
+
+
+def test_the_force_turns_with_the_machine() -> None:
+    turned = np.array([math.cos(0.7), math.sin(0.7), 0.0])
+    straight = push(Soil(), [-0.5, 0.0, 0.0])
+    again = push(Soil(), -0.5 * turned, forward=turned)
+    np.testing.assert_allclose(again, straight[0] * turned + [0.0, 0.0, straight[2]], rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("velocity", [[0.5, 0, 0], [0, 0, 0.5], [0, 0, -0.5], [0, 0.5, 0], [0, 0, 0], [0.5, 0, 0.2]])
+def test_out_of_the_cut_or_at_rest_there_is_no_force(velocity: list[float]) -> None:
+    np.testing.assert_array_equal(push(Soil(adhesion=1e3), velocity), 0.0)
+
+
+def test_above_the_ground_the_teeth_are_free() -> None:
+    np.testing.assert_array_equal(push(Soil(surface=-0.4), [-0.5, 0.0, 0.0], depth=-1e-6), 0.0)
+    assert push(Soil(surface=-0.4), [-0.5, 0.0, 0.0], depth=0.1)[0] > 100.0
+
+
+def drawn(count: int) -> tuple[Array, Array, Array, Array]:
+    rng = np.random.default_rng(21)
+    position = rng.uniform([-6.0, -6.0, -3.0], [6.0, 6.0, 0.5], (count, 3))
+    velocity = rng.normal(size=(count, 3)) * rng.choice([0.001, 0.1, 1.0], (count, 1))
+    heading = rng.uniform(-math.pi, math.pi, count)
+    forward = np.column_stack((np.cos(heading), np.sin(heading), np.zeros(count)))
+    return position, velocity, rng.uniform(-math.pi, math.pi, count), forward
+
+
+@pytest.mark.parametrize("soil", SOILS.values(), ids=SOILS.keys())
+def test_the_soil_never_drives_the_motion(soil: Soil) -> None:
+    position, velocity, pitch, forward = drawn(5000)
+    force = soil_force(position, velocity, pitch=pitch, forward=forward, soil=soil, width=0.6)
+    power = np.sum(force * velocity, axis=1)
+    assert np.all(np.isfinite(force))
+    scale = np.linalg.norm(force, axis=1) * np.linalg.norm(velocity, axis=1)
+    assert np.all(power <= 1e-9 * np.maximum(scale, 1.0))
+    assert np.count_nonzero(power < 0.0) > 500
+    one = soil_force(position[7], velocity[7], pitch=pitch[7], forward=forward[7], soil=soil, width=0.6)
+    np.testing.assert_allclose(one, force[7], rtol=1e-12, atol=1e-9)
+
+
+def test_it_is_continuous_where_the_motion_turns_and_where_the_teeth_surface() -> None:
+    soil = Soil(adhesion=2e3)
+    largest = np.linalg.norm(push(soil, [-1.0, 0.0, 0.0]))
+    paths = [
+        [push(soil, [speed, 0.0, -0.1]) for speed in np.linspace(-0.2, 0.2, 8001)],
+        [push(soil, [-0.3, 0.0, rise]) for rise in np.linspace(-2.0, 2.0, 8001)],
+        [push(soil, [-0.3, 0.0, -0.1], depth=depth) for depth in np.linspace(-0.1, 0.3, 8001)],
+        [push(soil, [-0.3, 0.0, 0.0], pitch=pitch) for pitch in np.linspace(-math.pi, math.pi, 16001)],
+    ]
+    for path in paths:
+        assert np.max(np.linalg.norm(np.diff(path, axis=0), axis=1)) < 0.05 * largest
+
+
+# --- on the machine ------------------------------------------------------------------------
+
+
+def test_the_width_is_the_buckets(backhoe: bp.Robot) -> None:
+    assert bucket_width(backhoe) == pytest.approx(0.61, abs=1e-9)
+
+
+def test_a_bucket_without_a_shape_has_no_width(tmp_path: Path) -> None:
+    (tmp_path / "bare.urdf").write_text(
+        """<robot name="bare"><link name="a"/><link name="b"/><joint name="j" type="revolute"><parent link="a"/>
+        <child link="b"/><axis xyz="0 -1 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>""",
+        encoding="utf-8",
+    )
+    robot = bp.load_robot(tmp_path / "bare.urdf", tip="b")
+    with pytest.raises(bp.InputError, match=r"soil\.width: .* no collision shape"):
+        bucket_width(robot)
+
+
+def test_an_arm_without_a_pitch_meets_no_soil(planar4: bp.Robot) -> None:
+    with pytest.raises(bp.InputError, match="soil: "):
+        SoilReaction(planar4, Soil())
+
+
+def test_joint_torques_do_the_work_of_the_force(backhoe: bp.Robot) -> None:
+    rng = np.random.default_rng(22)
+    reaction = SoilReaction(backhoe, Soil(surface=1.0))
+    q = np.array([backhoe.random_q(rng) for _ in range(200)])
+    v = rng.normal(size=q.shape)
+    force, torque = reaction.force(q, v), reaction.torques(q, v)
+    kinematics = Kinematics(backhoe)
+    tip = np.array([kinematics.at(own).jacobian[:3] @ rate for own, rate in zip(q, v, strict=True)])
+    given, taken = np.sum(torque * v, axis=1), np.sum(force * tip, axis=1)
+    np.testing.assert_allclose(given, taken, rtol=1e-9, atol=1e-6)
+    assert np.all(given <= 1e-6)
+    assert np.count_nonzero(given < -100.0) > 20
+    np.testing.assert_array_equal(reaction.force(q[3], v[3]), force[3])
+
+
+def test_dragging_the_bucket_in_is_resisted_and_pushing_it_out_is_not(backhoe: bp.Robot) -> None:
+    q = np.array([0.6, -0.4, -1.0, 0.2])
+    at = Kinematics(backhoe).at(q)
+    assert at.tip_position[2] < -0.6
+    assert at.pitch == pytest.approx(-1.2)
+    inward = -np.array([math.cos(0.6), math.sin(0.6), 0.0])
+    wanted = np.append(0.3 * inward, 0.0)
+    v = np.linalg.pinv(np.vstack((at.jacobian[:3], at.pitch_row))) @ wanted
+    reaction = SoilReaction(backhoe, Soil())
+    force = reaction.force(q, v)
+    assert force @ inward < -1e4
+    np.testing.assert_allclose(np.cross(force - [0.0, 0.0, force[2]], inward), 0.0, atol=1e-6)
+    np.testing.assert_array_equal(reaction.force(q, -v), 0.0)
+
+
+def test_a_friction_angle_of_a_right_angle_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "scene.yaml"
+    for friction in ("1.5707963267948966", "90"):
+        file.write_text(
+            "version: 1\nstart: {joints: {}}\ntask: {goal: {position: [1, 2, 3]}}\n"
+            f"soil: {{friction: {friction}}}\n",
+            encoding="utf-8",
+        )
+        with pytest.raises(bp.SceneError) as caught:
+            bp.load_scene(file)
+        message = str(caught.value)
+        for part in (str(file), "soil.friction (line 4)", "less than 1.57", f"found {friction}"):
+            assert part in message
