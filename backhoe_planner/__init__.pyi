@@ -6,26 +6,35 @@ from .errors import (
     RobotError,
     SceneError,
 )
-from .live.follower import Followed, PlanFollower
-from .live.servo.feedback import Feedback
-from .live.servo.servo import Servo
-from .live.servo.servo_state import Command, ServoState, Status
-from .machine.capability.digging import DiggingForces, digging_forces
-from .machine.hydraulics.hydraulics import BothWays, Hydraulics
-from .machine.kinematics.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
-from .machine.kinematics.kinematics import Configuration, Kinematics
-from .machine.kinematics.target import TipTarget
-from .machine.robot import JointLimits, Robot, load_robot
-from .motion.trajectory import Trajectory
-from .planning.plan.plan import Plan
-from .planning.plan.plan_file import load_plan
-from .planning.planner import plan
-from .planning.reactive.stepping import Step
-from .proof.certificate import Certificate, certify
-from .site.obstacles import build_obstacles
-from .site.proximity import Proximity
-from .site.scene_file import Scene, load_scene, scene_from_dict, scene_schema
-from .site.zones import Transgression, ZoneLog, zone_log
+from .live import Command, Feedback, Followed, PlanFollower, Servo, ServoState, Status
+from .machine import (
+    BothWays,
+    Configuration,
+    DiggingForces,
+    Hydraulics,
+    InverseKinematics,
+    JointLimits,
+    Kinematics,
+    Robot,
+    TipTarget,
+    digging_forces,
+    load_robot,
+    solve_inverse_kinematics,
+)
+from .motion import Trajectory
+from .planning import Plan, Step, load_plan, plan
+from .proof import Certificate, certify
+from .site import (
+    Proximity,
+    Scene,
+    Transgression,
+    ZoneLog,
+    build_obstacles,
+    load_scene,
+    scene_from_dict,
+    scene_schema,
+    zone_log,
+)
 
 __all__ = [
     "BothWays",

@@ -25,11 +25,11 @@ from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import check_writable
-from backhoe_planner.planning.search.deadline import DEFAULT_BUDGET
+from backhoe_planner.planning import DEFAULT_BUDGET
 
 if TYPE_CHECKING:
-    from backhoe_planner.motion.tracking import Detour
-    from backhoe_planner.planning.plan.plan import Plan
+    from backhoe_planner.motion import Detour
+    from backhoe_planner.planning import Plan
 
 __all__ = ["app", "main"]
 
@@ -143,7 +143,7 @@ def view_plan(
     if html is not None:
         _write_html(loaded, html)
         return VERIFIED
-    from backhoe_planner.show.viewer.viewer import Viewer
+    from backhoe_planner.show import Viewer
 
     with Viewer() as viewer:
         _play(viewer, loaded)
@@ -153,7 +153,7 @@ def view_plan(
 @app.command()
 def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     """Compute the certificate of a plan anew."""
-    from backhoe_planner.site.proximity import obstacle_told
+    from backhoe_planner.site import obstacle_told
 
     begun = clock.monotonic()
     loaded = bp.load_plan(plan_file, urdf=urdf)
@@ -206,7 +206,7 @@ def inspect(
     _tell_envelope(robot)
     _tell_hydraulics(robot)
     if plot is not None:
-        from backhoe_planner.show.plots.plots import plot_envelope
+        from backhoe_planner.show import plot_envelope
 
         plot_envelope(robot, plot)
         _out.print(f"\nwrote {plot}")
@@ -220,7 +220,7 @@ def plot_command(
     urdf: PlanUrdf = None,
 ) -> int:
     """Plot joints, rates, clearances, power and energy of a plan over time."""
-    from backhoe_planner.show.plots.plots import plot_plan
+    from backhoe_planner.show import plot_plan
 
     check_writable(file)
     plot_plan(bp.load_plan(plan_file, urdf=urdf), file)
@@ -237,7 +237,7 @@ def export(
     urdf: PlanUrdf = None,
 ) -> int:
     """Write a plan's motion for other tools."""
-    from backhoe_planner.planning.plan.export import export_plan
+    from backhoe_planner.planning import export_plan
 
     check_writable(file)
     export_plan(bp.load_plan(plan_file, urdf=urdf), file)
@@ -264,7 +264,7 @@ def teleop(
     check_writable(output)
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
-    from backhoe_planner.show.teleop.station import TeleopStation
+    from backhoe_planner.show import TeleopStation
 
     with TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
         _warn(station.warnings)
@@ -304,8 +304,8 @@ def _working(shown: bool) -> Iterator[None]:
 def _plan_in_viewer(
     robot: bp.Robot, scene: bp.Scene, method: str, seed: int, budget: float, output: Path, as_json: bool
 ) -> Plan:
-    from backhoe_planner.motion.problem import build_problem
-    from backhoe_planner.show.viewer.viewer import Viewer
+    from backhoe_planner.motion import build_problem
+    from backhoe_planner.show import Viewer
 
     with Viewer() as viewer:
         _warn(viewer.show_problem(build_problem(robot, scene)))
@@ -337,7 +337,7 @@ def _play(viewer: Any, found: Plan, *, announced: bool = False) -> None:
 
 
 def _write_html(found: Plan, html: Path, *, tell: bool = True) -> None:
-    from backhoe_planner.show.page.page import write_page
+    from backhoe_planner.show import write_page
 
     _warn(write_page(found, html))
     if tell:
@@ -354,14 +354,14 @@ def _warn(warnings: Iterable[str]) -> None:
 
 def _tell(found: Plan, output: Path, as_json: bool) -> None:
     if as_json:
-        from backhoe_planner.planning.plan.plan_file import plan_to_dict
+        from backhoe_planner.planning import plan_to_dict
 
         content = plan_to_dict(found)
         del content["dynamics"]  # sample by sample, as the trajectory is
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
-    from backhoe_planner.site.proximity import obstacle_told
+    from backhoe_planner.site import obstacle_told
 
     _out.print(_verdict(found))
     if found.message:
@@ -405,7 +405,7 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
 
 def _because(found: Plan, detour: Detour) -> str:
     """What the planner left the path for, where it says so."""
-    from backhoe_planner.site.proximity import obstacle_told
+    from backhoe_planner.site import obstacle_told
 
     middle = 0.5 * (detour.path_from + detour.path_to)
     for known in found.details.get("detours", ()):
@@ -430,7 +430,7 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     """One line: the objective along the path, and what the local law needs."""
     if compared is None:
         return
-    from backhoe_planner.motion.objectives import UNITS
+    from backhoe_planner.motion import UNITS
 
     unit = UNITS[compared["name"]]
     breaks = compared["law_breaks"]
@@ -482,7 +482,7 @@ def _quantity(value: float, unit: str) -> str:
 
 def _tell_all_zones(found: Plan) -> None:
     """A table of every visit to a zone, if there is any, the innermost distances first."""
-    from backhoe_planner.site.zones import worst_first
+    from backhoe_planner.site import worst_first
 
     visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
     if not visits:
@@ -498,7 +498,7 @@ def _tell_all_zones(found: Plan) -> None:
 
 def _tell_zones(found: Plan) -> None:
     """One line about the zones that were come too near to, if any."""
-    from backhoe_planner.site.zones import worst_first
+    from backhoe_planner.site import worst_first
 
     visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
     if visits:
@@ -508,7 +508,7 @@ def _tell_zones(found: Plan) -> None:
 
 def _tell_driven(found: Plan) -> bool:
     """Of a plan that was driven by hand say so, and what it leaves out; whether it is one."""
-    from backhoe_planner.live.driven import is_driven, left_out
+    from backhoe_planner.live import is_driven, left_out
 
     if not is_driven(found):
         return False
@@ -550,7 +550,7 @@ def _tell_joints(robot: bp.Robot) -> None:
 
 
 def _tell_dh(robot: bp.Robot) -> None:
-    from backhoe_planner.machine.capability.denavit_hartenberg import dh_table
+    from backhoe_planner.machine import dh_table
 
     table = Table("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]", box=None, pad_edge=False)
     for row in dh_table(robot).rows:
@@ -567,7 +567,7 @@ def _tell_dh(robot: bp.Robot) -> None:
 
 
 def _tell_envelope(robot: bp.Robot) -> None:
-    from backhoe_planner.machine.capability.envelope import working_envelope
+    from backhoe_planner.machine import working_envelope
 
     envelope = working_envelope(robot)
     if envelope is None:
@@ -589,7 +589,7 @@ def _tell_envelope(robot: bp.Robot) -> None:
 
 
 def _tell_hydraulics(robot: bp.Robot) -> None:
-    from backhoe_planner.machine.capability.digging import digging_forces
+    from backhoe_planner.machine import digging_forces
 
     hydraulics = robot.hydraulics
     if hydraulics is None:

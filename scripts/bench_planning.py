@@ -44,7 +44,7 @@ from random_scenes import KINDS, MACHINES, TASKS, Site, SiteKey, load_machine, r
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import check_writable, whole_file
-from backhoe_planner.planning.planner import DEFAULT_BUDGET
+from backhoe_planner.planning import DEFAULT_BUDGET
 
 __all__ = [
     "Comparison",

@@ -22,10 +22,10 @@ import numpy as np
 import pinocchio as pin
 
 import backhoe_planner as bp
-from backhoe_planner.law.completed import CompletedLaw
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.law import CompletedLaw
+from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.planning import Stepper
+from backhoe_planner.site import Proximity
 
 Samples = dict[str, list[float]]
 

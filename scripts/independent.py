@@ -24,8 +24,7 @@ import trimesh
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine.collision_model import self_pairs
-from backhoe_planner.machine.shape.convex import load_mesh
+from backhoe_planner.machine import load_mesh, self_pairs
 from backhoe_planner.site import scene_file
 
 __all__ = ["Least", "least_distances", "refutations"]

@@ -33,13 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.law.completed import CompletedLaw
-from backhoe_planner.law.directionality import Magnification, Reference
-from backhoe_planner.law.paper_iteration import ITERATIONS, Push, paper_step
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.planning.reactive.reaching import approach_goal
-from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.site.scene_file import Gains
+from backhoe_planner.law import ITERATIONS, CompletedLaw, Magnification, Push, Reference, paper_step
+from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.planning import Stepper, approach_goal
+from backhoe_planner.site import Gains
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

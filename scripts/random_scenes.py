@@ -42,10 +42,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 import backhoe_planner as bp
-from backhoe_planner.machine.reach import tip_travel_bound
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.site.scene_file import Waypoint
+from backhoe_planner.machine import tip_travel_bound
+from backhoe_planner.motion import TipPath, build_problem
+from backhoe_planner.site import Waypoint
 
 __all__ = [
     "KINDS",

@@ -29,14 +29,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.motion.objectives import Objective, trajectory_costs
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
-from backhoe_planner.planning.paths.local_resolution import resolve_along
-from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
-from backhoe_planner.planning.report.comparison import law_motion, least_norm_resolution
+from backhoe_planner.motion import Objective, Problem, TipPath, Trajectory, build_problem, trajectory_costs
+from backhoe_planner.planning import (
+    PathResolver,
+    Stretch,
+    cheapen_stretch,
+    law_motion,
+    least_norm_resolution,
+    resolve_along,
+)
 
 __all__ = ["Case", "Result", "convergence", "draw", "study", "timing"]
 

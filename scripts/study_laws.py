@@ -35,13 +35,11 @@ from numpy.typing import NDArray
 from random_scenes import random_planar_scene
 
 import backhoe_planner as bp
-from backhoe_planner.law.completed import CompletedLaw
-from backhoe_planner.law.paper_iteration import run_iteration
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.planning.plan.plan import Plan
-from backhoe_planner.planning.reactive.reaching import approach_goal
-from backhoe_planner.planning.reactive.stepping import STEP, Stepper
-from backhoe_planner.proof.certificate import certify_problem
+from backhoe_planner.law import CompletedLaw, run_iteration
+from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.planning import Plan, Stepper, approach_goal
+from backhoe_planner.planning.reactive.stepping import STEP
+from backhoe_planner.proof import certify_problem
 
 Vector = NDArray[np.float64]
 NEAR = 1e-2  # m from the goal counts as arrived, for the laws that only approach it

@@ -33,10 +33,8 @@ from independent import _bodies, _obstacle
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.live.servo.servo_state import ServoState
-from backhoe_planner.site.obstacles import build_obstacle
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.live import Servo, ServoState
+from backhoe_planner.site import Proximity, build_obstacle
 
 EPISODE = 4000
 CLEARANCE = 0.05

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine import Robot, load_robot
 
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
 GRAPHICS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",

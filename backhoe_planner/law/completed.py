@@ -33,12 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.law.directionality import all_link_jacobians, all_link_velocities
-from backhoe_planner.law.projector import Resolved, resolve
+from backhoe_planner.law.null_space import Resolved, resolve
 from backhoe_planner.law.single_redundancy import one_spare
-from backhoe_planner.machine.kinematics.kinematics import Configuration
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site.proximity import Nearby
-from backhoe_planner.site.scene_file import Gains
+from backhoe_planner.machine import Configuration, Robot
+from backhoe_planner.site import Gains, Nearby
 
 __all__ = ["CompletedLaw", "Wish", "activation", "push_factor"]
 

@@ -40,7 +40,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Configuration
+from backhoe_planner.machine import Configuration
 
 __all__ = [
     "LinkChain",

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law.projector import pseudo_inverse
+from backhoe_planner.law.null_space import pseudo_inverse
 
 __all__ = ["general_solution", "joint_velocity", "null_space_term", "projector"]
 

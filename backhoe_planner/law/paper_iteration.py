@@ -21,11 +21,9 @@ from backhoe_planner.law.directionality import (
     link_velocities,
 )
 from backhoe_planner.law.law import joint_velocity
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
-from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.site.proximity import Nearby, Proximity
-from backhoe_planner.site.scene_file import Gains
+from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
+from backhoe_planner.motion import Problem
+from backhoe_planner.site import Gains, Nearby, Proximity
 
 __all__ = ["ITERATIONS", "Push", "paper_gains", "paper_step", "run_iteration"]
 

@@ -23,8 +23,8 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits
-from backhoe_planner.site.proximity import Nearby
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.site import Nearby
 
 __all__ = ["Shield", "Shielded"]
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.planning import Plan
 
 __all__ = ["is_driven", "left_out", "shown_problem"]
 

@@ -35,8 +35,8 @@ from backhoe_planner.live.rejoining import (
 )
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import ServoState
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.motion import Trajectory
+from backhoe_planner.planning import Plan
 
 __all__ = ["Followed", "Following", "PlanFollower"]
 

@@ -8,14 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan import Plan, Reason
-from backhoe_planner.planning.planner import judged, motion_metrics
-from backhoe_planner.proof.certificate import certify_problem
-from backhoe_planner.site.scene_file import Scene, scene_from_dict
+from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.planning import Plan, Reason, judged, motion_metrics
+from backhoe_planner.proof import certify_problem
+from backhoe_planner.site import Scene, scene_from_dict
 
 __all__ = ["recorded_plan"]
 

@@ -17,20 +17,11 @@ from itertools import islice, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits, Robot
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.smooth_way import SmoothWay
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.timing import time_way
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.search.blending import blend
-from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.sampling import Way, sample_way
-from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.proof.certificate import TOUCH, segment_is_clear
-from backhoe_planner.site.obstacles import Obstacle
-from backhoe_planner.site.proximity import Proximity
-from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.machine import JointLimits, Robot
+from backhoe_planner.motion import Problem, SmoothWay, Trajectory, drive_of, time_way
+from backhoe_planner.planning import MotionCheck, Way, blend, sample_way, shorten
+from backhoe_planner.proof import TOUCH, segment_is_clear
+from backhoe_planner.site import Obstacle, Proximity, Scene
 
 __all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_still_clear"]
 

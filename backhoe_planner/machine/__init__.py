@@ -1,1 +1,5 @@
 """What the machine is: the URDF, kinematics, dynamics, and its collision shape."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

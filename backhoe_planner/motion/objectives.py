@@ -48,11 +48,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.dynamics import Dynamics, MotionEnergy, motion_costs, motion_energy
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
+from backhoe_planner.machine import BatchKinematics, Dynamics, MotionEnergy, motion_costs, motion_energy
 from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.site.soil import SoilReaction
+from backhoe_planner.site import SoilReaction
 
 __all__ = ["OBJECTIVES", "UNITS", "Nodes", "Objective", "trajectory_costs", "trajectory_energy"]
 

@@ -8,9 +8,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import wrap_angle
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.site.scene_file import Waypoint
+from backhoe_planner.machine import TipTarget, wrap_angle
+from backhoe_planner.site import Waypoint
 
 __all__ = ["TipPath", "step_lengths"]
 

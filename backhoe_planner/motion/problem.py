@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import SceneError, nearest_name
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.machine.robot import JointLimits, Robot
+from backhoe_planner.machine import JointLimits, Robot, TipTarget
 from backhoe_planner.motion.path import TipPath
-from backhoe_planner.site.limits import scaled_limits, within_sectors
-from backhoe_planner.site.obstacles import Obstacle, build_obstacles
-from backhoe_planner.site.scene_file import Gains, Goal, Pose, Scene
+from backhoe_planner.site import Gains, Goal, Obstacle, Pose, Scene, build_obstacles, scaled_limits, within_sectors
 
 __all__ = ["Problem", "build_problem", "hand_set_gains"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.machine import JointLimits
 
 __all__ = ["SAMPLE_PERIOD", "Trajectory", "chord_sagitta"]
 

@@ -9,12 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.motion.problem import Problem
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.motion import Problem
 from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
 from backhoe_planner.planning.search.postures import Postures
-from backhoe_planner.site.obstacles import Obstacle
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site import Obstacle, Proximity
 
 __all__ = ["Context"]
 

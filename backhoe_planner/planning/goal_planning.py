@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.retiming import retimed
+from backhoe_planner.machine import TipTarget
+from backhoe_planner.motion import drive_of, retimed
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.law_planning import reach_with_law, stuck
 from backhoe_planner.planning.law_timing import as_fast_as_allowed, shortest_time

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.motion.path import TipPath
+from backhoe_planner.machine import TipTarget
+from backhoe_planner.motion import TipPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.law_timing import as_fast_as_allowed
 from backhoe_planner.planning.outcome import Outcome, no_posture
-from backhoe_planner.planning.plan.plan import Reason
 from backhoe_planner.planning.reactive.following import Followed, Follower
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.result.plan import Reason
 
 __all__ = ["follow_with_law", "follow_with_law_from_anywhere", "reach_with_law", "stuck"]
 

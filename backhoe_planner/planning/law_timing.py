@@ -12,15 +12,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.retiming import retimed
-from backhoe_planner.motion.timing.timing import time_along
-from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.motion import Trajectory, drive_of, retimed, time_along
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.moving_obstacles import changes
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.proof.certificate import segment_is_clear
+from backhoe_planner.proof import segment_is_clear
 
 __all__ = ["as_fast_as_allowed", "places_on", "shortest_time"]
 

@@ -18,17 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.retiming import retimed
-from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, drive_of, retimed
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.outcome import Outcome, told
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.transit import find_transit
-from backhoe_planner.proof.certificate import segment_is_clear
-from backhoe_planner.site.obstacles import Obstacle, swept
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.proof import segment_is_clear
+from backhoe_planner.site import Obstacle, Proximity, swept
 
 __all__ = ["Planned", "changes", "plan_over_time"]
 

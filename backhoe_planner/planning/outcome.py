@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.machine import TipTarget
+from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.plan.plan import Reason
+from backhoe_planner.planning.result.plan import Reason
 from backhoe_planner.planning.search.postures import Contact, Found
-from backhoe_planner.site.proximity import obstacle_told
+from backhoe_planner.site import obstacle_told
 
 __all__ = ["Outcome", "bad_start", "contact_details", "no_posture", "point", "standing", "told"]
 

@@ -8,13 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.kinematics.inverse_kinematics import solve_inverse_kinematics
-from backhoe_planner.motion.objectives import Objective, trajectory_costs
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.trajectory import SAMPLE_PERIOD
+from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
+from backhoe_planner.motion import SAMPLE_PERIOD, Objective, TipPath, drive_of, trajectory_costs
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.paths.corners import round_corners
@@ -24,9 +19,9 @@ from backhoe_planner.planning.paths.path_layers import redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Detouring, PathResolver, Resolved, Stretch
 from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
-from backhoe_planner.planning.plan.plan import Reason
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.report.comparison import law_motion, timed_alone
+from backhoe_planner.planning.result.plan import Reason
 from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit, find_way_near, play_way

@@ -17,30 +17,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, nearest_name
-from backhoe_planner.law.paper_iteration import run_iteration
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.objectives import trajectory_costs
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.retiming import retimed
-from backhoe_planner.motion.timing.timing import time_polyline
-from backhoe_planner.motion.tracking import progress
-from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.law import run_iteration
+from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.motion import (
+    Problem,
+    TipPath,
+    Trajectory,
+    build_problem,
+    drive_of,
+    progress,
+    retimed,
+    time_polyline,
+    trajectory_costs,
+)
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
 from backhoe_planner.planning.moving_obstacles import Planned, changes, plan_over_time
 from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture
 from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
-from backhoe_planner.planning.plan.plan import METHODS, Method, Plan, Reason
 from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
 from backhoe_planner.planning.report.asked_speed import asked_speed
 from backhoe_planner.planning.report.comparison import compare_with_law
+from backhoe_planner.planning.result.plan import METHODS, Method, Plan, Reason
 from backhoe_planner.planning.search.deadline import DEFAULT_BUDGET
-from backhoe_planner.proof.certificate import Certificate, certify_problem
-from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.proof import Certificate, certify_problem
+from backhoe_planner.site import Scene
 
 __all__ = ["judged", "motion_metrics", "plan"]
 

@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.timing import time_way
+from backhoe_planner.motion import TipPath, drive_of, time_way
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.blending import blend

@@ -18,17 +18,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.reach import tip_travel_bound
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.between import between_samples
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.retiming import DRIVEN_WITHIN, use_of_drive
-from backhoe_planner.motion.tracking import Detour, Tracking, track_goal, track_path
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.site.proximity import Proximity, obstacle_told
-from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.machine import Kinematics, Robot, tip_travel_bound
+from backhoe_planner.motion import (
+    DRIVEN_WITHIN,
+    Detour,
+    Problem,
+    Tracking,
+    Trajectory,
+    between_samples,
+    build_problem,
+    drive_of,
+    track_goal,
+    track_path,
+    use_of_drive,
+)
+from backhoe_planner.site import Proximity, Scene, obstacle_told
 
 __all__ = [
     "TOUCH",

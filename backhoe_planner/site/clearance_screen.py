@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics, ConfigurationBatch
-from backhoe_planner.machine.shape.shapes import Piece
+from backhoe_planner.machine import BatchKinematics, ConfigurationBatch, Piece
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["ClearanceScreen"]

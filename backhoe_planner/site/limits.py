@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.errors import SceneError
-from backhoe_planner.machine.robot import JointLimits, Robot
+from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.site.scene_file import Scene, SwingSector
 
 __all__ = ["scaled_limits", "within_sectors"]

@@ -17,12 +17,11 @@ import trimesh
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, SceneError, nearest_name
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot, convex_cover, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.machine.shape.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.site import scene_file
 
-__all__ = ["Obstacle", "build_obstacle", "build_obstacles", "swept", "zone_solid"]
+__all__ = ["Obstacle", "build_obstacle", "build_obstacles", "read_heights", "read_points", "swept", "zone_solid"]
 
 Vector = NDArray[np.float64]
 

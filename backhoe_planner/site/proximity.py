@@ -24,9 +24,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.collision_model import geometry_model, self_pairs
-from backhoe_planner.machine.reach import travel_bounds
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot, geometry_model, self_pairs, travel_bounds
 from backhoe_planner.site.obstacles import Obstacle
 
 __all__ = ["Nearby", "Pair", "Proximity", "obstacle_told"]

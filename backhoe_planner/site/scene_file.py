@@ -21,7 +21,7 @@ from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.files.records import Record, explain, say
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
-from backhoe_planner.machine.description.urdf import shipped
+from backhoe_planner.machine import shipped
 
 __all__ = [
     "Box",

@@ -26,9 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.dynamics import GRAVITY
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics, ConfigurationBatch
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import GRAVITY, BatchKinematics, ConfigurationBatch, Robot
 from backhoe_planner.site.scene_file import Soil
 
 __all__ = ["LIP", "SoilReaction", "blade_force", "bucket_width", "failure_angle", "soil_force"]

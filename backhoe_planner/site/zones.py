@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec

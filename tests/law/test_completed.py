@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backhoe_planner.law.completed import CompletedLaw, activation, push_factor
-from backhoe_planner.law.law import null_space_term
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Nearby, Proximity
-from backhoe_planner.site.scene_file import scene_from_dict
+from backhoe_planner.law import CompletedLaw, activation, null_space_term, push_factor
+from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.site import Nearby, Proximity, build_obstacles, scene_from_dict
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from backhoe_planner.law.directionality import (
+from backhoe_planner.law import (
     LinkChain,
     Magnification,
     all_link_jacobians,
@@ -15,8 +15,7 @@ from backhoe_planner.law.directionality import (
     link_jacobian,
     link_velocities,
 )
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Kinematics, Robot
 
 Vector = NDArray[np.float64]
 

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backhoe_planner.law.directionality import Reference, link_chain, link_jacobian
-from backhoe_planner.law.law import general_solution, joint_velocity, null_space_term, projector
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.law import (
+    Reference,
+    general_solution,
+    joint_velocity,
+    link_chain,
+    link_jacobian,
+    null_space_term,
+    projector,
+)
+from backhoe_planner.machine import Kinematics, Robot
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from backhoe_planner.law.on_path import step_on_path
+from backhoe_planner.law import step_on_path
 
 Vector = NDArray[np.float64]
 

@@ -10,14 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from backhoe_planner import load_scene, plan, scene_from_dict
-from backhoe_planner.law.directionality import Magnification, Reference
-from backhoe_planner.law.paper_iteration import ITERATIONS, Push, paper_gains, paper_step, run_iteration
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.site.proximity import Proximity
-from backhoe_planner.site.scene_file import Gains
+from backhoe_planner.law import ITERATIONS, Magnification, Push, Reference, paper_gains, paper_step, run_iteration
+from backhoe_planner.machine import Configuration, Kinematics, Robot, TipTarget
+from backhoe_planner.motion import build_problem
+from backhoe_planner.site import Gains, Proximity
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backhoe_planner.law.projector import resolve
-from backhoe_planner.law.shield import Shield
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import JointLimits, Robot
-from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Nearby, Proximity
-from backhoe_planner.site.scene_file import scene_from_dict
+from backhoe_planner.law import Shield, resolve
+from backhoe_planner.machine import JointLimits, Kinematics, Robot
+from backhoe_planner.site import Nearby, Proximity, build_obstacles, scene_from_dict
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -9,11 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.live.recovery.escape import MOST_LOOKS, Route, Search, WayOut
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.live import MOST_LOOKS, Route, Servo, WayOut
+from backhoe_planner.live.recovery.escape import Search
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Proximity, build_obstacles
 
 Vector = NDArray[np.float64]
 

@@ -12,20 +12,21 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.live import follower as follower_module
-from backhoe_planner.live import rejoining
-from backhoe_planner.live.follower import Followed, Following, PlanFollower
-from backhoe_planner.live.rejoining import (
+from backhoe_planner.live import (
+    Followed,
+    Following,
     NoRejoining,
+    PlanFollower,
     Rejoining,
     RejoiningQuery,
+    Servo,
     find_rejoining,
     is_still_clear,
+    rejoining,
 )
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.live import follower as follower_module
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Proximity, build_obstacles
 
 START = [-0.3, 0.3, -0.9, -0.5]
 END = [0.5, 0.1, -0.7, -0.6]

@@ -13,16 +13,10 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
-from backhoe_planner.law.completed import CompletedLaw, activation
-from backhoe_planner.live.braking.braking_path import BrakingPath, Placements, bend
-from backhoe_planner.live.braking.separation import Separation
-from backhoe_planner.live.recovery.violation_descent import way_back
-from backhoe_planner.live.servo.feedback import Feedback
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.live.servo.servo_state import Command, Status
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Nearby, Proximity
+from backhoe_planner.law import CompletedLaw, activation
+from backhoe_planner.live import BrakingPath, Command, Feedback, Placements, Separation, Servo, Status, bend, way_back
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Nearby, Proximity, build_obstacles
 
 Vector = NDArray[np.float64]
 

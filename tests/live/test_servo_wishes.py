@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.live.servo.servo_state import ServoState, Status
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.live import Servo, ServoState, Status
+from backhoe_planner.machine import Robot
 
 ONE_HINGE = """<robot name="gate">
 <link name="post"><collision><geometry><box size="0.3 0.3 0.1"/></geometry></collision></link>

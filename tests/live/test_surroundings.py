@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.live import Servo
+from backhoe_planner.machine import Robot
 
 BALL = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.7, 1.6, -0.6]}
 

@@ -7,9 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
+from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 
 SLIDER = """<robot name="slider">
   <link name="base"/><link name="cart"/><link name="arm"/><link name="tip"/>

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from backhoe_planner.machine.collision_model import geometry_model, self_pairs
-from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine import Robot, geometry_model, load_robot, self_pairs
 
 
 def links_of(robot: Robot) -> Counter[tuple[str, str]]:

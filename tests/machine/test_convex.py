@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from backhoe_planner.errors import InputError
+from backhoe_planner.machine import convex_cover, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.machine.shape.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes
 
 Points = NDArray[np.float64]
 

@@ -12,10 +12,8 @@ from machines import LENGTH, MASS, PENDULUM
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine.dynamics import GRAVITY, Dynamics, MotionEnergy, motion_costs, motion_energy
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.site.scene_file import Soil
-from backhoe_planner.site.soil import SoilReaction
+from backhoe_planner.machine import GRAVITY, Dynamics, Kinematics, MotionEnergy, motion_costs, motion_energy
+from backhoe_planner.site import Soil, SoilReaction
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from backhoe_planner.machine.capability.denavit_hartenberg import dh_table
-from backhoe_planner.machine.capability.envelope import working_envelope
-from backhoe_planner.machine.dynamics import GRAVITY, Dynamics, motion_costs
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine import (
+    GRAVITY,
+    Dynamics,
+    Kinematics,
+    Robot,
+    dh_table,
+    load_robot,
+    motion_costs,
+    working_envelope,
+)
 
 # CAT 420D class, dealer specification sheet, standard stick
 SHEET = {"digging_depth": 4.39, "reach_at_ground": 5.65, "loading_height": 3.61, "loading_reach": 1.73}

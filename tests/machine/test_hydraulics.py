@@ -17,12 +17,8 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.cli import main
 from backhoe_planner.files.yaml_text import read_yaml
-from backhoe_planner.machine.capability.digging import digging_forces
-from backhoe_planner.machine.description.hydraulics_file import HydraulicsRecord
-from backhoe_planner.machine.dynamics import Dynamics
-from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
-from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
-from backhoe_planner.planning.plan.export import export_plan
+from backhoe_planner.machine import Dynamics, FourBar, Hydraulics, HydraulicsRecord, Triangle, digging_forces
+from backhoe_planner.planning import export_plan
 
 Data = dict[str, Any]
 Array = NDArray[np.float64]

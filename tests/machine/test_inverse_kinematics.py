@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.inverse_kinematics import solve_inverse_kinematics
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Configuration, Kinematics, Robot, TipTarget, solve_inverse_kinematics
 
 Vector = NDArray[np.float64]
 

@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics, wrap_angle
-from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
-from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine import Configuration, Kinematics, Robot, TipTarget, load_robot, movable_rows, wrap_angle
 
 Vector = NDArray[np.float64]
 

@@ -9,9 +9,7 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.reach import tip_travel_bound, travel_bounds
-from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine import Kinematics, Robot, load_robot, tip_travel_bound, travel_bounds
 
 Vector = NDArray[np.float64]
 

@@ -9,8 +9,7 @@ import pinocchio as pin
 import pytest
 
 from backhoe_planner.errors import InputError, RobotError
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine import Kinematics, Robot, load_robot
 
 LIMIT = '<limit lower="-1" upper="1" effort="5" velocity="0.6"/>'
 DOT = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'

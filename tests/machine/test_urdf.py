@@ -9,8 +9,7 @@ import pytest
 import trimesh
 
 from backhoe_planner.errors import RobotError
-from backhoe_planner.machine.description.urdf import example_names, read_urdf, shipped
-from backhoe_planner.machine.robot import load_robot
+from backhoe_planner.machine import example_names, load_robot, read_urdf, shipped
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 JOINT = (

@@ -12,12 +12,18 @@ from machines import LENGTH, MASS, PENDULUM
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine.dynamics import GRAVITY
-from backhoe_planner.motion.objectives import OBJECTIVES, UNITS, Objective, trajectory_costs, trajectory_energy
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.paths.layered_graph import LayeredGraph
-from backhoe_planner.planning.paths.path_layers import PathLayers
+from backhoe_planner.machine import GRAVITY
+from backhoe_planner.motion import (
+    OBJECTIVES,
+    UNITS,
+    Objective,
+    Problem,
+    Trajectory,
+    build_problem,
+    trajectory_costs,
+    trajectory_energy,
+)
+from backhoe_planner.planning import LayeredGraph, PathLayers
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.site.scene_file import Waypoint
+from backhoe_planner.motion import TipPath
+from backhoe_planner.site import Waypoint
 
 
 def corner() -> TipPath:

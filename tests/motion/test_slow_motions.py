@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.timing.timing import time_along
-from backhoe_planner.planning.paths.local_resolution import resolve_along
-from backhoe_planner.site.proximity import Proximity
-from backhoe_planner.site.scene_file import Waypoint
+from backhoe_planner.motion import TipPath, build_problem, time_along
+from backhoe_planner.planning import resolve_along
+from backhoe_planner.site import Proximity, Waypoint
 
 
 def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot) -> None:

@@ -13,20 +13,23 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from backhoe_planner.machine.dynamics import Dynamics
-from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
-from backhoe_planner.machine.robot import JointLimits, Robot, load_robot
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.timing.drive import Drive, drive_of
-from backhoe_planner.motion.timing.limit_usage import limit_usage
-from backhoe_planner.motion.timing.retiming import retimed, use_of_drive
-from backhoe_planner.motion.timing.time_optimal import Rows, fastest
-from backhoe_planner.motion.timing.timing import time_along
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan_file import load_plan
-from backhoe_planner.planning.planner import plan
-from backhoe_planner.proof.certificate import certify
-from backhoe_planner.site.scene_file import Scene, scene_from_dict
+from backhoe_planner.machine import Dynamics, Hydraulics, JointLimits, Robot, load_robot
+from backhoe_planner.motion import (
+    Drive,
+    Problem,
+    Rows,
+    Trajectory,
+    build_problem,
+    drive_of,
+    fastest,
+    limit_usage,
+    retimed,
+    time_along,
+    use_of_drive,
+)
+from backhoe_planner.planning import load_plan, plan
+from backhoe_planner.proof import certify
+from backhoe_planner.site import Scene, scene_from_dict
 
 Matrix = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.motion import Trajectory
 
 # one joint: 1 rad in the first second, 2 rad in the next half second
 TIME = np.array([0.0, 1.0, 1.5])

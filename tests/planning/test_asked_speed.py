@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.report.asked_speed import asked_speed
+from backhoe_planner.motion import Problem, Trajectory, build_problem
+from backhoe_planner.planning import asked_speed
 
 CAGE = """<robot name="lift">
   <link name="post"/>

@@ -11,17 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from test_sampling import STRETCHED, TURNED, across_bar, problem_of
 
-from backhoe_planner.machine.reach import travel_bounds
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.smooth_way import SmoothWay
+from backhoe_planner.machine import Robot, travel_bounds
+from backhoe_planner.motion import SmoothWay, Trajectory, chord_sagitta, time_way
 from backhoe_planner.motion.timing import timing
-from backhoe_planner.motion.timing.timing import time_way
-from backhoe_planner.motion.trajectory import Trajectory, chord_sagitta
-from backhoe_planner.planning.search.blending import blend
-from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.sampling import Way, sample_way
-from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.planning import MotionCheck, Way, blend, sample_way, shorten
+from backhoe_planner.site import Proximity
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

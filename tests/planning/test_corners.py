@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.planning.paths.corners import round_corners
-from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning import resolve_along, round_corners
 
 TOLERANCE = 0.005
 

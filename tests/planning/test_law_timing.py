@@ -11,12 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.timing.limit_usage import limit_usage
-from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.law_timing import as_fast_as_allowed, places_on, shortest_time
-from backhoe_planner.planning.reactive.reaching import approach_goal
-from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.motion import Problem, build_problem, limit_usage
+from backhoe_planner.planning import Context, Stepper, approach_goal, as_fast_as_allowed, places_on, shortest_time
 
 Array = NDArray[np.float64]
 

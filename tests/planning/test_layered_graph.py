@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph
+from backhoe_planner.planning import Edge, EdgeKind, LayeredGraph
 
 Matrix = NDArray[np.float64]
 

@@ -13,23 +13,22 @@ import yaml
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.motion.objectives import OBJECTIVES, Objective, trajectory_costs
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.paths.dynamic_programming import _cheapest_driven, cheapen_stretch
-from backhoe_planner.planning.paths.layered_graph import LayeredGraph
-from backhoe_planner.planning.paths.local_resolution import resolve_along
-from backhoe_planner.planning.paths.path_layers import PathLayers
-from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
-from backhoe_planner.planning.report.comparison import (
+from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
+from backhoe_planner.motion import OBJECTIVES, Objective, Problem, Trajectory, build_problem, trajectory_costs
+from backhoe_planner.planning import (
+    LayeredGraph,
+    PathLayers,
+    PathResolver,
+    Stretch,
+    cheapen_stretch,
     joined,
     law_motion,
     least_norm_resolution,
     part_on_path,
+    resolve_along,
     stations_of,
 )
+from backhoe_planner.planning.paths.dynamic_programming import _cheapest_driven
 
 Array = NDArray[np.float64]
 

@@ -10,13 +10,9 @@ import pytest
 from random_scenes import SiteKey, load_machine, random_site  # type: ignore[import-not-found]
 
 import backhoe_planner as bp
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.planning.paths.path_layers import PathLayers, redundancy_of
-from backhoe_planner.planning.paths.path_resolution import PathResolver, Stretch
-from backhoe_planner.planning.paths.smoothing import smooth_stretch, stretch_cost
+from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning import PathLayers, PathResolver, Stretch, redundancy_of, smooth_stretch, stretch_cost
 
 Data = dict[str, Any]
 

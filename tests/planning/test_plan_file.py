@@ -13,7 +13,7 @@ import yaml
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.planning.plan.export import export_plan
+from backhoe_planner.planning import export_plan
 
 Data = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[2]

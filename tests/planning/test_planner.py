@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from random_scenes import random_planar_scene  # type: ignore[import-not-found]
 
 import backhoe_planner as bp
-from backhoe_planner.planning.plan.plan_file import plan_to_dict
+from backhoe_planner.planning import plan_to_dict
 
 Data = dict[str, Any]
 

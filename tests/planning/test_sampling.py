@@ -16,18 +16,11 @@ import pytest
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.timing import time_way
-from backhoe_planner.planning.search.blending import blend
-from backhoe_planner.planning.search.deadline import OutOfTime
-from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.sampling import Way, sample_way
-from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.proof.certificate import certify_problem
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.motion import Problem, build_problem, drive_of, time_way
+from backhoe_planner.planning import MotionCheck, OutOfTime, Way, blend, sample_way, shorten
+from backhoe_planner.proof import certify_problem
+from backhoe_planner.site import Proximity
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -14,9 +14,8 @@ from independent import box_distance  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.proof.certificate import Certificate, Clearance, certify, segment_is_clear
+from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.proof import Certificate, Clearance, certify, segment_is_clear
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion.between import between_samples
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.timing.drive import Drive
-from backhoe_planner.motion.timing.limit_usage import limit_usage
-from backhoe_planner.proof.certificate import told_part
+from backhoe_planner.motion import Drive, between_samples, build_problem, limit_usage
+from backhoe_planner.proof import told_part
 
 START = [0.0, 0.4, -1.6, -0.9]
 

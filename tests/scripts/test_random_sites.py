@@ -25,7 +25,7 @@ from random_scenes import (  # type: ignore[import-not-found]
 )
 
 import backhoe_planner as bp
-from backhoe_planner.motion.problem import Problem, build_problem
+from backhoe_planner.motion import Problem, build_problem
 
 ALL = [(machine, kind, task) for machine in MACHINES for kind in KINDS for task in TASKS]
 SETTINGS = bench.Settings(budget=0.5, refute=True)

@@ -10,20 +10,32 @@ import pytest
 import trimesh
 import umsgpack
 
-from backhoe_planner.machine.robot import Robot, load_robot
+from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.show.drawing.animation import PlanAnimation, Track
-from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, frame
-from backhoe_planner.show.drawing.machine_meshes import machine_meshes
-from backhoe_planner.show.drawing.names import node_name, node_names
-from backhoe_planner.show.drawing.palette import FAR, TIGHT, margin_rgb
-from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.solids import facets, fattened, grid, solid, together, tube
-from backhoe_planner.show.drawing.timeline import ITSELF, timeline
-from backhoe_planner.show.page.recording import Recording
-from backhoe_planner.site.scene_file import scene_from_dict
+from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.show import (
+    FAR,
+    FIELD_OF_VIEW,
+    ITSELF,
+    TIGHT,
+    PlanAnimation,
+    Recording,
+    SceneGraph,
+    Track,
+    facets,
+    fattened,
+    frame,
+    grid,
+    machine_meshes,
+    margin_rgb,
+    node_name,
+    node_names,
+    solid,
+    timeline,
+    together,
+    tube,
+)
+from backhoe_planner.site import scene_from_dict
 
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
 

@@ -16,14 +16,12 @@ import pytest
 from PIL import Image
 
 from backhoe_planner.errors import InputError, OutputError
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan import Plan
-from backhoe_planner.proof.certificate import certify
-from backhoe_planner.show.page.page import plan_page, write_page
-from backhoe_planner.show.viewer.viewer import Viewer
-from backhoe_planner.site.scene_file import Scene, scene_from_dict
+from backhoe_planner.machine import Robot
+from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.planning import Plan
+from backhoe_planner.proof import certify
+from backhoe_planner.show import Viewer, plan_page, write_page
+from backhoe_planner.site import Scene, scene_from_dict
 
 HOSTILE = "</script><script>window.pwned=1</script><img src=x onerror='window.pwned=1'> \"q\" \u2028 \u4e2d a/b &amp;"
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from backhoe_planner.errors import OutputError
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan import Plan
-from backhoe_planner.proof.certificate import certify
-from backhoe_planner.show.plots.plots import plot_envelope, plot_plan
-from backhoe_planner.site.scene_file import scene_from_dict
+from backhoe_planner.machine import Robot
+from backhoe_planner.motion import Trajectory
+from backhoe_planner.planning import Plan
+from backhoe_planner.proof import certify
+from backhoe_planner.show import plot_envelope, plot_plan
+from backhoe_planner.site import scene_from_dict
 
 START = [0.0, 0.4, -1.6, -0.9]
 MAGIC = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}

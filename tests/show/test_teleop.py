@@ -29,21 +29,27 @@ from hypothesis import strategies as st
 
 import backhoe_planner as bp
 from backhoe_planner.errors import InputError, OutputError
-from backhoe_planner.live.driven import is_driven, left_out, shown_problem
-from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.site_meshes import site_mesh
-from backhoe_planner.show.teleop.joysticks import joint_rates
-from backhoe_planner.show.teleop.messages import LARGEST, Add, Sticks, parse
-from backhoe_planner.show.teleop.server import TeleopServer
-from backhoe_planner.show.teleop.session import Session
-from backhoe_planner.show.teleop.station import TeleopStation, free_name
-from backhoe_planner.show.teleop.wording import Telling, Wording
+from backhoe_planner.live import Command, ServoState, Status, is_driven, left_out, shown_problem
+from backhoe_planner.machine import Robot
+from backhoe_planner.show import (
+    LARGEST,
+    Add,
+    LiveServer,
+    LiveSocket,
+    SceneGraph,
+    Session,
+    Sticks,
+    TeleopServer,
+    TeleopStation,
+    Telling,
+    Wording,
+    free_name,
+    joint_rates,
+    parse,
+    site_mesh,
+)
 from backhoe_planner.show.viewer import live_server
-from backhoe_planner.show.viewer.live_server import LiveServer, LiveSocket
-from backhoe_planner.site.obstacles import build_obstacle, build_obstacles
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site import Proximity, build_obstacle, build_obstacles
 
 Data = dict[str, Any]
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.show.page.page import write_page
-from backhoe_planner.show.teleop.station import TeleopStation
+from backhoe_planner.machine import Robot
+from backhoe_planner.show import TeleopStation, write_page
 
 HOSTILE = "<img src=x onerror='window.pwned=1'> \"q\" a/b &amp;"
 

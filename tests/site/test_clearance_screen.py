@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.site.clearance_screen import ClearanceScreen
-from backhoe_planner.site.obstacles import build_obstacles, swept
+from backhoe_planner.site import ClearanceScreen, build_obstacles, swept
 
 TASK = {"path": {"waypoints": [{"position": [1.0, 0.0, 0.0]}, {"position": [1.0, 0.1, 0.0]}]}}
 OBSTACLES: list[dict[str, Any]] = [

@@ -11,9 +11,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site.obstacles import Obstacle, build_obstacles, read_heights, read_points
-from backhoe_planner.site.scene_file import load_scene, scene_from_dict
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Obstacle, build_obstacles, load_scene, read_heights, read_points, scene_from_dict
 
 Points = NDArray[np.float64]
 

@@ -14,11 +14,8 @@ import trimesh
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import SceneError
-from backhoe_planner.machine.reach import travel_bounds
-from backhoe_planner.machine.robot import Robot, load_robot
-from backhoe_planner.site.obstacles import Obstacle, build_obstacles
-from backhoe_planner.site.proximity import Nearby, Proximity
-from backhoe_planner.site.scene_file import scene_from_dict
+from backhoe_planner.machine import Robot, load_robot, travel_bounds
+from backhoe_planner.site import Nearby, Obstacle, Proximity, build_obstacles, scene_from_dict
 
 Vector = NDArray[np.float64]
 

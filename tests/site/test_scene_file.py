@@ -16,10 +16,9 @@ from hypothesis import given, settings
 from strategies import scenes
 
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.machine.description.urdf import shipped
-from backhoe_planner.machine.robot import load_robot
-from backhoe_planner.site.scene_file import (
+from backhoe_planner.live import Servo
+from backhoe_planner.machine import load_robot, shipped
+from backhoe_planner.site import (
     Capsule,
     HalfSpace,
     Scene,

@@ -11,16 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.site.scene_file import Soil
-from backhoe_planner.site.soil import (
-    LIP,
-    SoilReaction,
-    blade_force,
-    bucket_width,
-    failure_angle,
-    soil_force,
-)
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.site import LIP, Soil, SoilReaction, blade_force, bucket_width, failure_angle, soil_force
 
 Array = NDArray[np.float64]
 

@@ -9,14 +9,20 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.errors import SceneError
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.site.limits import scaled_limits
-from backhoe_planner.site.obstacles import build_obstacles
-from backhoe_planner.site.proximity import Proximity
-from backhoe_planner.site.scene_file import Box, HalfSpace, Wall
-from backhoe_planner.site.zones import ZoneLog, pace, worst_first, zone_log
+from backhoe_planner.machine import Robot
+from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.site import (
+    Box,
+    HalfSpace,
+    Proximity,
+    Wall,
+    ZoneLog,
+    build_obstacles,
+    pace,
+    scaled_limits,
+    worst_first,
+    zone_log,
+)
 
 Data = dict[str, Any]
 

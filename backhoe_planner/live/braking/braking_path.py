@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot
 
 __all__ = ["BrakingPath", "Placements", "bend"]
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.machine import JointLimits
 
 __all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds", "Load"]
 

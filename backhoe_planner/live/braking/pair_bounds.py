@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.proof import Proof
 from backhoe_planner.live.braking.separation import Separation
-from backhoe_planner.site.zones import pace
+from backhoe_planner.site import pace
 
 __all__ = ["BUFFER", "TOLERANCE", "Near", "PairBounds"]
 

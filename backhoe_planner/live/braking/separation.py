@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
-from backhoe_planner.machine.collision_model import self_pairs
-from backhoe_planner.machine.reach import travel_bounds
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot, self_pairs, travel_bounds
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site import Obstacle
 
 __all__ = ["Separation"]
 

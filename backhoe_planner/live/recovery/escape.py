@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
-from backhoe_planner.machine.robot import JointLimits, Robot
+from backhoe_planner.machine import JointLimits, Robot
 
 __all__ = ["MOST_LOOKS", "Route", "WayOut"]
 

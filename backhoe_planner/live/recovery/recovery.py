@@ -48,7 +48,7 @@ from backhoe_planner.live.braking.proof import Proof
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.escape import Route, Search, WayOut
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
-from backhoe_planner.machine.robot import JointLimits, Robot
+from backhoe_planner.machine import JointLimits, Robot
 
 __all__ = ["Recovery", "Step", "Way"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.live.servo.servo_state import Command
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot
 
 __all__ = ["Commands"]
 

@@ -54,13 +54,8 @@ from backhoe_planner.live.servo.feedback import Feedback
 from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
 from backhoe_planner.live.servo.surroundings import Surroundings, number_within
 from backhoe_planner.live.servo.tip_task import TipTask, Wished
-from backhoe_planner.machine.kinematics.inverse_kinematics import solve_inverse_kinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site import scene_file
-from backhoe_planner.site.limits import scaled_limits, within_sectors
-from backhoe_planner.site.obstacles import Obstacle, build_obstacles
-from backhoe_planner.site.zones import pace
+from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
+from backhoe_planner.site import Obstacle, build_obstacles, pace, scaled_limits, scene_file, within_sectors
 
 __all__ = ["Servo"]
 

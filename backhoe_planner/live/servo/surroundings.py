@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.separation import MACHINE, Separation
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot, voxel_boxes
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.machine.shape.convex import voxel_boxes
-from backhoe_planner.site import scene_file
-from backhoe_planner.site.obstacles import Obstacle, build_obstacle
+from backhoe_planner.site import Obstacle, build_obstacle, scene_file
 
 __all__ = ["Surroundings", "number_within"]
 

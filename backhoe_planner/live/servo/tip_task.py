@@ -8,16 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law.completed import CompletedLaw
+from backhoe_planner.law import CompletedLaw
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.joint_bounds import JointBounds
 from backhoe_planner.live.braking.pair_bounds import Near
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.servo.commands import Commands
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
-from backhoe_planner.machine.kinematics.target import movable_rows
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.site.proximity import Nearby
+from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
+from backhoe_planner.site import Nearby
 
 __all__ = ["TipTask", "Wished"]
 

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.dynamics import Dynamics
-from backhoe_planner.machine.hydraulics.hydraulics import BothWays, Hydraulics
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Robot
 from backhoe_planner.motion.between import Between
 from backhoe_planner.motion.problem import Problem
-from backhoe_planner.site.scene_file import Soil
-from backhoe_planner.site.soil import SoilReaction
+from backhoe_planner.site import Soil, SoilReaction
 
 __all__ = ["Drive", "DriveUse", "drive_of"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
+from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion.between import between_samples
 from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.timing.drive import drive_of

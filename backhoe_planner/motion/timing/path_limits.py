@@ -21,7 +21,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion.timing.drive import MOST, Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import Trajectory

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion.path import step_lengths
 from backhoe_planner.motion.smooth_way import SmoothWay
 from backhoe_planner.motion.timing.drive import Drive

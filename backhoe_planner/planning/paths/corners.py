@@ -11,13 +11,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.proof.certificate import path_segment_is_clear
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
+from backhoe_planner.motion import Problem, TipPath
+from backhoe_planner.proof import path_segment_is_clear
+from backhoe_planner.site import Proximity
 
 __all__ = ["SHARP", "round_corners"]
 

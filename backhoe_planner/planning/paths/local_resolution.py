@@ -13,14 +13,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law.completed import CompletedLaw
-from backhoe_planner.law.on_path import step_on_path
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
-from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import Problem, hand_set_gains
-from backhoe_planner.proof.certificate import segment_is_clear
-from backhoe_planner.site.proximity import Nearby, Proximity
+from backhoe_planner.law import CompletedLaw, step_on_path
+from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
+from backhoe_planner.motion import Problem, TipPath, hand_set_gains
+from backhoe_planner.proof import segment_is_clear
+from backhoe_planner.site import Nearby, Proximity
 
 __all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
 

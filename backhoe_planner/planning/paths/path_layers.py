@@ -16,10 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.planning.search.deadline import check_deadline
 
 __all__ = ["PathLayers", "redundancy_of"]

@@ -15,16 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import Problem
+from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
+from backhoe_planner.motion import Problem, TipPath
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.paths.path_layers import PathLayers
 from backhoe_planner.planning.search.deadline import OutOfTime, check_deadline
-from backhoe_planner.proof.certificate import TOUCH, path_segment_is_clear
-from backhoe_planner.site.clearance_screen import ClearanceScreen
-from backhoe_planner.site.proximity import Proximity, obstacle_told
+from backhoe_planner.proof import TOUCH, path_segment_is_clear
+from backhoe_planner.site import ClearanceScreen, Proximity, obstacle_told
 
 __all__ = ["Blame", "Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
 

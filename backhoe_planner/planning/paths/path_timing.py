@@ -7,11 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.timing.drive import Drive
-from backhoe_planner.motion.timing.timing import time_along
-from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.motion import SAMPLE_PERIOD, Drive, TipPath, Trajectory, time_along
 from backhoe_planner.planning.paths.corners import SHARP
 
 __all__ = ["time_stretch"]

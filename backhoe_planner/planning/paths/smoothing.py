@@ -19,12 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.motion.path import TipPath, step_lengths
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.proof.certificate import TOUCH, path_segment_is_clear
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
+from backhoe_planner.motion import Problem, TipPath, step_lengths
+from backhoe_planner.proof import TOUCH, path_segment_is_clear
+from backhoe_planner.site import Proximity
 
 __all__ = ["null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
 

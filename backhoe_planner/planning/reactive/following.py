@@ -15,15 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.timing.drive import drive_of
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.motion import TipPath, drive_of
 from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
 from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.reactive.reaching import approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.postures import Postures
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site import Proximity
 
 __all__ = ["Followed", "Follower"]
 

@@ -16,13 +16,11 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law.completed import CompletedLaw
-from backhoe_planner.machine.kinematics.kinematics import Configuration
-from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
-from backhoe_planner.machine.robot import JointLimits
-from backhoe_planner.motion.problem import hand_set_gains
+from backhoe_planner.law import CompletedLaw
+from backhoe_planner.machine import Configuration, JointLimits, TipTarget, movable_rows
+from backhoe_planner.motion import hand_set_gains
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.site.proximity import Nearby
+from backhoe_planner.site import Nearby
 
 __all__ = ["Attempt", "approach_goal"]
 

@@ -15,12 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law.shield import Shield, Shielded
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.proof.certificate import segment_is_clear
-from backhoe_planner.site.proximity import Nearby, Pair, Proximity
+from backhoe_planner.law import Shield, Shielded
+from backhoe_planner.machine import Configuration, Kinematics
+from backhoe_planner.motion import Problem, Trajectory
+from backhoe_planner.proof import segment_is_clear
+from backhoe_planner.site import Nearby, Pair, Proximity
 
 __all__ = ["Step", "Stepper", "Watcher"]
 

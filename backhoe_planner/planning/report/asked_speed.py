@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.timing.limit_usage import limit_usage
-from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.motion import Problem, TipPath, Trajectory, limit_usage
 from backhoe_planner.planning.report.comparison import part_on_path
 
 __all__ = ["AskedSpeed", "Slower", "asked_speed"]

@@ -23,19 +23,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.kinematics.target import movable_rows
-from backhoe_planner.motion.objectives import Objective, trajectory_costs
-from backhoe_planner.motion.path import TipPath
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.machine import Kinematics, movable_rows
+from backhoe_planner.motion import Objective, Problem, TipPath, Trajectory, drive_of, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners
 from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
 from backhoe_planner.planning.paths.path_timing import time_stretch
-from backhoe_planner.proof.certificate import Certificate
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.proof import Certificate
+from backhoe_planner.site import Proximity
 
 __all__ = [
     "Comparison",

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.motion.smooth_way import SmoothWay
-from backhoe_planner.motion.trajectory import chord_sagitta
+from backhoe_planner.motion import SmoothWay, chord_sagitta
 from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import Way

@@ -21,9 +21,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.deadline import check_deadline
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site import Proximity
 
 __all__ = ["MotionCheck"]
 

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from backhoe_planner.machine.kinematics.batch_kinematics import BatchKinematics
-from backhoe_planner.machine.kinematics.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.kinematics.target import TipTarget
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.machine import (
+    BatchKinematics,
+    InverseKinematics,
+    Kinematics,
+    TargetBatch,
+    TipTarget,
+    solve_batch,
+    solve_inverse_kinematics,
+)
+from backhoe_planner.motion import Problem
+from backhoe_planner.site import Proximity
 
 __all__ = ["Contact", "Found", "Postures"]
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.robot import JointLimits
+from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.motion_check import MotionCheck
 

@@ -20,9 +20,8 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.reach import tip_travel_bound
-from backhoe_planner.motion.problem import Problem
+from backhoe_planner.machine import Kinematics, tip_travel_bound
+from backhoe_planner.motion import Problem
 from backhoe_planner.show.drawing.animation import PlanAnimation, Track
 from backhoe_planner.show.drawing.drawing import mesh, set_property
 from backhoe_planner.show.drawing.framing import View, frame
@@ -34,7 +33,7 @@ from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_m
 from backhoe_planner.show.drawing.solids import facets, tube
 from backhoe_planner.show.drawing.stage import set_camera, set_stage
 from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, Timeline
-from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site import Obstacle
 
 __all__ = ["GROUPS", "SceneGraph"]
 

@@ -8,12 +8,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.shape.convex import load_mesh
+from backhoe_planner.machine import load_mesh
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, disc, facets, fattened, grid, solid, together
-from backhoe_planner.site import scene_file
-from backhoe_planner.site.obstacles import Obstacle, read_heights
-from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.site import Obstacle, Scene, read_heights, scene_file
 
 __all__ = ["SiteMesh", "is_ground", "site_mesh"]
 

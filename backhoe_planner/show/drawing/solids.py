@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.spatial import ConvexHull, QhullError
 
-from backhoe_planner.machine.shape.shapes import Piece
+from backhoe_planner.machine import Piece
 
 __all__ = ["Facets", "disc", "facets", "fattened", "grid", "solid", "together", "tube"]
 

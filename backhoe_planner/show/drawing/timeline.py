@@ -8,11 +8,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.motion import Problem, Trajectory
+from backhoe_planner.site import Proximity
 
 __all__ = ["ITSELF", "Nearest", "Timeline", "link_poses", "nearest_spots", "obstacle_names", "sight", "timeline"]
 

@@ -15,8 +15,8 @@ from importlib import resources
 from typing import Any
 
 from backhoe_planner.files.output_file import check_writable, whole_file
-from backhoe_planner.live.driven import shown_problem
-from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.live import shown_problem
+from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
 from backhoe_planner.show.drawing.timeline import timeline
 from backhoe_planner.show.page.page_content import plan_content, problem_content

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.live.driven import is_driven, left_out
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.live import is_driven, left_out
+from backhoe_planner.motion import Problem
+from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph

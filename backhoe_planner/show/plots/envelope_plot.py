@@ -10,9 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, gaussian_filter
 
-from backhoe_planner.machine.capability.envelope import Envelope, reachable_points, working_envelope
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Envelope, Kinematics, Robot, reachable_points, working_envelope
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import solid

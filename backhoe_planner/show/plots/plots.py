@@ -9,13 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.live.driven import is_driven
-from backhoe_planner.motion.objectives import trajectory_energy
-from backhoe_planner.motion.problem import Problem, build_problem
-from backhoe_planner.motion.timing.limit_usage import limit_usage
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan import Plan
-from backhoe_planner.planning.report.comparison import compare_with_law
+from backhoe_planner.live import is_driven
+from backhoe_planner.motion import Problem, Trajectory, build_problem, limit_usage, trajectory_energy
+from backhoe_planner.planning import Plan, compare_with_law
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
 from backhoe_planner.show.plots.envelope_plot import plot_envelope

@@ -17,12 +17,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.proof.certificate import segment_is_clear
+from backhoe_planner.live import Servo
+from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, nearest_spots
-from backhoe_planner.site import scene_file
-from backhoe_planner.site.obstacles import Obstacle, build_obstacle, build_obstacles
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, scene_file
 
 __all__ = ["LiveSite", "Standing"]
 

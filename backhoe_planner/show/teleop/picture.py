@@ -11,7 +11,7 @@ import pinocchio as pin
 import trimesh
 from numpy.typing import NDArray
 
-from backhoe_planner.motion.problem import build_problem
+from backhoe_planner.motion import build_problem
 from backhoe_planner.show.drawing.drawing import mesh, set_property
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
 from backhoe_planner.show.drawing.solids import facets
@@ -19,7 +19,7 @@ from backhoe_planner.show.page.page_content import problem_content, step_content
 from backhoe_planner.show.page.recording import Recording
 from backhoe_planner.show.teleop.session import LARGEST_FORCE, Session, Snapshot
 from backhoe_planner.show.teleop.wording import Wording
-from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site import Obstacle
 
 __all__ = ["Picture"]
 

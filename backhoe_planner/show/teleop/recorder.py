@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.live.recordings import recorded_plan
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan import Plan
-from backhoe_planner.site.scene_file import Scene
-from backhoe_planner.site.zones import zone_log
+from backhoe_planner.live import recorded_plan
+from backhoe_planner.machine import Robot
+from backhoe_planner.motion import Trajectory
+from backhoe_planner.planning import Plan
+from backhoe_planner.site import Scene, zone_log
 
 __all__ = ["Recorder", "Recording"]
 

@@ -23,11 +23,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.live.servo.feedback import Feedback
-from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.live.servo.servo_state import ServoState
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.timing.drive import Drive
+from backhoe_planner.live import Feedback, Servo, ServoState
+from backhoe_planner.machine import Robot
+from backhoe_planner.motion import Drive
 from backhoe_planner.show.drawing.timeline import Nearest
 from backhoe_planner.show.teleop.joysticks import joint_rates
 from backhoe_planner.show.teleop.live_site import LiveSite
@@ -48,9 +46,7 @@ from backhoe_planner.show.teleop.messages import (
     parse,
 )
 from backhoe_planner.show.teleop.recorder import Recorder, Recording
-from backhoe_planner.site.obstacles import Obstacle
-from backhoe_planner.site.scene_file import Scene
-from backhoe_planner.site.zones import Level, ZoneLog
+from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog
 
 __all__ = ["LARGEST_FORCE", "Phase", "Session", "Snapshot"]
 

@@ -12,12 +12,12 @@ import numpy as np
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.output_file import check_writable
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine import Robot
 from backhoe_planner.show.teleop.picture import Picture
 from backhoe_planner.show.teleop.recorder import Recording
 from backhoe_planner.show.teleop.server import TeleopServer
 from backhoe_planner.show.teleop.session import Session
-from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.site import Scene
 
 __all__ = ["TeleopStation", "free_name"]
 

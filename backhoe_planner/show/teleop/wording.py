@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from backhoe_planner.live.servo.servo_state import ServoState, Status
+from backhoe_planner.live import ServoState, Status
 
 __all__ = ["Telling", "Wording"]
 

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.live.driven import shown_problem
-from backhoe_planner.motion.problem import Problem
-from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.live import shown_problem
+from backhoe_planner.motion import Problem
+from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.scene_graph import GROUPS, SceneGraph
 from backhoe_planner.show.drawing.timeline import nearest_spots, obstacle_names, sight, timeline
 from backhoe_planner.show.page.page_content import plan_content, problem_content, step_content
 from backhoe_planner.show.viewer.live_server import LiveServer
-from backhoe_planner.site.proximity import Proximity
+from backhoe_planner.site import Proximity
 
 __all__ = ["Viewer"]
 

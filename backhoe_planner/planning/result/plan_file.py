@@ -16,11 +16,11 @@ import numpy as np
 
 from backhoe_planner.errors import InputError, PlanFileError, RobotError
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.machine.robot import load_robot
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.planning.plan.plan import METHODS, Plan
-from backhoe_planner.proof.certificate import certify
-from backhoe_planner.site.scene_file import Scene, scene_from_dict
+from backhoe_planner.machine import load_robot
+from backhoe_planner.motion import Trajectory
+from backhoe_planner.planning.result.plan import METHODS, Plan
+from backhoe_planner.proof import certify
+from backhoe_planner.site import Scene, scene_from_dict
 
 __all__ = ["certificate_to_dict", "load_plan", "plan_to_dict", "save_plan"]
 

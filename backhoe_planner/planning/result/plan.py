@@ -10,13 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine.dynamics import MotionEnergy
-from backhoe_planner.machine.robot import Robot
-from backhoe_planner.motion.objectives import trajectory_energy
-from backhoe_planner.motion.problem import build_problem
-from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.proof.certificate import Certificate
-from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.machine import MotionEnergy, Robot
+from backhoe_planner.motion import Trajectory, build_problem, trajectory_energy
+from backhoe_planner.proof import Certificate
+from backhoe_planner.site import Scene
 
 __all__ = ["METHODS", "Method", "Plan", "Reason"]
 
@@ -67,7 +64,7 @@ class Plan:
 
     def tip_path(self) -> NDArray[np.float64]:
         """(T, 3) positions of the tip at the samples [m], world."""
-        from backhoe_planner.machine.kinematics.kinematics import Kinematics
+        from backhoe_planner.machine import Kinematics
 
         kinematics = Kinematics(self.robot)
         return np.array([kinematics.at(q).tip_position for q in self.trajectory.q])
@@ -83,6 +80,6 @@ class Plan:
         ------
         OutputError: the folder does not exist or cannot be written.
         """
-        from backhoe_planner.planning.plan.plan_file import save_plan
+        from backhoe_planner.planning.result.plan_file import save_plan
 
         save_plan(self, path)

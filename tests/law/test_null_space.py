@@ -8,10 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from backhoe_planner.law.law import projector
-from backhoe_planner.law.projector import pseudo_inverse, resolve
-from backhoe_planner.machine.kinematics.kinematics import Kinematics
-from backhoe_planner.machine.robot import Robot
+from backhoe_planner.law import projector, pseudo_inverse, resolve
+from backhoe_planner.machine import Kinematics, Robot
 
 Matrix = NDArray[np.float64]
 

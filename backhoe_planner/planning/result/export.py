@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import OutputError
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.planning.plan.plan import Plan
+from backhoe_planner.planning.result.plan import Plan
 
 __all__ = ["FORMATS", "export_plan"]
 

@@ -1,0 +1,44 @@
+from .completed import CompletedLaw, activation, push_factor
+from .directionality import (
+    LinkChain,
+    Magnification,
+    Reference,
+    all_link_jacobians,
+    all_link_velocities,
+    link_chain,
+    link_jacobian,
+    link_velocities,
+)
+from .law import general_solution, joint_velocity, null_space_term, projector
+from .null_space import pseudo_inverse, resolve
+from .on_path import step_on_path
+from .paper_iteration import ITERATIONS, Push, paper_gains, paper_step, run_iteration
+from .shield import Shield, Shielded
+
+__all__ = [
+    "ITERATIONS",
+    "CompletedLaw",
+    "LinkChain",
+    "Magnification",
+    "Push",
+    "Reference",
+    "Shield",
+    "Shielded",
+    "activation",
+    "all_link_jacobians",
+    "all_link_velocities",
+    "general_solution",
+    "joint_velocity",
+    "link_chain",
+    "link_jacobian",
+    "link_velocities",
+    "null_space_term",
+    "paper_gains",
+    "paper_step",
+    "projector",
+    "pseudo_inverse",
+    "push_factor",
+    "resolve",
+    "run_iteration",
+    "step_on_path",
+]

@@ -1,0 +1,47 @@
+from .between import between_samples
+from .objectives import OBJECTIVES, UNITS, Nodes, Objective, trajectory_costs, trajectory_energy
+from .path import TipPath, step_lengths
+from .problem import Problem, build_problem, hand_set_gains
+from .smooth_way import SmoothWay
+from .timing.drive import Drive, drive_of
+from .timing.limit_usage import limit_usage
+from .timing.retiming import DRIVEN_WITHIN, retimed, use_of_drive
+from .timing.time_optimal import Rows, fastest
+from .timing.timing import time_along, time_polyline, time_way
+from .tracking import Detour, Tracking, progress, track_goal, track_path
+from .trajectory import SAMPLE_PERIOD, Trajectory, chord_sagitta
+
+__all__ = [
+    "DRIVEN_WITHIN",
+    "OBJECTIVES",
+    "SAMPLE_PERIOD",
+    "UNITS",
+    "Detour",
+    "Drive",
+    "Nodes",
+    "Objective",
+    "Problem",
+    "Rows",
+    "SmoothWay",
+    "TipPath",
+    "Tracking",
+    "Trajectory",
+    "between_samples",
+    "build_problem",
+    "chord_sagitta",
+    "drive_of",
+    "fastest",
+    "hand_set_gains",
+    "limit_usage",
+    "progress",
+    "retimed",
+    "step_lengths",
+    "time_along",
+    "time_polyline",
+    "time_way",
+    "track_goal",
+    "track_path",
+    "trajectory_costs",
+    "trajectory_energy",
+    "use_of_drive",
+]

@@ -1,0 +1,66 @@
+from .context import Context
+from .law_timing import as_fast_as_allowed, places_on, shortest_time
+from .paths.corners import round_corners
+from .paths.dynamic_programming import cheapen_stretch
+from .paths.layered_graph import Edge, EdgeKind, LayeredGraph
+from .paths.local_resolution import resolve_along
+from .paths.path_layers import PathLayers, redundancy_of
+from .paths.path_resolution import PathResolver, Stretch
+from .paths.smoothing import smooth_stretch, stretch_cost
+from .planner import judged, motion_metrics, plan
+from .reactive.reaching import approach_goal
+from .reactive.stepping import Step, Stepper
+from .report.asked_speed import asked_speed
+from .report.comparison import compare_with_law, joined, law_motion, least_norm_resolution, part_on_path, stations_of
+from .result.export import export_plan
+from .result.plan import Plan, Reason
+from .result.plan_file import load_plan, plan_to_dict
+from .search.blending import blend
+from .search.deadline import DEFAULT_BUDGET, OutOfTime
+from .search.motion_check import MotionCheck
+from .search.sampling import Way, sample_way
+from .search.shortening import shorten
+
+__all__ = [
+    "DEFAULT_BUDGET",
+    "Context",
+    "Edge",
+    "EdgeKind",
+    "LayeredGraph",
+    "MotionCheck",
+    "OutOfTime",
+    "PathLayers",
+    "PathResolver",
+    "Plan",
+    "Reason",
+    "Step",
+    "Stepper",
+    "Stretch",
+    "Way",
+    "approach_goal",
+    "as_fast_as_allowed",
+    "asked_speed",
+    "blend",
+    "cheapen_stretch",
+    "compare_with_law",
+    "export_plan",
+    "joined",
+    "judged",
+    "law_motion",
+    "least_norm_resolution",
+    "load_plan",
+    "motion_metrics",
+    "part_on_path",
+    "places_on",
+    "plan",
+    "plan_to_dict",
+    "redundancy_of",
+    "resolve_along",
+    "round_corners",
+    "sample_way",
+    "shorten",
+    "shortest_time",
+    "smooth_stretch",
+    "stations_of",
+    "stretch_cost",
+]

@@ -1,0 +1,21 @@
+from .certificate import (
+    TOUCH,
+    Certificate,
+    Clearance,
+    certify,
+    certify_problem,
+    path_segment_is_clear,
+    segment_is_clear,
+    told_part,
+)
+
+__all__ = [
+    "TOUCH",
+    "Certificate",
+    "Clearance",
+    "certify",
+    "certify_problem",
+    "path_segment_is_clear",
+    "segment_is_clear",
+    "told_part",
+]
