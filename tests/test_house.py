@@ -6,7 +6,6 @@ import ast
 import importlib
 import inspect
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -158,16 +157,3 @@ def test_only_the_command_line_prints(file: Path) -> None:
             assert node.func.id not in ("print", "breakpoint", "input"), f"{file}:{node.lineno}"
         if isinstance(node, ast.Attribute) and node.attr in ("stdout", "stderr"):
             assert not (isinstance(node.value, ast.Name) and node.value.id == "sys"), f"{file}:{node.lineno}"
-
-
-def test_snippets_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    readme = ROOT / "README.md"
-    if not readme.is_file():
-        pytest.skip("no README yet")
-    snippets = re.findall(r"^```python\n(.*?)^```", readme.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-    for folder in ("models", "scenes"):
-        (tmp_path / folder).symlink_to(ROOT / folder)
-    monkeypatch.chdir(tmp_path)
-    namespace: dict[str, object] = {}
-    for number, snippet in enumerate(snippets):
-        exec(compile(snippet, f"README.md, snippet {number + 1}", "exec"), namespace)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from backhoe_planner.errors import OutputError
+from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
@@ -104,3 +105,10 @@ def test_the_envelope_has_the_data_sheets_figures(backhoe: Robot, tmp_path: Path
 def test_the_reach_of_a_level_arm_is_seen_from_above(planar4: Robot, tmp_path: Path) -> None:
     plot_envelope(planar4, tmp_path / "reach.png")
     assert (tmp_path / "reach.png").read_bytes().startswith(MAGIC[".png"])
+
+
+def test_without_matplotlib_the_extra_is_named(backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(InputError, match=r"pip install backhoe_planner\[plots\]"):
+        plot_envelope(backhoe, tmp_path / "envelope.png")
+    assert not list(tmp_path.iterdir())

@@ -14,7 +14,7 @@ from backhoe_planner.machine import Envelope, Kinematics, Robot, reachable_point
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import solid
-from backhoe_planner.show.plots.figure_file import check_suffix, plain_text, save_figure
+from backhoe_planner.show.plots.figure_file import figure_format, plain_text, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,10 +47,11 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     OutputError: another suffix, or the folder cannot be written.
+    InputError: matplotlib is not installed.
     """
+    figure_format(path)
     from matplotlib.figure import Figure
 
-    check_suffix(path)
     envelope = working_envelope(robot)
     points = None if envelope is None else _in_plane(robot)
     if envelope is not None and points is not None:

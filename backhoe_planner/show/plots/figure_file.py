@@ -2,39 +2,44 @@
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import os
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from backhoe_planner.errors import OutputError
+from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.files.output_file import check_writable, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["check_suffix", "plain_text", "save_figure"]
+__all__ = ["figure_format", "plain_text", "save_figure"]
 
 _FORMATS = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+_RESOLUTION = 150  # dots per inch: text of 8 points is readable on a screen
 
 
-def check_suffix(path: str | os.PathLike[str]) -> str:
-    """The format that a file's suffix asks for, before anything is drawn.
+def figure_format(path: str | os.PathLike[str]) -> str:
+    """The format that a file's suffix asks for; call it before anything is drawn.
 
     Raises
     ------
-    OutputError: it is none of .png, .svg, .pdf, or the folder cannot be written.
+    OutputError: the suffix is none of .png, .svg, .pdf, or the folder cannot be written.
+    InputError: matplotlib is not installed.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _FORMATS:
         raise OutputError(
             "a figure cannot be written in this format",
-            file=path,  # type: ignore[arg-type]
+            file=os.fspath(path),
             found=suffix or "no suffix",
             allowed=", ".join(_FORMATS),
         )
     check_writable(path)
+    if importlib.util.find_spec("matplotlib") is None:
+        raise InputError("figures need matplotlib", hint="pip install backhoe_planner[plots]")
     return _FORMATS[suffix]
 
 
@@ -45,11 +50,11 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     ------
     OutputError: the suffix is not known, or the folder cannot be written.
     """
-    form = check_suffix(path)
+    form = figure_format(path)
     drawn = io.BytesIO()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        figure.savefig(drawn, format=form, dpi=150)
+        figure.savefig(drawn, format=form, dpi=_RESOLUTION)
     with whole_file(path, "wb") as stream:
         stream.write(drawn.getvalue())
 

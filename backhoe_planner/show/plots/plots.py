@@ -15,7 +15,7 @@ from backhoe_planner.planning import Plan, compare_with_law
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
 from backhoe_planner.show.plots.envelope_plot import plot_envelope
-from backhoe_planner.show.plots.figure_file import check_suffix, plain_text, save_figure
+from backhoe_planner.show.plots.figure_file import figure_format, plain_text, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,10 +47,11 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     OutputError: another suffix, or the folder cannot be written.
+    InputError: matplotlib is not installed.
     """
+    figure_format(path)
     from matplotlib.figure import Figure
 
-    check_suffix(path)
     problem = build_problem(plan.robot, plan.scene)
     frames = timeline(problem, plan.trajectory)
     panels = []

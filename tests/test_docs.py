@@ -1,0 +1,83 @@
+"""What README and docs show is run, loaded or parsed, and every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+import yaml
+
+import backhoe_planner
+from backhoe_planner.cli import app
+from backhoe_planner.site import scene_from_dict
+
+ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+LARGEST_README = 6144  # bytes
+
+
+def snippets(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def pages_with(language: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("page", [p for p in PAGES if snippets(p, language)], ids=lambda page: page.name)
+
+
+def heading_anchors(page: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_readme_is_short() -> None:
+    assert (ROOT / "README.md").stat().st_size <= LARGEST_README
+
+
+@pages_with("python")
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("models", "scenes"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    monkeypatch.chdir(tmp_path)
+    namespace: dict[str, object] = {}
+    for number, snippet in enumerate(snippets(page, "python")):
+        exec(compile(snippet, f"{page.name}, snippet {number + 1}", "exec"), namespace)
+
+
+@pages_with("yaml")
+def test_scenes_load(page: Path) -> None:
+    """A snippet without a `version` is a part of the first whole scene of its page."""
+    whole: dict[str, Any] = {}
+    for snippet in snippets(page, "yaml"):
+        content = yaml.safe_load(snippet)
+        if "version" in content:
+            whole = content
+        scene_from_dict({**whole, **content})
+
+
+@pages_with("sh")
+def test_commands_parse(page: Path) -> None:
+    command: Any = typer.main.get_command(app)
+    for line in "\n".join(snippets(page, "sh")).splitlines():
+        words = shlex.split(line, comments=True)
+        if words[:1] != ["backhoe-planner"]:
+            continue
+        name, chosen, rest = command.resolve_command(command.make_context(words[0], words[1:]), words[1:])
+        chosen.make_context(name, rest)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if "://" in target:
+            continue
+        name, _, anchor = target.partition("#")
+        file = page.parent / name if name else page
+        assert file.is_file(), f"{page.name}: {target}"
+        if anchor:
+            assert anchor in heading_anchors(file), f"{page.name}: {target}"
+    for script in re.findall(r"`python (scripts/\w+\.py)", page.read_text(encoding="utf-8")):
+        assert (ROOT / script).is_file(), f"{page.name}: {script}"
