@@ -430,9 +430,9 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
     """One line: the objective along the path, and what the local law needs."""
     if compared is None:
         return
-    from backhoe_planner.motion import UNITS
+    from backhoe_planner.motion import OBJECTIVES
 
-    unit = UNITS[compared["name"]]
+    unit = OBJECTIVES[compared["name"]].unit
     breaks = compared["law_breaks"]
     if breaks is not None:
         breaks = re.sub(r"self: (\S+)", r"the machine itself (\1)", breaks)

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.motion import Objective, Problem, TipPath, Trajectory, build_problem, trajectory_costs
+from backhoe_planner.motion import PathCost, Problem, TipPath, Trajectory, build_problem, trajectory_costs
 from backhoe_planner.planning import (
     PathResolver,
     Stretch,
@@ -209,7 +209,7 @@ def convergence(robot: bp.Robot, *, paths: int, seed: int) -> None:
 
 def _resolved(problem: Problem, path: TipPath, grid: float, layer: float) -> tuple[float, float] | None:
     """The cost in [J] of the graph's route and of the refined one; None where there is none."""
-    objective, proximity = Objective(problem), bp.Proximity(problem.robot, ())
+    objective, proximity = PathCost(problem), bp.Proximity(problem.robot, ())
     resolver = PathResolver(
         problem, path, proximity=proximity, find_detour=lambda *_: None,
         cost=objective.step_costs, grid=np.radians(grid), layer=layer,
@@ -220,7 +220,7 @@ def _resolved(problem: Problem, path: TipPath, grid: float, layer: float) -> tup
     (piece,) = found.pieces
     assert isinstance(piece, Stretch)
     q = cheapen_stretch(
-        problem, path, piece.stations, piece.q, objective=objective, proximity=proximity, free_start=True, free_end=True
+        problem, path, piece.stations, piece.q, cost=objective, proximity=proximity, free_start=True, free_end=True
     )
     return objective.value(piece.stations, piece.q), objective.value(piece.stations, q)
 

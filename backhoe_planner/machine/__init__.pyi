@@ -4,7 +4,7 @@ from .capability.envelope import Envelope, reachable_points, working_envelope
 from .collision_model import geometry_model, self_pairs
 from .description.hydraulics_file import HydraulicsRecord
 from .description.urdf import example_names, read_urdf, shipped
-from .dynamics import GRAVITY, Dynamics, MotionEnergy, motion_costs, motion_energy
+from .dynamics import GRAVITY, Dynamics, MotionEnergy, motion_energy
 from .hydraulics.hydraulics import BothWays, Hydraulics
 from .hydraulics.linkage import FourBar, Triangle
 from .kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
@@ -46,7 +46,6 @@ __all__ = [
     "geometry_model",
     "load_mesh",
     "load_robot",
-    "motion_costs",
     "motion_energy",
     "movable_rows",
     "reachable_points",

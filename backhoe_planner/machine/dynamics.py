@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["GRAVITY", "Dynamics", "MotionEnergy", "motion_costs", "motion_energy"]
+__all__ = ["GRAVITY", "Dynamics", "MotionEnergy", "motion_energy"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -143,43 +143,6 @@ def motion_energy(
         hydraulic_power=hydraulic_power,
         hydraulic=None if hydraulic_power is None else _integral(hydraulic_power, time),
     )
-
-
-def motion_costs(
-    robot: Robot,
-    time: Vector,
-    q: Matrix,
-    v: Matrix,
-    a: Matrix,
-    *,
-    payload: float = 0.0,
-    tip_force: Matrix | None = None,
-) -> dict[str, float]:
-    """What a sampled motion costs, by the names of the objectives.
-
-    Parameters
-    ----------
-    time: (T,) [s]; q, v, a: (T, n).
-    payload: mass at the tip [kg].
-    tip_force: (T, 3) on the tip from outside [N], world, as the soil's.
-
-    Returns
-    -------
-    velocity_norm: integral of v.v [rad^2/s]; kinetic: integral of the kinetic energy
-    [J s]; effort: integral of tau.tau [N^2 m^2 s]; work: integral of
-    sum_i max(tau_i v_i, 0) [J], hydraulics give nothing back; hydraulic: what a
-    load-sensing pump puts in [J], for a machine with a hydraulic description.
-    """
-    energy = motion_energy(robot, time, q=q, v=v, a=a, payload=payload, tip_force=tip_force)
-    costs = {
-        "velocity_norm": float(np.trapezoid(np.sum(v * v, axis=1), time)),
-        "kinetic": float(np.trapezoid(energy.kinetic, time)),
-        "effort": float(np.trapezoid(np.sum(energy.torque * energy.torque, axis=1), time)),
-        "work": float(energy.work[-1]),
-    }
-    if energy.hydraulic is not None:
-        costs["hydraulic"] = float(energy.hydraulic[-1])
-    return costs
 
 
 def _integral(rate: Vector, time: Vector) -> Vector:

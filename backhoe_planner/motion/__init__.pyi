@@ -1,5 +1,6 @@
 from .between import between_samples
-from .objectives import OBJECTIVES, UNITS, Nodes, Objective, trajectory_costs, trajectory_energy
+from .costs import PathCost, trajectory_costs, trajectory_energy
+from .objectives import OBJECTIVES, Nodes, Objective
 from .path import TipPath, step_lengths
 from .problem import Problem, build_problem, hand_set_gains
 from .smooth_way import SmoothWay
@@ -15,11 +16,11 @@ __all__ = [
     "DRIVEN_WITHIN",
     "OBJECTIVES",
     "SAMPLE_PERIOD",
-    "UNITS",
     "Detour",
     "Drive",
     "Nodes",
     "Objective",
+    "PathCost",
     "Problem",
     "Rows",
     "SmoothWay",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import SceneError, nearest_name
 from backhoe_planner.machine import JointLimits, Robot, TipTarget
+from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import Gains, Goal, Obstacle, Pose, Scene, build_obstacles, scaled_limits, within_sectors
 
@@ -65,14 +66,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
             key="soil",
             found=robot.name,
         )
-    if scene.objective == "hydraulic" and robot.hydraulics is None:
-        raise SceneError(
-            "the machine has no hydraulic description (a file beside its URDF, NAME.hydraulics.yaml)",
-            file=scene.file,
-            key="objective",
-            found=scene.objective,
-            allowed="velocity_norm, kinetic, effort, work, time",
-        )
+    find_objective(scene.objective, robot, file=scene.file)
     start_q, start_target = _start(robot, scene)
     goal = None if scene.task.goal is None else _target(robot, scene, scene.task.goal, "task.goal")
     path = None

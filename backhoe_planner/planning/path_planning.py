@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
-from backhoe_planner.motion import SAMPLE_PERIOD, Objective, TipPath, drive_of, trajectory_costs
+from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, drive_of, trajectory_costs
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
 from backhoe_planner.planning.paths.corners import round_corners
@@ -76,7 +76,7 @@ def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None,
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
-    objective = Objective(context.problem)
+    cost = PathCost(context.problem)
     try:
         resolver = PathResolver(
             context.problem,
@@ -86,7 +86,7 @@ def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None,
             begin=stepper.q if stepper is not None and on_path else None,
             time=time,
             deadline=context.deadline,
-            cost=objective.step_costs,
+            cost=cost.step_costs,
             **_density(context, path),
             find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
         )
@@ -99,7 +99,7 @@ def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None,
         failure = no_posture(context, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
-    along = _Along(context, path, resolver, objective, stepper)
+    along = _Along(context, path, resolver, cost, stepper)
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
@@ -126,13 +126,13 @@ class _Along:
         context: Context,
         path: TipPath,
         resolver: PathResolver,
-        objective: Objective,
+        cost: PathCost,
         stepper: Stepper | None,
     ) -> None:
         self._context = context
         self._path = path
         self._resolver = resolver
-        self._objective = objective
+        self._cost = cost
         self._stepper = stepper
         task = context.problem.scene.task.path
         assert task is not None
@@ -190,7 +190,7 @@ class _Along:
             reason: Reason = "budget" if self._context.out_of_time else "blocked"
             message = f"no way was found to the beginning of the path: {told}"
             return Outcome(stepper.trajectory(), reason, message, {"path_from": 0.0, "path_to": 0.0})
-        arrived = _Along(self._context, self._path, self._resolver, self._objective, transit.stepper)
+        arrived = _Along(self._context, self._path, self._resolver, self._cost, transit.stepper)
         return arrived.plan(transit.stepper.q)
 
     def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
@@ -217,9 +217,9 @@ class _Along:
             "deadline": context.deadline,
         }
         q = piece.q
-        if self._objective.name in ("velocity_norm", "kinetic"):  # close to what these steps lower
+        if self._cost.objective.is_quadratic:  # close to what these steps lower
             q = smooth_stretch(context.problem, self._path, piece.stations, q, **setting)
-        q = cheapen_stretch(context.problem, self._path, piece.stations, q, objective=self._objective, **setting)
+        q = cheapen_stretch(context.problem, self._path, piece.stations, q, cost=self._cost, **setting)
         return Stretch(piece.stations, q)
 
     def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
@@ -236,7 +236,7 @@ class _Along:
         if not law.complete or context.out_of_time:
             return piece
         other = self._cheapened(Stretch(law.stations, law.q), free_start=free_start, free_end=True)
-        cheap = min((piece, other), key=lambda way: self._objective.driven(way.stations, way.q))
+        cheap = min((piece, other), key=lambda way: self._cost.of_run(way.stations, way.q))
         return self._with_inertia(cheap) if low == 0.0 else cheap
 
     def _with_inertia(self, piece: Stretch) -> Stretch:
@@ -248,7 +248,7 @@ class _Along:
         context, problem, path = self._context, self._context.problem, self._path
         if path.length > _SHORT or context.out_of_time:
             return piece
-        proximity, kinematics, name = context.world, context.kinematics, self._objective.name
+        proximity, kinematics, objective = context.world, context.kinematics, self._cost.objective
         law = resolve_along(
             problem, path, 0.0, piece.q[0], proximity=proximity, kinematics=kinematics, time=self._time
         )  # fmt: skip
@@ -257,11 +257,11 @@ class _Along:
         motion = timed_alone(
             problem, path, Resolution(piece.stations, piece.q, None), proximity=proximity, time=self._time
         )  # fmt: skip
-        if name == "time":
+        if objective.is_time:
             beside = timed_alone(problem, path, law, proximity=proximity, time=self._time)
         else:
             beside = law_motion(path, law, motion, kinematics=kinematics)
-        cheaper = trajectory_costs(problem, beside)[name] < trajectory_costs(problem, motion)[name]
+        cheaper = trajectory_costs(problem, beside)[objective.name] < trajectory_costs(problem, motion)[objective.name]
         return Stretch(law.stations, law.q) if cheaper else piece
 
     @property

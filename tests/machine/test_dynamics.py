@@ -12,7 +12,7 @@ from machines import LENGTH, MASS, PENDULUM
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine import GRAVITY, Dynamics, Kinematics, MotionEnergy, motion_costs, motion_energy
+from backhoe_planner.machine import GRAVITY, Dynamics, Kinematics, motion_energy
 from backhoe_planner.site import Soil, SoilReaction
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def test_lifting_a_pendulum_costs_m_g_h(pendulum: bp.Robot) -> None:
 def test_lifting_a_pendulum_with_a_payload_costs_its_weight_too(pendulum: bp.Robot) -> None:
     time, q, v, a = smooth(np.array([-0.7]), np.array([0.8]), 60.0)
     height = LENGTH * (np.sin(0.8) - np.sin(-0.7))
-    work = motion_costs(pendulum, time, q, v, a, payload=200.0)["work"]
+    work = motion_energy(pendulum, time, q=q, v=v, a=a, payload=200.0).work[-1]
     assert work == pytest.approx((MASS + 200.0) * GRAVITY * height, rel=1e-3)
 
 
@@ -153,21 +153,3 @@ def test_torques_with_a_force_at_the_tip_are_pinocchios(any_robot: bp.Robot) -> 
         expected = pin.rnea(model, data, q, v, a, outside)
         found = Dynamics(any_robot).torques(q, v, a, tip_force=force)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-8)
-
-
-def test_costs_are_the_ends_of_the_series(backhoe: bp.Robot, planar4: bp.Robot) -> None:
-    time, q, v, a = wave(backhoe, 201)
-    costs, energy = motion_costs(backhoe, time, q, v, a), motion_energy(backhoe, time, q=q, v=v, a=a)
-    assert isinstance(energy, MotionEnergy)
-    assert energy.hydraulic is not None
-    assert costs["work"] == energy.work[-1]
-    assert costs["hydraulic"] == energy.hydraulic[-1]
-    assert costs["work"] == pytest.approx(np.trapezoid(energy.power, time))
-    assert "hydraulic" not in motion_costs(planar4, *wave(planar4, 11))
-
-
-def test_a_motion_of_one_sample_costs_nothing(backhoe: bp.Robot) -> None:
-    still = np.zeros((1, 4))
-    costs = motion_costs(backhoe, np.zeros(1), still, still, still)
-    assert set(costs) == {"velocity_norm", "kinetic", "effort", "work", "hydraulic"}
-    assert set(costs.values()) == {0.0}

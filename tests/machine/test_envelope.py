@@ -13,7 +13,7 @@ from backhoe_planner.machine import (
     Robot,
     dh_table,
     load_robot,
-    motion_costs,
+    motion_energy,
     working_envelope,
 )
 
@@ -96,7 +96,7 @@ def test_lifting_slowly_costs_the_gain_in_potential_energy(backhoe: Robot) -> No
     q = start + ramp[:, None] * (end - start)
     v = np.gradient(q, time, axis=0)
     a = np.gradient(v, time, axis=0)
-    work = motion_costs(backhoe, time, q, v, a)["work"]
+    work = motion_energy(backhoe, time, q=q, v=v, a=a).work[-1]
     dynamics = Dynamics(backhoe)
     assert work == pytest.approx(dynamics.potential_energy(end) - dynamics.potential_energy(start), rel=1e-3)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -15,8 +15,7 @@ import backhoe_planner as bp
 from backhoe_planner.machine import GRAVITY
 from backhoe_planner.motion import (
     OBJECTIVES,
-    UNITS,
-    Objective,
+    PathCost,
     Problem,
     Trajectory,
     build_problem,
@@ -70,7 +69,7 @@ def test_a_pendulum_lift_costs_m_g_h(tmp_path: Path) -> None:
     q = np.linspace(-0.7, 0.8, 60)[:, None]
     stations = LENGTH * (q[:, 0] - q[0, 0])
     lift = MASS * GRAVITY * LENGTH * (np.sin(0.8) - np.sin(-0.7))
-    objective = Objective(problem, "work")
+    objective = PathCost(problem, "work")
     assert objective.value(stations, q) == pytest.approx(lift, rel=1e-3)
     # going down the load drives the joint, which gives nothing back
     assert objective.value(stations, q[::-1]) == 0.0
@@ -103,10 +102,10 @@ def test_every_objective_of_a_pendulum_step_by_hand(tmp_path: Path) -> None:
         "time": 1.0,
     }
     for name, value in expected.items():
-        assert Objective(problem, name).value(stations, q) == pytest.approx(value, rel=1e-12), name
+        assert PathCost(problem, name).value(stations, q) == pytest.approx(value, rel=1e-12), name
     # a step that the joint cannot follow takes as long as the joint does: 0.5 rad at 1 rad/s
     fast = np.array([[0.0], [0.5]])
-    assert Objective(problem, "time").value(np.array([0.0, 0.04]), fast) == pytest.approx(0.5)
+    assert PathCost(problem, "time").value(np.array([0.0, 0.04]), fast) == pytest.approx(0.5)
 
 
 def test_a_change_of_rate_costs_the_time_that_it_takes(tmp_path: Path) -> None:
@@ -115,14 +114,16 @@ def test_a_change_of_rate_costs_the_time_that_it_takes(tmp_path: Path) -> None:
     problem = build_problem(robot, along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
     assert problem.limits.acceleration.tolist() == [2.0]
     q, stations = np.array([[0.0], [0.1], [0.3]]), np.array([0.0, 0.4, 0.8])
-    objective = Objective(problem, "time")
+    objective = PathCost(problem, "time")
     taken = (0.1 + 0.1 + 0.2) / 2.0
-    assert objective.unit * (objective.driven(stations, q) - objective.along(stations, q)) == pytest.approx(taken)
+    assert objective.per_radian * (objective.of_run(stations, q) - objective.of_steps(stations, q)) == pytest.approx(
+        taken
+    )
     # what is told of it is the time of the steps alone
     assert objective.value(stations, q) == pytest.approx(2.0)
     for name in ("velocity_norm", "kinetic"):
-        quiet = Objective(problem, name)
-        assert quiet.driven(stations, q) == quiet.along(stations, q)
+        quiet = PathCost(problem, name)
+        assert quiet.of_run(stations, q) == quiet.of_steps(stations, q)
 
 
 def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging: Problem) -> None:
@@ -130,7 +131,7 @@ def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging
     s = np.linspace(0.0, 1.0, 41)[:, None]
     still = np.array([0.1, 0.3, -1.4, -0.8]) + s * np.array([0.2, 0.25, -0.5, 0.0])
     swinging = still + np.array([0.0, 0.0, 0.0, 0.1]) * np.sin(6.0 * np.pi * s)
-    objective = Objective(digging, "hydraulic")
+    objective = PathCost(digging, "hydraulic")
     stations = 1.2 * s[:, 0]
     hydraulics = digging.robot.hydraulics
     assert hydraulics is not None
@@ -138,10 +139,10 @@ def test_to_and_fro_costs_more_than_to_stand_where_the_pump_has_a_margin(digging
     cylinder = hydraulics.cylinders[bucket]
     change = np.diff(hydraulics.lengths(swinging)[:, bucket])
     oil = float(np.sum(np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area) * np.abs(change)))
-    more = objective.along(stations, swinging) - objective.along(stations, still)
+    more = objective.of_steps(stations, swinging) - objective.of_steps(stations, still)
     told = objective.value(stations, swinging) - objective.value(stations, still)
-    assert objective.unit * more - told >= 2e6 * oil * (1.0 - 1e-9)
-    assert objective.driven(stations, swinging) - objective.driven(stations, still) > more
+    assert objective.per_radian * more - told >= 2e6 * oil * (1.0 - 1e-9)
+    assert objective.of_run(stations, swinging) - objective.of_run(stations, still) > more
 
 
 # --- against full inverse dynamics ------------------------------------------------
@@ -156,9 +157,9 @@ def test_the_steps_add_up_to_what_is_reported_of_a_slow_motion(digging: Problem,
     moving = Trajectory(time=time, q=q, v=np.gradient(q, time, axis=0))
     reported = trajectory_costs(digging, moving)[name]
     if name in ("effort", "work", "hydraulic"):  # their inertia, for the motion is sudden at its ends
-        assert Objective(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=0.04)
+        assert PathCost(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=0.04)
     else:
-        assert Objective(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=2e-3)
+        assert PathCost(digging, name).value(0.4 * time, q) == pytest.approx(reported, rel=2e-3)
 
 
 def test_steps_between_many_nodes_equal_steps_one_by_one(digging: Problem) -> None:
@@ -166,13 +167,13 @@ def test_steps_between_many_nodes_equal_steps_one_by_one(digging: Problem) -> No
     a, b = layers
     assert len(a) > 2
     for name in OBJECTIVES:
-        objective = Objective(digging, name)
+        objective = PathCost(digging, name)
         together = objective.step_costs(a, b, float(stations[1]))
         wide = np.max(np.abs(b[None] - a[:, None]), axis=2) > 0.7
         assert np.isinf(together[wide]).all()
         assert np.isfinite(together[~wide]).all()
         for i, j in np.argwhere(~wide).tolist():
-            alone = objective.along(stations, np.array([a[i], b[j]]))
+            alone = objective.of_steps(stations, np.array([a[i], b[j]]))
             assert together[i, j] == pytest.approx(alone, rel=1e-9)
 
 
@@ -183,7 +184,7 @@ def test_soil_costs_work_only_below_the_ground(backhoe: bp.Robot) -> None:
         dry, wet = (build_problem(backhoe, along(*points, soil=own)) for own in (None, soil))
         plan = bp.plan(backhoe, dry.scene, method="reactive")
         q, stations = plan.trajectory.q, np.linspace(0.0, 1.4, len(plan.trajectory))
-        without, against = (Objective(problem, "work").value(stations, q) for problem in (dry, wet))
+        without, against = (PathCost(problem, "work").value(stations, q) for problem in (dry, wet))
         costs = [trajectory_costs(problem, plan.trajectory)["work"] for problem in (dry, wet)]
         if more:
             assert against > 1.05 * without
@@ -199,7 +200,26 @@ def test_power_adds_up_to_the_work_that_is_told(digging: Problem) -> None:
     plan = bp.plan(digging.robot, digging.scene)
     energy = trajectory_energy(digging, plan.trajectory)
     assert float(np.trapezoid(energy.power, energy.time)) == pytest.approx(plan.metrics["energy"]["work"], rel=1e-12)
-    assert set(plan.metrics["energy"]) == set(OBJECTIVES) == set(UNITS)
+    assert set(plan.metrics["energy"]) == set(OBJECTIVES)
+
+
+def test_costs_are_the_ends_of_the_series(digging: Problem, planar4: bp.Robot) -> None:
+    time = np.linspace(0.0, 4.0, 201)
+    swaying = np.array([0.1, 0.3, -1.4, -0.8]) + 0.2 * np.sin(time[:, None] * np.array([1.0, 1.3, 0.7, 1.9]))
+    motion = Trajectory.from_steps(time, swaying)
+    costs, energy = trajectory_costs(digging, motion), trajectory_energy(digging, motion)
+    assert energy.hydraulic is not None
+    assert costs["work"] == energy.work[-1]
+    assert costs["hydraulic"] == energy.hydraulic[-1]
+    assert costs["work"] == pytest.approx(np.trapezoid(energy.power, time))
+    flat = build_problem(planar4, along((2.0, -1.0, 0.0), (2.0, 1.0, 0.0)))
+    assert set(trajectory_costs(flat, motion)) == set(OBJECTIVES) - {"hydraulic"}
+
+
+def test_a_motion_of_one_sample_costs_nothing(digging: Problem) -> None:
+    costs = trajectory_costs(digging, Trajectory.from_steps(np.zeros(1), np.zeros((1, 4))))
+    assert set(costs) == set(OBJECTIVES)
+    assert set(costs.values()) == {0.0}
 
 
 # --- the search ---------------------------------------------------------------------
@@ -209,20 +229,28 @@ def test_power_adds_up_to_the_work_that_is_told(digging: Problem) -> None:
 def test_the_route_equals_an_exhaustive_search_with_the_same_cost(digging: Problem, name: str) -> None:
     stations, layers = layers_of(digging, 4, grid=20.0)
     assert all(3 <= len(layer) <= 12 for layer in layers)
-    objective = Objective(digging, name)
+    objective = PathCost(digging, name)
     graph = LayeredGraph(stations, layers, cost=objective.step_costs, turning=1e-9, detours=False)
     route = graph.best_route()
     costs = []
     for choice in product(*(range(len(layer)) for layer in layers)):
         q = np.array([layer[index] for layer, index in zip(layers, choice, strict=True)])
         if max(float(np.max(np.abs(b - a))) for a, b in pairwise(q)) <= 0.7:
-            costs.append((objective.along(stations, q), choice))
+            costs.append((objective.of_steps(stations, q), choice))
     assert route is not None
     assert len(costs) > 10
     best = min(costs)
     assert route.cost == pytest.approx(best[0], rel=1e-9)
     q = np.array([layers[layer][index] for layer, index in route.nodes])
-    assert objective.along(stations, q) == pytest.approx(best[0], rel=1e-9)
+    assert objective.of_steps(stations, q) == pytest.approx(best[0], rel=1e-9)
+
+
+# --- the list -------------------------------------------------------------------------
+
+
+def test_a_scene_may_ask_for_every_objective_there_is() -> None:
+    assert get_args(bp.Scene.model_fields["objective"].annotation) == tuple(OBJECTIVES)
+    assert all(name == objective.name and objective.unit for name, objective in OBJECTIVES.items())
 
 
 # --- misuse ---------------------------------------------------------------------------
@@ -234,12 +262,12 @@ def test_hydraulic_needs_a_hydraulic_description(planar4: bp.Robot) -> None:
         bp.plan(planar4, scene)
     problem = build_problem(planar4, along((2.0, -1.0, 0.0), (2.0, 1.0, 0.0)))
     with pytest.raises(bp.InputError, match="hydraulic description"):
-        Objective(problem, "hydraulic")
+        PathCost(problem, "hydraulic")
 
 
 def test_an_unknown_objective_is_named(digging: Problem) -> None:
     with pytest.raises(bp.InputError, match="velocity_norm, kinetic"):
-        Objective(digging, "beauty")
+        PathCost(digging, "beauty")
 
 
 def test_soil_needs_a_bucket(panda: bp.Robot) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import OBJECTIVES, Objective, Problem, Trajectory, build_problem, trajectory_costs
+from backhoe_planner.motion import OBJECTIVES, PathCost, Problem, Trajectory, build_problem, trajectory_costs
 from backhoe_planner.planning import (
     LayeredGraph,
     PathLayers,
@@ -51,7 +51,7 @@ def posed(robot: bp.Robot, q: Array) -> dict[str, Any]:
     return {"joints": dict(zip(robot.joint_names, q.tolist(), strict=True))}
 
 
-def resolved(problem: Problem, objective: Objective, *, grid: float, layer: float) -> Stretch:
+def resolved(problem: Problem, objective: PathCost, *, grid: float, layer: float) -> Stretch:
     assert problem.path is not None
     resolver = PathResolver(
         problem, problem.path, proximity=bp.Proximity(problem.robot, problem.obstacles),
@@ -69,16 +69,16 @@ def resolved(problem: Problem, objective: Objective, *, grid: float, layer: floa
 def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) -> None:
     problem = build_problem(backhoe, along(CUT, objective=name))
     assert problem.path is not None
-    objective, proximity = Objective(problem), bp.Proximity(backhoe)
+    objective, proximity = PathCost(problem), bp.Proximity(backhoe)
     graph, refined = [], []
     for grid, layer in ((10.0, 0.4), (5.0, 0.2), (2.5, 0.1)):
         piece = resolved(problem, objective, grid=grid, layer=layer)
         q = cheapen_stretch(
             problem, problem.path, piece.stations, piece.q,
-            objective=objective, proximity=proximity, free_start=True, free_end=True,
+            cost=objective, proximity=proximity, free_start=True, free_end=True,
         )  # fmt: skip
-        graph.append(objective.driven(piece.stations, piece.q))
-        refined.append(objective.driven(piece.stations, q))
+        graph.append(objective.of_run(piece.stations, piece.q))
+        refined.append(objective.of_run(piece.stations, q))
     assert graph[2] < 1.01 * graph[0]
     assert all(after <= before for before, after in zip(graph, refined, strict=True))
     assert refined[2] == pytest.approx(refined[1], rel=0.01)
@@ -96,9 +96,9 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [3.2, 1.2, 0.4]}
     problem = build_problem(robot, along(points, objective=name, obstacles=[ball] if machine == "backhoe" else []))
     assert problem.path is not None
-    objective = Objective(problem)
+    objective = PathCost(problem)
     proximity = bp.Proximity(robot, problem.obstacles)
-    piece = resolved(problem, Objective(problem, "velocity_norm"), grid=10.0, layer=0.1)
+    piece = resolved(problem, PathCost(problem, "velocity_norm"), grid=10.0, layer=0.1)
     targets = TargetBatch.of([problem.path.target(float(s)) for s in piece.stations])
     rng = np.random.default_rng(5)
     fell = 0
@@ -108,8 +108,8 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
         q, reached = solve_batch(BatchKinematics(robot), targets, piece.q + shake)
         if not reached.all() or any(np.any(proximity.distances(row) < proximity.clearance + 0.01) for row in q):
             continue
-        cheap = cheapen_stretch(problem, problem.path, piece.stations, q, objective=objective, proximity=proximity)
-        before, after = objective.driven(piece.stations, q), objective.driven(piece.stations, cheap)
+        cheap = cheapen_stretch(problem, problem.path, piece.stations, q, cost=objective, proximity=proximity)
+        before, after = objective.of_run(piece.stations, q), objective.of_run(piece.stations, cheap)
         assert after <= before
         fell += after < 0.9995 * before
         np.testing.assert_array_equal(cheap[[0, -1]], q[[0, -1]])
@@ -126,13 +126,13 @@ def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> Non
     values = {}
     for name in OBJECTIVES:
         problem = build_problem(backhoe, along(CUT, objective=name))
-        piece = resolved(problem, Objective(problem), grid=10.0, layer=0.1)
+        piece = resolved(problem, PathCost(problem), grid=10.0, layer=0.1)
         assert problem.path is not None
         q = cheapen_stretch(
-            problem, problem.path, piece.stations, piece.q, objective=Objective(problem),
+            problem, problem.path, piece.stations, piece.q, cost=PathCost(problem),
             proximity=bp.Proximity(backhoe), free_start=True, free_end=True,
         )  # fmt: skip
-        values[name] = {other: Objective(problem, other).value(piece.stations, q) for other in OBJECTIVES}
+        values[name] = {other: PathCost(problem, other).value(piece.stations, q) for other in OBJECTIVES}
     for name in OBJECTIVES:
         least = min(values[other][name] for other in OBJECTIVES)
         assert values[name][name] <= 1.02 * least
@@ -141,7 +141,7 @@ def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> Non
 def test_the_routes_cost_falls_where_a_finer_grid_holds_the_coarser_one(backhoe: bp.Robot) -> None:
     """On the same layers, so that every route of the coarse grid is one of the fine grid too."""
     problem = build_problem(backhoe, along(CUT))
-    objective = Objective(problem)
+    objective = PathCost(problem)
     costs = []
     for grid in (12.0, 6.0, 3.0, 1.5):
         problem_path = problem.path

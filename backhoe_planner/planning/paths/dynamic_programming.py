@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import Nodes, Objective, Problem, TipPath, step_lengths
+from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.planning.paths.corners import SHARP
 from backhoe_planner.planning.paths.smoothing import null_bases, strict_targets
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
@@ -56,7 +56,7 @@ def cheapen_stretch(
     stations: Vector,
     q: Matrix,
     *,
-    objective: Objective,
+    cost: PathCost,
     proximity: Proximity,
     time: float = 0.0,
     free_start: bool = False,
@@ -68,26 +68,26 @@ def cheapen_stretch(
     Parameters
     ----------
     stations: (K,) arc lengths of the samples [m]; q: (K, n) clear joints there.
-    objective: by which the cost is measured.
+    cost: of the motion along the path.
     time: at which the obstacles are taken to be where they are [s].
     free_start, free_end: whether the first and the last sample may move too.
     deadline: on `time.monotonic`.
     """
     if len(q) < 3:
         return q
-    descent = _Descent(problem, path, stations, q, objective=objective, proximity=proximity, time=time)
+    descent = _Descent(problem, path, stations, q, cost=cost, proximity=proximity, time=time)
     for added, (delta, spacing) in [(bool(turn), level) for turn, levels in enumerate(_LEVELS) for level in levels]:
         descent.tie(spacing, added=added, free_start=free_start, free_end=free_end)
         directions = descent.directions()
         for _ in range(_ROUNDS if len(directions) > 1 else min(1, len(directions))):
-            before = descent.cost
+            before = descent.least
             for direction in directions:
                 for _ in range(_ROUNDS):
                     if clock.monotonic() > deadline:
                         return descent.q
-                    if descent.step(delta, direction) <= _ENOUGH * abs(descent.cost):
+                    if descent.step(delta, direction) <= _ENOUGH * abs(descent.least):
                         break
-            if before - descent.cost <= 5.0 * _ENOUGH * abs(descent.cost):
+            if before - descent.least <= 5.0 * _ENOUGH * abs(descent.least):
                 break
     return descent.q
 
@@ -97,7 +97,7 @@ class _Descent:
 
     Attributes
     ----------
-    q: (K, n) the best so far; cost: its.
+    q: (K, n) the best so far; least: its cost [rad].
     """
 
     def __init__(
@@ -107,11 +107,11 @@ class _Descent:
         stations: Vector,
         q: Matrix,
         *,
-        objective: Objective,
+        cost: PathCost,
         proximity: Proximity,
         time: float,
     ) -> None:
-        self._objective = objective
+        self._cost = cost
         self._proximity = proximity
         self._time = time
         self._kinematics = BatchKinematics(problem.robot)
@@ -119,9 +119,8 @@ class _Descent:
         self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
         self._corners = np.isin(np.round(stations, 9), np.round(path.corners(SHARP), 9))
         self._measure = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-9))))
-        self._in_soil = problem.scene.soil is not None
         self.q = q
-        self.cost = objective.driven(stations, q)
+        self.least = cost.of_run(stations, q)
         asked = proximity.clearance + _AHEAD
         self._lower = np.array([self._measured(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
@@ -137,10 +136,7 @@ class _Descent:
         self._legs = np.unique(np.concatenate(([0], corners, [len(self._knots) - 1])))
         self._held = np.zeros(len(self._knots), dtype=bool)
         self._held[0], self._held[-1] = not free_start, not free_end
-        self._velocities: tuple[Matrix, Matrix] | None = None
-        if self._in_soil:
-            velocity = self._objective.tip_velocity(self._kinematics.at(self.q[self._knots]).tip_position)
-            self._velocities = np.vstack((velocity[:1], velocity)), np.vstack((velocity, velocity[-1:]))
+        self._tip = self._cost.tip_velocities(self.q[self._knots])
 
     def directions(self) -> list[Vector | None]:
         """Directions in joint space, (n,), to go in one by one; None where there is one only."""
@@ -153,13 +149,13 @@ class _Descent:
         neighbours, usable = self._neighbours(here, delta, direction)
         nodes = self._nodes(neighbours)
         spans = np.diff(self._stations[self._knots])[:, None, None]
-        steps = self._objective.between(nodes[:-1, :, None], nodes[1:, None, :], spans)
+        steps = self._cost.between(nodes[:-1, :, None], nodes[1:, None, :], spans)
         turns = None
-        if self._objective.holds_rates and len(here) > 2:
-            rates = self._objective.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
-            turns = self._objective.turning(rates[:, :-1, :, :, None], rates[:, 1:, None])
+        if self._cost.counts_rate_changes and len(here) > 2:
+            rates = self._cost.rates(neighbours[:-1, :, None], neighbours[1:, None, :], spans)
+            turns = self._cost.rate_changes(rates[:, :-1, :, :, None], rates[:, 1:, None])
             for end in (0, -1):  # from rest, and to rest
-                steps[end] += self._objective.turning(np.zeros_like(rates[:, end]), rates[:, end])
+                steps[end] += self._cost.rate_changes(np.zeros_like(rates[:, end]), rates[:, end])
         for _ in range(_TRIES):
             chosen = _cheapest(steps, usable) if turns is None else _cheapest_driven(steps, turns, usable)
             if np.all(chosen == _WIDTH):
@@ -167,13 +163,13 @@ class _Descent:
             moved = self._between_knots(neighbours[np.arange(len(here)), chosen])
             if moved is None:
                 return 0.0
-            cost = self._objective.driven(self._stations, moved)
-            if not cost < self.cost:
+            cost = self._cost.of_run(self._stations, moved)
+            if not cost < self.least:
                 return 0.0
             bad, lower = self._bad_knots(moved)
             if not bad.any():
-                fallen = self.cost - cost
-                self.q, self.cost, self._lower = moved, cost, lower
+                fallen = self.least - cost
+                self.q, self.least, self._lower = moved, cost, lower
                 return fallen
             usable[bad] = False
             usable[:, _WIDTH] = True
@@ -216,10 +212,8 @@ class _Descent:
 
     def _nodes(self, neighbours: NDArray[np.float64]) -> Nodes:
         count, width, n = neighbours.shape
-        before = after = None
-        if self._velocities is not None:
-            before, after = (np.repeat(velocity, width, axis=0) for velocity in self._velocities)
-        return self._objective.nodes(neighbours.reshape(-1, n), before=before, after=after).shaped(count, width)
+        before, after = (None if v is None else np.repeat(v, width, axis=0) for v in self._tip)
+        return self._cost.nodes(neighbours.reshape(-1, n), (before, after)).reshape(count, width)
 
     # --- samples --------------------------------------------------------------------
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import Kinematics, movable_rows
-from backhoe_planner.motion import Objective, Problem, TipPath, Trajectory, drive_of, trajectory_costs
+from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners
 from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
@@ -119,7 +119,8 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
     motion, begun = part_on_path(path, trajectory, certificate.tracking.approach_time, kinematics=kinematics)
     if len(motion) < 3:
         return None
-    name = Objective(problem).name
+    name = problem.scene.objective
+    is_time = OBJECTIVES[name].is_time
     value, whole = trajectory_costs(problem, motion)[name], trajectory_costs(problem, trajectory)[name]
 
     def beside(law: float | None, moved: Trajectory | None, breaks: str | None) -> Comparison:
@@ -138,11 +139,11 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
             return beside(None, None, f"clearance: {what} (at {kind})")
         breaks = f"limit of joint {what}"
         # a motion beyond a limit cannot be timed within the limits
-        found = None if name == "time" else least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
+        found = None if is_time else least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
         if found is None:
             return beside(None, None, breaks)
         law = found
-    if name == "time":
+    if is_time:
         moved = timed_alone(problem, path, law, proximity=proximity, time=begun)
     else:
         moved = law_motion(path, law, motion, kinematics=kinematics)

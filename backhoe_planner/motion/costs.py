@@ -1,0 +1,249 @@
+"""What a motion costs: step by step along a bucket path, and finished, over its samples.
+
+For a step from joints q_a to q_b over the arc length h the tip is taken to move at an
+even speed u, slower only where a joint or a rod cannot follow:
+
+    dt = max(h / u, |dq_j| / v_j)        dq = q_b - q_a
+
+u is the scene's speed, or where it gives none a nominal one. The classes of `objectives`
+say what a step costs. The sums are the trapezoidal rule for what `trajectory_costs`
+reports of a finished plan, without torques of inertia. `work` and `hydraulic` do not
+depend on u.
+
+All costs come in one unit, that of the turning of a joint [rad], so that they can be
+weighed against the turning of the joints on a detour.
+
+Objectives that do not hold every motion back by themselves get more terms in the search,
+which are not part of their reported value: where loads drive the joints, work is 0
+whatever they do. The terms are
+
+    a small part of |dq|^2 / dt,
+    a price on the time that is lost where a joint cannot follow u, and where rates
+    change, max_j |v_j' - v_j| / a_j from step to step,
+    and the objective's own overhead.
+
+`time` counts the time that is lost and nothing else.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.machine import BatchKinematics, Dynamics, MotionEnergy, motion_energy
+from backhoe_planner.motion.objectives import (
+    OBJECTIVES,
+    LoadedMachine,
+    Nodes,
+    Step,
+    TipVelocities,
+    Usual,
+    find_objective,
+)
+from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.site import SoilReaction
+
+__all__ = ["WIDEST_STEP", "PathCost", "trajectory_costs", "trajectory_energy"]
+
+Array = NDArray[np.float64]
+
+WIDEST_STEP = 0.7  # rad or m that one joint may move in a step
+_SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added: enough to choose between motions that cost nothing
+_TYPICAL = 64  # seeded postures over which loads are averaged
+_SHORTEST = 1e-9  # s: a step takes no less, so that rates stay finite
+_UNLIMITED = 1e6  # rad/s and rad/s^2, in place of infinity
+
+
+class PathCost:
+    """What motions along a path cost by one objective.
+
+    Parameters
+    ----------
+    name: of the objective, by default the scene's.
+
+    Attributes
+    ----------
+    objective: by which it counts.
+    speed: u, the tip's [m/s]; infinite for `time` where the scene gives none.
+    per_radian: of the objective for 1 rad of cost, such as the J of work.
+
+    Raises
+    ------
+    SceneError: no such objective, or the machine lacks what it needs.
+    """
+
+    def __init__(self, problem: Problem, name: str | None = None) -> None:
+        robot, scene = problem.robot, problem.scene
+        self.objective = find_objective(scene.objective if name is None else name, robot)
+        self._machine = LoadedMachine(
+            Dynamics(robot, payload=scene.payload),
+            None if scene.soil is None else SoilReaction(robot, scene.soil),
+            robot.hydraulics,
+        )
+        self._kinematics = BatchKinematics(robot)
+        self._velocity, self._acceleration = (
+            np.where(np.isfinite(limit), limit, _UNLIMITED)
+            for limit in (problem.limits.velocity, problem.limits.acceleration)
+        )
+        asked = None if scene.task.path is None else scene.task.path.speed
+        nominal, usual = self._typical(problem, asked)
+        self.speed = asked if asked is not None else (np.inf if self.objective.is_time else nominal)
+        self._rate = usual.rate
+        self.per_radian = self.objective.per_radian(usual)
+        quiet = self.objective.is_quadratic
+        self._smoothing = 0.0 if quiet else _SMOOTHING
+        self._time_price = 0.0 if quiet else usual.rate * self.objective.time_share
+        if not self.per_radian > 0.0:  # a machine without mass costs nothing, whatever it does
+            self.per_radian, self._smoothing = 1.0, 1.0
+
+    # --- what it costs ----------------------------------------------------------------
+
+    def step_costs(self, a: Array, b: Array, span: float) -> Array:
+        """(A, B) of the steps from each of a (A, n) to each of b (B, n) over `span` of the path [m], in rad.
+
+        Infinite where a joint would move by more than `WIDEST_STEP`.
+        """
+        if not len(a) or not len(b):
+            return np.zeros((len(a), len(b)))
+        # the tip of all of a is at one place, and that of all of b
+        velocity = None if self._machine.soil is None else self._tip_velocity(np.vstack((a[:1], b[:1])))
+        before, after = self.nodes(a, (None, velocity)), self.nodes(b, (velocity, None))
+        cost = self.between(before[:, None], after[None, :], np.asarray(span))
+        widest = np.zeros(cost.shape)
+        for joint in range(a.shape[1]):
+            np.maximum(widest, np.abs(b[None, :, joint] - a[:, None, joint]), out=widest)
+        return np.where(widest > WIDEST_STEP, np.inf, cost)
+
+    def of_steps(self, stations: Array, q: Array) -> float:
+        """The steps of a resolved stretch, q (K, n) at `stations` (K,) [m], in rad."""
+        return self._sum(stations, q, smoothing=self._smoothing)
+
+    def of_run(self, stations: Array, q: Array) -> float:
+        """The same from rest to rest, with what the changes of the joints' rates take, in rad."""
+        cost = self.of_steps(stations, q)
+        if len(q) < 3 or not self.counts_rate_changes:
+            return cost
+        rates = self.rates(q[:-1], q[1:], np.diff(stations))
+        rest = np.zeros((q.shape[1], 1))
+        return cost + float(np.sum(self.rate_changes(np.hstack((rest, rates)), np.hstack((rates, rest)))))
+
+    @property
+    def counts_rate_changes(self) -> bool:
+        """Whether changes of the joints' rates cost anything."""
+        return self._time_price > 0.0
+
+    def value(self, stations: Array, q: Array) -> float:
+        """The steps in the objective's own unit, without what the search adds."""
+        return self.per_radian * self._sum(stations, q, smoothing=0.0)
+
+    def _sum(self, stations: Array, q: Array, *, smoothing: float) -> float:
+        if len(q) < 2:
+            return 0.0
+        nodes = self.nodes(q, self.tip_velocities(q))
+        return float(np.sum(self._between(nodes[:-1], nodes[1:], np.diff(stations), smoothing)))
+
+    def nodes(self, q: Array, tip: TipVelocities) -> Nodes:
+        """Configurations q (B, n) with what the objective needs of them, see `Objective.nodes`."""
+        found: Nodes = self.objective.nodes(q, self._machine, tip)
+        return found
+
+    def between(self, a: Nodes, b: Nodes, span: Array) -> Array:
+        """(...) of the steps from a to b over `span` (...) [m], all broadcast, in rad."""
+        return self._between(a, b, span, self._smoothing)
+
+    def _between(self, a: Nodes, b: Nodes, span: Array, smoothing: float) -> Array:
+        shape = np.broadcast_shapes(a.q.shape[:-1], b.q.shape[:-1])
+        dq = [b.q[..., j] - a.q[..., j] for j in range(a.q.shape[-1])]
+        squared = np.zeros(shape)
+        dt = np.zeros(shape) if np.isinf(self.speed) else np.broadcast_to(span / self.speed, shape).copy()
+        for joint, change in enumerate(dq):
+            squared += change * change
+            np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
+        dt = np.maximum(self.objective.duration(dt, a, b, self._machine), _SHORTEST)
+        step = Step(a, b, dq, squared, dt)
+        if not smoothing > 0.0:
+            return np.asarray(self.objective.of_step(step, self._machine) / self.per_radian)
+        lost = dt if np.isinf(self.speed) else np.maximum(dt - span / self.speed, 0.0)
+        held = self._time_price * lost + self.objective.overhead(step, self._machine, self.per_radian)
+        held = smoothing / self._rate * squared / dt + held
+        if self.objective.is_time:  # of which only what is lost can be had
+            return np.asarray(held)
+        return np.asarray(self.objective.of_step(step, self._machine) / self.per_radian + held)
+
+    # --- changes of rates ----------------------------------------------------------------
+
+    def rates(self, a: Array, b: Array, span: Array) -> Array:
+        """(n, ...) of the joints on the steps from a to b (..., n) over `span` (...) [m], in seconds of
+        their acceleration limits: how long each takes to gather its rate.
+        """
+        dq = [b[..., joint] - a[..., joint] for joint in range(a.shape[-1])]
+        dt = np.full(dq[0].shape, _SHORTEST)
+        if np.isfinite(self.speed):
+            np.maximum(dt, span / self.speed, out=dt)
+        for joint, change in enumerate(dq):
+            np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
+        return np.array([change / (dt * limit) for change, limit in zip(dq, self._acceleration, strict=True)])
+
+    def rate_changes(self, before: Array, after: Array) -> Array:
+        """(...) the time that a change of `rates` (n, ...) from step to step takes, in rad."""
+        longest = np.zeros(np.broadcast_shapes(before.shape[1:], after.shape[1:]))
+        for one, other in zip(before, after, strict=True):
+            change = other - one
+            np.maximum(longest, np.abs(change, out=change), out=longest)
+        longest *= self._time_price
+        return longest
+
+    # --- how the tip moves --------------------------------------------------------------
+
+    def _tip_velocity(self, q: Array) -> Array:
+        """(K - 1, 3) between neighbours of q (K, n) at the speed u [m/s]; still where the tip stands."""
+        change = np.diff(self._kinematics.at(q).tip_position, axis=0)
+        length = np.linalg.norm(change, axis=-1, keepdims=True)
+        speed = self.speed if np.isfinite(self.speed) else 1.0
+        return np.asarray(speed * np.where(length > 1e-6, change / np.maximum(length, 1e-6), 0.0))
+
+    def tip_velocities(self, q: Array) -> TipVelocities:
+        """Before and after each of q (K, n), (K, 3) [m/s]; None without soil, where they do not matter."""
+        if self._machine.soil is None:
+            return None, None
+        velocity = self._tip_velocity(q)
+        return np.vstack((velocity[:1], velocity)), np.vstack((velocity, velocity[-1:]))
+
+    def _typical(self, problem: Problem, asked: float | None) -> tuple[float, Usual]:
+        """A tip speed [m/s] and what is usual for this machine, `asked`: the tip's speed [m/s]."""
+        rng = np.random.default_rng(0)
+        q = np.array([problem.robot.random_q(rng) for _ in range(_TYPICAL)])
+        J = self._kinematics.at(q).position_jacobian()
+        arm = np.sqrt(np.mean(np.sum(J * J, axis=1), axis=0))
+        moving = arm > 1e-3 * float(np.max(arm, initial=0.0))
+        speed = 0.5 * float(np.median((arm * self._velocity)[moving])) if moving.any() else 1.0
+        reach = float(np.max(arm, initial=0.0)) or 1.0
+        return speed, Usual(
+            rate=(asked if asked is not None else speed) / reach,
+            load=float(np.mean(np.linalg.norm(self._machine.dynamics.gravity_torques(q), axis=1))),
+            inertia=float(np.mean(np.trace(self._machine.dynamics.mass_matrices(q), axis1=1, axis2=2))),
+        )
+
+
+def trajectory_energy(problem: Problem, trajectory: Trajectory) -> MotionEnergy:
+    """Torque, power and energy over the samples of a motion, with payload and soil."""
+    robot, soil = problem.robot, problem.scene.soil
+    return motion_energy(
+        robot, trajectory.time, q=trajectory.q, v=trajectory.v, a=trajectory.accelerations(),
+        payload=problem.scene.payload,
+        tip_force=None if soil is None else SoilReaction(robot, soil).force(trajectory.q, trajectory.v),
+    )  # fmt: skip
+
+
+def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, float]:
+    """What a motion costs by each objective that the machine has, by their names, in their units.
+
+    By full inverse dynamics, with the payload, and the soil where the scene has one.
+    """
+    energy = trajectory_energy(problem, trajectory)
+    return {
+        name: objective.of_motion(trajectory, energy)
+        for name, objective in OBJECTIVES.items()
+        if objective.suits(problem.robot)
+    }
