@@ -13,17 +13,24 @@ from .law import general_solution, joint_velocity, null_space_term, projector
 from .null_space import pseudo_inverse, resolve
 from .on_path import step_on_path
 from .paper_iteration import ITERATIONS, Push, paper_gains, paper_step, run_iteration
+from .qp import PRICE, UNBOUNDED, Kind, QuadraticProgram, Rows, Solution, solve_program
 from .shield import Shield, Shielded
 
 __all__ = [
     "ITERATIONS",
+    "PRICE",
+    "UNBOUNDED",
     "CompletedLaw",
+    "Kind",
     "LinkChain",
     "Magnification",
     "Push",
+    "QuadraticProgram",
     "Reference",
+    "Rows",
     "Shield",
     "Shielded",
+    "Solution",
     "activation",
     "all_link_jacobians",
     "all_link_velocities",
@@ -40,5 +47,6 @@ __all__ = [
     "push_factor",
     "resolve",
     "run_iteration",
+    "solve_program",
     "step_on_path",
 ]

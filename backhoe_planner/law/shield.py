@@ -19,10 +19,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import daqp
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
 
@@ -35,8 +35,7 @@ _ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W
 _STOPPING_PART = 1.6  # gamma T: 2 would stop exactly at the clearance
 _RECOVERY = 1.0  # 1/s, rate at which a violated clearance or limit is to be left
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s
-_SOFT, _HARD = 8, 0  # daqp's senses
-_UNBOUNDED = -1e30
+_MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
 
 
 @dataclass(frozen=True)
@@ -122,29 +121,16 @@ class Shield:
         """
         low, high = self.velocity_bounds(q, v_before, dt)
         time = max(self.braking_time(v_before), self.braking_time(wish))
-        bound, rows = self._distance_rows(nearby, time, dt, extra_margin)
-        A = -nearby.gradient[rows]
-        within = (wish >= low).all() and (wish <= high).all()
-        if within and (len(rows) == 0 or (A @ wish <= bound).all()):
-            return Shielded(v=wish, slack=0.0, binding=rows[:0])
+        clearance, pairs = self._clearance_rows(nearby, time, dt, extra_margin)
+        if (wish >= low).all() and (wish <= high).all() and clearance.are_kept_by(wish):
+            return Shielded(v=wish, slack=0.0, binding=pairs[:0])
         H = self._weight(wish, J_tip)
-        n, count = len(wish), len(rows)
-        sense = np.full(n + count, _SOFT, dtype=np.int32)
-        sense[:n] = _HARD
-        x, _, flag, _ = daqp.solve(
-            H,
-            -H @ wish,
-            A,
-            np.concatenate((high, bound)),
-            np.concatenate((low, np.full(count, _UNBOUNDED))),
-            sense,
-        )
-        if flag < 1 or not np.isfinite(x).all():
-            x = self._braked(v_before, dt)
+        solution = solve_program(QuadraticProgram(H, -H @ wish, low, high, (clearance,)))
+        x = self._braked(v_before, dt) if solution is None else solution.x
         v = np.minimum(np.maximum(x, low), high)
-        over = A @ v - bound
+        over = clearance.G @ v - clearance.h
         slack = float(over.max(initial=0.0))
-        return Shielded(v=v, slack=slack if slack > 1e-5 else 0.0, binding=rows[over > -1e-5])
+        return Shielded(v=v, slack=slack if slack > _MET else 0.0, binding=pairs[over > -_MET])
 
     def _braked(self, v: Vector, dt: float) -> Vector:
         time = self.braking_time(v)
@@ -160,12 +146,12 @@ class Shield:
             H -= (_ACROSS - _ALONG) / speed2 * np.outer(along, along)
         return np.asarray(H)
 
-    def _distance_rows(
+    def _clearance_rows(
         self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float
-    ) -> tuple[Vector, NDArray[np.intp]]:
-        """Right-hand sides of -g v <= bound, and the rows that can bind at all."""
+    ) -> tuple[Rows, NDArray[np.intp]]:
+        """The rows -g v <= gamma margin + drift that can bind at all, and the nearby pairs that they are of."""
         if len(nearby) == 0:
-            return np.zeros(0), np.zeros(0, dtype=int)
+            return Rows("clearance", np.zeros((0, len(self.limits.velocity))), np.zeros(0)), np.zeros(0, dtype=np.intp)
         gamma = _STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt)
         margin = nearby.margin - extra_margin
         bound = gamma * margin
@@ -173,8 +159,8 @@ class Shield:
             bound = np.where(margin >= 0.0, bound, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY))
         bound += nearby.drift
         reachable = np.abs(nearby.gradient) @ self.limits.velocity
-        rows = np.flatnonzero(bound < reachable)
-        return bound[rows], rows
+        pairs = np.flatnonzero(bound < reachable)
+        return Rows("clearance", -nearby.gradient[pairs], bound[pairs]), pairs
 
 
 def _stoppable(gap: Vector, a: Vector, lead: float) -> Vector:

@@ -7,19 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from backhoe_planner.law import step_on_path
+from backhoe_planner.law import Kind, Rows, step_on_path
 
 Vector = NDArray[np.float64]
 
 WIDE = np.full(2, 10.0)
-NO_ROWS: Vector = np.zeros((0, 2))
-NONE: Vector = np.zeros(0)
 SUM = np.array([[1.0, 1.0]])
 
 
-def along_the_line(wish: list[float], *, high: Vector = WIDE, rows: Vector = NO_ROWS, lower: Vector = NONE) -> Vector:
+def hard(G: Vector, h: Vector) -> tuple[Rows, ...]:
+    return (Rows("test", G, h, Kind.HARD),)
+
+
+def along_the_line(wish: list[float], *, high: Vector = WIDE, rows: tuple[Rows, ...] = ()) -> Vector:
     """The step nearest to `wish` with dq_1 + dq_2 = 1."""
-    found = step_on_path(np.array(wish), SUM, np.ones(1), -WIDE, high, rows, lower)
+    found = step_on_path(np.array(wish), SUM, error=np.ones(1), low=-WIDE, high=high, rows=rows)
     assert found is not None
     return found
 
@@ -36,15 +38,15 @@ def test_a_bound_moves_it_along_the_path() -> None:
 
 def test_a_row_moves_it_along_the_path() -> None:
     """dq_1 - dq_2 >= 0.4"""
-    found = along_the_line([0.0, 0.0], rows=np.array([[1.0, -1.0]]), lower=np.array([0.4]))
+    found = along_the_line([0.0, 0.0], rows=hard(np.array([[-1.0, 1.0]]), np.array([-0.4])))
     np.testing.assert_allclose(found, [0.7, 0.3], atol=1e-9)
 
 
 def test_what_is_impossible_is_none() -> None:
     narrow = np.full(2, 0.4)
-    assert step_on_path(np.zeros(2), SUM, np.ones(1), -narrow, narrow, NO_ROWS, NONE) is None
-    away = np.array([[-1.0, -1.0]]), np.array([-0.5])  # dq_1 + dq_2 <= 0.5
-    assert step_on_path(np.zeros(2), SUM, np.ones(1), -WIDE, WIDE, *away) is None
+    assert step_on_path(np.zeros(2), SUM, error=np.ones(1), low=-narrow, high=narrow) is None
+    away = hard(np.array([[1.0, 1.0]]), np.array([0.5]))  # dq_1 + dq_2 <= 0.5
+    assert step_on_path(np.zeros(2), SUM, error=np.ones(1), low=-WIDE, high=WIDE, rows=away) is None
 
 
 @given(seed=st.integers(0, 10_000))
@@ -56,7 +58,7 @@ def test_what_is_found_keeps_every_condition(seed: int) -> None:
     J, rows, wish = rng.normal(size=(m, n)), rng.normal(size=(k, n)), rng.normal(size=n)
     low, high = known - rng.uniform(0.05, 1.0, n), known + rng.uniform(0.05, 1.0, n)
     lower = rows @ known - rng.uniform(0.05, 1.0, k)
-    found = step_on_path(wish, J, J @ known, low, high, rows, lower)
+    found = step_on_path(wish, J, error=J @ known, low=low, high=high, rows=hard(-rows, -lower))
     assert found is not None
     np.testing.assert_allclose(J @ found, J @ known, atol=1e-6)
     assert np.all(found >= low - 1e-6)

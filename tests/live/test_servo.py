@@ -478,7 +478,6 @@ def test_the_way_back_is_the_best_there_is() -> None:
         low, high = -rng.uniform(0.0005, 0.5, 4), rng.uniform(0.0005, 0.5, 4)
         found = way_back(
             rows, slack, target=rng.normal(size=4), low=low, high=high, fastest=10.0,
-            soft_rows=np.zeros((0, 4)), soft_bounds=np.zeros(0),
         )  # fmt: skip
         best = linprog(
             [0.0, 0.0, 0.0, 0.0, -1.0], A_ub=np.hstack((rows, np.ones((6, 1)))), b_ub=slack,

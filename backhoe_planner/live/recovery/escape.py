@@ -33,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
@@ -217,7 +218,8 @@ class WayOut:
                 # beyond a limit a joint may come back, not go further out
                 low=np.minimum(np.maximum(-trust, self._lower - q), 0.0),
                 high=np.maximum(np.minimum(trust, self._upper - q), 0.0),
-                fastest=part * trust, soft_rows=others, soft_bounds=np.maximum(-depth[close[~hard]], 0.0),
+                fastest=part * trust,
+                others=(Rows("clearance", others, np.maximum(-depth[close[~hard]], 0.0)),),
             )  # fmt: skip
             if found is None:
                 return None

@@ -43,6 +43,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, Placements
 from backhoe_planner.live.braking.proof import Proof
 from backhoe_planner.live.braking.separation import Separation
@@ -87,11 +88,11 @@ class Step:
     q, v: (n,) where the joints are, and their velocity.
     low, high: (n,) the velocities within reach, see `Recovery.slowed`.
     target, brake: (n,) the velocity that is wished, and the one that brakes.
-    soft_rows, soft_bounds: (S, n), (S,) `row @ v <= bound`, of what comes nearer.
+    evasion: rows of what comes nearer.
     path: the braking path of a velocity.
     prove: what is known of that path for all pairs that are not violated and could bind;
         it fills the placements with the path where there are any.
-    rows: rows and bounds that keep what such a path did not.
+    rows: that keep what such a path did not.
     """
 
     q: Vector
@@ -100,11 +101,10 @@ class Step:
     high: Vector
     target: Vector
     brake: Vector
-    soft_rows: Matrix
-    soft_bounds: Vector
+    evasion: Rows
     path: Callable[[Vector], BrakingPath]
     prove: Callable[[BrakingPath], Proof]
-    rows: Callable[[BrakingPath, Proof], tuple[Matrix, Vector]]
+    rows: Callable[[BrakingPath, Proof], Rows]
 
 
 @dataclass(frozen=True)
@@ -228,14 +228,14 @@ class Recovery:
             target, fastest = step.brake, _WAITING_FALL
         ceiling = np.maximum(self._ceiling[pairs], deepest) if below else deepest
         slack = _HOLDS * (ceiling - depth)
-        soft_rows, soft_bounds = step.soft_rows, step.soft_bounds
+        others: tuple[Rows, ...] = (step.evasion,)
         tried = step.brake
         all_rows, all_slack = rows, slack
         for attempt in range(_ATTEMPTS + len(_BLENDS)):
             if attempt < _ATTEMPTS:
                 found = way_back(
                     all_rows, all_slack, target=target, low=step.low, high=step.high,
-                    fastest=fastest, soft_rows=soft_rows, soft_bounds=soft_bounds,
+                    fastest=fastest, others=others,
                 )  # fmt: skip
                 if found is None:
                     continue
@@ -274,10 +274,9 @@ class Recovery:
                     level = ceiling
                 return depth, Way(path, proof, level)
             if not proof.clear:
-                more_rows, bounds = step.rows(path, proof)
                 # nothing may be asked for that the way back could not give
-                soft_rows = np.vstack((soft_rows, more_rows))
-                soft_bounds = np.append(soft_bounds, np.maximum(bounds, 0.0))
+                more_rows = step.rows(path, proof)
+                others = (*others, more_rows._replace(h=np.maximum(more_rows.h, 0.0)))
         return depth, None
 
     def _spans(self, path: BrakingPath) -> list[float]:

@@ -18,9 +18,10 @@ nearest to the wish is taken. Where no joint rate makes V smaller, t is 0.
 
 from __future__ import annotations
 
-import daqp
 import numpy as np
 from numpy.typing import NDArray
+
+from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
 
 __all__ = ["by_owner", "way_back"]
 
@@ -29,8 +30,6 @@ Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _WISH = 1e-3  # weight of the wish beside the speed of the way back
-_SOFT, _HARD = 8, 0  # daqp's senses
-_UNBOUNDED = -1e30
 _SMALLEST = 1e-12
 
 
@@ -42,10 +41,9 @@ def way_back(
     low: Vector,
     high: Vector,
     fastest: float,
-    soft_rows: Matrix,
-    soft_bounds: Vector,
+    others: tuple[Rows, ...] = (),
 ) -> tuple[Vector, float] | None:
-    """The velocity by which the deepest violation falls fastest, and how fast that is [m/s].
+    """The velocity (n,) by which the deepest violation falls fastest, and how fast that is [m/s].
 
     Parameters
     ----------
@@ -54,38 +52,42 @@ def way_back(
     target: (n,) the velocity that is wished.
     low, high: (n,) what the joints can do in this step.
     fastest: speed that is enough [m/s].
-    soft_rows, soft_bounds: (S, n), (S,) `row @ v <= bound` for everything else.
+    others: rows of everything else.
 
     None where the solver fails.
     """
-    n, hard, soft = len(target), len(slack), len(soft_bounds)
+    n = len(target)
     # in parts of what the joints can change, so that a start from rest is as exact as any other
     middle, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), _SMALLEST)
-    A = rows * reach
-    scale = max(float(np.abs(A).sum(axis=1).max(initial=0.0)), _SMALLEST)
-    B = soft_rows * reach
-    size = np.maximum(np.abs(B).sum(axis=1), _SMALLEST)
-    constraints = np.zeros((hard + soft, n + 1))
-    constraints[:hard, :n], constraints[:hard, n] = A / scale, 1.0
-    constraints[hard:, :n] = B / size[:, None]
-    upper = np.concatenate(
-        (
-            np.ones(n),
-            [fastest / scale],
-            (slack - rows @ middle) / scale,
-            (soft_bounds - soft_rows @ middle) / size,
-        )
-    )
-    lower = np.full(n + 1 + hard + soft, _UNBOUNDED)
-    lower[:n] = -1.0
-    sense = np.full(n + 1 + hard + soft, _HARD, dtype=np.int32)
-    sense[n + 1 + hard :] = _SOFT
+    scale = max(float(np.abs(rows * reach).sum(axis=1).max(initial=0.0)), _SMALLEST)
     wished = np.minimum(np.maximum((target - middle) / reach, -1.0), 1.0)
-    f = np.append(-_WISH * wished, -1.0)
-    x, _, flag, _ = daqp.solve(_WISH * np.eye(n + 1), f, constraints, upper, lower, sense)
-    if flag < 1 or not np.isfinite(x).all():
+    program = QuadraticProgram(
+        H=_WISH * np.eye(n + 1),
+        f=np.append(-_WISH * wished, -1.0),
+        low=np.append(np.full(n, -1.0), -UNBOUNDED),
+        high=np.append(np.ones(n), fastest / scale),
+        rows=(
+            Rows("violation", _with_speed(rows * reach / scale, 1.0), (slack - rows @ middle) / scale, Kind.HARD),
+            *(_scaled(block, middle, reach) for block in others),
+        ),
+    )
+    solution = solve_program(program)
+    if solution is None:
         return None
-    return np.minimum(np.maximum(middle + reach * x[:n], low), high), float(x[n] * scale)
+    v = middle + reach * solution.x[:n]
+    return np.minimum(np.maximum(v, low), high), float(solution.x[n] * scale)
+
+
+def _scaled(block: Rows, middle: Vector, reach: Vector) -> Rows:
+    """The same conditions for u with v = middle + reach u, each row of size 1, and blind to the speed t."""
+    G = block.G * reach
+    size = np.maximum(np.abs(G).sum(axis=1), _SMALLEST)
+    return block._replace(G=_with_speed(G / size[:, None], 0.0), h=(block.h - block.G @ middle) / size)
+
+
+def _with_speed(G: Matrix, coefficient: float) -> Matrix:
+    """(K, n + 1) the rows with a column for the speed t."""
+    return np.hstack((G, np.full((len(G), 1), coefficient)))
 
 
 def by_owner(depth: Vector, owner: Indices) -> Vector:

@@ -31,11 +31,11 @@ import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import daqp
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
+from backhoe_planner.law import QuadraticProgram, Rows, solve_program
 from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, Placements
 from backhoe_planner.live.braking.joint_bounds import (
     BRAKING,
@@ -66,8 +66,6 @@ Indices = NDArray[np.intp]
 _ATTEMPTS = 3
 _BLENDS = (0.5, 0.2)
 _LOOKS = 12  # pairs that are looked at closely per step at most
-_SOFT, _HARD = 8, 0  # daqp's senses
-_UNBOUNDED = -1e30
 _FREE = 0.005  # weight of the null space beside the tip
 _VIOLATED = 1e-7  # m
 _REMEMBERED = 0.02  # s for which being held back counts
@@ -405,12 +403,12 @@ class Servo:
             return self._choose_back(wish, low, high, near)
         v = self._within_limits(wish, low, high)
         awake, budget = self._awake()
-        urgent_rows, urgent_bounds = self._urgent(near, low, high)
+        evasion = self._evasion_rows(near, low, high)
         held_back = evading = False
         tried = v
         straight: tuple[BrakingPath, Proof] | None = None
         for attempt in range(_ATTEMPTS):
-            late = len(urgent_bounds) > 0 and bool((urgent_rows @ v > urgent_bounds + TOLERANCE).any())
+            late = not evasion.are_kept_by(v, TOLERANCE)
             path = self._path(v)
             proof = self._prove(awake, path)
             if (proof.free if attempt == 0 else proof.clear) and not late:
@@ -422,9 +420,7 @@ class Servo:
                 if proof.stands_clear:
                     return self._accepted(path, True, evading, awake, proof)
                 break
-            rows, bounds = self._rows(awake, budget, path, proof)
-            rows, bounds = np.vstack((rows, urgent_rows)), np.concatenate((bounds, urgent_bounds))
-            solved = self._within_rows(wish, low, high, rows, bounds)
+            solved = self._within_rows(wish, low, high, (self._braking_rows(awake, budget, path, proof), evasion))
             evading |= late
             held_back = True
             if np.abs(solved - v).max() < 1e-12:
@@ -458,29 +454,27 @@ class Servo:
         if self._commands.tip is None:
             return np.minimum(np.maximum(target, low), high)
         # the other joints alone would lead the tip elsewhere
-        none, nothing = np.zeros((0, len(target))), np.zeros(0)
         self._beside = np.zeros(len(target))
-        target = self._joints.towards(self._steady(wish, none, nothing), self._v)
+        target = self._joints.towards(self._steady(wish, ()), self._v)
         v = np.minimum(np.maximum(target, low), high)
-        return self._solve(target, low, high, none, nothing) if np.count_nonzero(v != target) else v
+        return self._solve(target, low, high, ()) if np.count_nonzero(v != target) else v
 
-    def _within_rows(self, wish: Vector, low: Vector, high: Vector, rows: Matrix, bounds: Vector) -> Vector:
-        """(n,) the next velocity on the way to what rows and limits leave of the wish, row @ v <= bound.
+    def _within_rows(self, wish: Vector, low: Vector, high: Vector, rows: tuple[Rows, ...]) -> Vector:
+        """(n,) the next velocity on the way to what rows and limits leave of the wish.
 
         What would be left in the end is asked for first: from step to step alone, each
         within the joints' accelerations, the nearest need not lead there.
         """
-        target = self._joints.towards(self._steady(wish, rows, bounds), self._v)
+        target = self._joints.towards(self._steady(wish, rows), self._v)
         v = np.minimum(np.maximum(target, low), high)
-        if np.count_nonzero(v != target) or np.count_nonzero(rows @ v > bounds):
-            return self._solve(target, low, high, rows, bounds)
-        return v
+        kept = not np.count_nonzero(v != target) and all(block.are_kept_by(v) for block in rows)
+        return v if kept else self._solve(target, low, high, rows)
 
-    def _steady(self, wish: Vector, rows: Matrix, bounds: Vector) -> Vector:
+    def _steady(self, wish: Vector, rows: tuple[Rows, ...]) -> Vector:
         """(n,) what rows and limits leave of the wish in the end, however long it takes to get there."""
-        found = self._solve(wish, self._joints.least, self._joints.most, rows, bounds)
+        found = self._solve(wish, self._joints.least, self._joints.most, rows)
         less = found / self._joints.over_rates(self._q, found)
-        return found if np.count_nonzero(rows @ less > bounds + TOLERANCE) else less
+        return less if all(block.are_kept_by(less, TOLERANCE) for block in rows) else found
 
     def _path(self, v: Vector, *, step: bool = True) -> BrakingPath:
         return BrakingPath(
@@ -534,12 +528,12 @@ class Servo:
         free = len(short) == 0 and bool((bound >= required + BUFFER).all())
         return Proof(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
-    def _rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: Proof) -> tuple[Matrix, Vector]:
-        """Rows and bounds, row @ v <= bound, of what could bind along the path [m/s]."""
+    def _braking_rows(self, awake: Indices, budget: Vector, path: BrakingPath, proof: Proof) -> Rows:
+        """The rows of what could bind along the path [m/s]."""
         separation = self._separation
         n = self.robot.n
         if len(awake) == 0:
-            return np.zeros((0, n)), np.zeros(0)
+            return Rows("braking", np.zeros((0, n)), np.zeros(0))
         classes = separation.classes[awake]
         required = self._bounds.required[awake]
         wanted = required + BUFFER
@@ -557,7 +551,7 @@ class Servo:
             counts[tight, row] = only
         samples, k, corners = np.nonzero(counts)
         if len(k) == 0:
-            return np.zeros((0, n)), np.zeros(0)
+            return Rows("braking", np.zeros((0, n)), np.zeros(0))
         if len(k) > _MOST_ROWS:
             tightest = np.argpartition(room[samples, k, corners], _MOST_ROWS)[:_MOST_ROWS]
             samples, k, corners = samples[tightest], k[tightest], corners[tightest]
@@ -566,7 +560,7 @@ class Servo:
         bounds = room[samples, k, corners] / (part * path.look) + rows @ path.v
         # never ask for more of a way back than the start itself is short of
         short = np.maximum(wanted[k] - proof.gaps[0, k, corners], 0.0)
-        return rows, np.maximum(bounds, -2.0 * short)
+        return Rows("braking", rows, np.maximum(bounds, -2.0 * short))
 
     def _choose_back(self, wish: Vector, low: Vector, high: Vector, near: Near) -> _Chosen:
         """The velocity of the way back, with what was proven of it held from now on."""
@@ -574,13 +568,12 @@ class Servo:
         pairs = bounds.inside
         low, high = self._recovery.slowed(self._q, self._v, low, high)
         awake, budget = self._awake()
-        soft_rows, soft_bounds = self._urgent(near, low, high)
         step = Step(
             q=self._q, v=self._v, low=low, high=high, target=np.minimum(np.maximum(self._asked, low), high),
             brake=self._braking(),
-            soft_rows=soft_rows, soft_bounds=soft_bounds, path=self._path,
+            evasion=self._evasion_rows(near, low, high), path=self._path,
             prove=lambda path: self._prove(awake, path),
-            rows=lambda path, proof: self._rows(awake, budget, path, proof),
+            rows=lambda path, proof: self._braking_rows(awake, budget, path, proof),
         )  # fmt: skip
         depth, way = self._recovery.choose(pairs, bounds.stands, step)
         bounds.is_at(pairs, clearance[pairs] - depth)
@@ -593,19 +586,19 @@ class Servo:
             bounds.inside = pairs[~np.isin(pairs, out)]
         return self._accepted(way.path, True, False, awake, way.proof)
 
-    def _urgent(self, near: Near, low: Vector, high: Vector) -> tuple[Matrix, Vector]:
-        """Rows and bounds, row @ v <= bound, of obstacles that come nearer and of what is too close already."""
+    def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
+        """The rows of obstacles that come nearer and of what is too close already."""
         separation = self._separation
         n = self.robot.n
         if len(near.pairs) == 0:
-            return np.zeros((0, n)), np.zeros(0)
+            return Rows("evasion", np.zeros((0, n)), np.zeros(0))
         clearance = separation.clearance[near.pairs]
         too_close = np.maximum(near.distance, self._bounds.required[near.pairs]) < clearance - _VIOLATED
         too_close &= ~self._bounds.stands[near.pairs]
         drift = separation.drift[near.pairs]
         chosen = ((drift < 0.0) | too_close).nonzero()[0]
         if len(chosen) == 0:
-            return np.zeros((0, n)), np.zeros(0)
+            return Rows("evasion", np.zeros((0, n)), np.zeros(0))
         own = near.gaps[chosen]
         if len(chosen) > _MOST_ROWS:
             chosen = chosen[np.argpartition(own.min(axis=1), _MOST_ROWS)[:_MOST_ROWS]]
@@ -621,34 +614,21 @@ class Servo:
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
         bounds = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
         could = np.maximum(rows * low, rows * high).sum(axis=1) > bounds
-        return rows[could], bounds[could]
+        return Rows("evasion", rows[could], bounds[could])
 
-    def _solve(self, target: Vector, low: Vector, high: Vector, rows: Matrix, bounds: Vector) -> Vector:
+    def _solve(self, target: Vector, low: Vector, high: Vector, rows: tuple[Rows, ...]) -> Vector:
         """The velocity nearest to the target within rows and bounds, as the tip notices it."""
-        n, count = len(target), len(bounds)
         if self._task is not None:
             # what the target does for the tip is asked of the tip alone: that of each joint
             # would drive the others on where one cannot follow
-            J = self._task
-            serves = J.T @ J
-            H = _FREE * np.eye(n) + serves
+            serves = self._task.T @ self._task
+            H = _FREE * np.eye(len(target)) + serves
             f = -(serves @ target) - _FREE * self._beside
         else:
-            H = np.eye(n)
-            f = -target
-        sense = np.full(n + count, _SOFT, dtype=np.int32)
-        sense[:n] = _HARD
-        x, _, flag, _ = daqp.solve(
-            H,
-            f,
-            np.ascontiguousarray(rows),
-            np.concatenate((high, bounds)),
-            np.concatenate((low, np.full(count, _UNBOUNDED))),
-            sense,
-        )
-        if flag < 1 or not np.isfinite(x).all():
-            x = self._joints.brake(self._v)
-        return np.asarray(np.minimum(np.maximum(x, low), high))
+            H, f = np.eye(len(target)), -target
+        solution = solve_program(QuadraticProgram(H, f, low, high, rows))
+        x = self._joints.brake(self._v) if solution is None else solution.x
+        return np.minimum(np.maximum(x, low), high)
 
     def _accepted(self, path: BrakingPath, held_back: bool, evading: bool, awake: Indices, proof: Proof) -> _Chosen:
         self._bounds.accept(awake, proof)

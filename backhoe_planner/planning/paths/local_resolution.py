@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law import CompletedLaw, step_on_path
+from backhoe_planner.law import CompletedLaw, Kind, Rows, step_on_path
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem, TipPath, hand_set_gains
 from backhoe_planner.proof import segment_is_clear
@@ -113,9 +113,9 @@ def _next(
     wish = span * law.wish(at, J, error / span, nearby).v
     low = np.maximum(limits.lower - at.q, -_LARGEST_STEP)
     high = np.minimum(limits.upper - at.q, _LARGEST_STEP)
-    rows, lower = nearby.gradient, -_APPROACH * np.maximum(nearby.margin - _SPARE, 0.0)
-    rows, lower = _with_pitch(target, at, rows, lower)
-    step = step_on_path(wish, J, error, low, high, rows, lower)
+    room = _APPROACH * np.maximum(nearby.margin - _SPARE, 0.0)
+    rows = (Rows("clearance", -nearby.gradient, room, Kind.HARD), *_pitch_rows(target, at))
+    step = step_on_path(wish, J, error=error, low=low, high=high, rows=rows)
     if step is None:
         return None
     q = at.q + step
@@ -127,10 +127,10 @@ def _next(
         fix = step_on_path(
             np.zeros(len(q)),
             J,
-            error,
-            limits.lower - q,
-            limits.upper - q,
-            *_with_pitch(target, now, np.zeros((0, len(q))), np.zeros(0)),
+            error=error,
+            low=limits.lower - q,
+            high=limits.upper - q,
+            rows=_pitch_rows(target, now),
         )
         if fix is None:
             return None
@@ -154,17 +154,17 @@ def has_open_range(target: TipTarget) -> bool:
     return target.rotation is None and target.pitch is not None and target.pitch[1] - target.pitch[0] > _OPEN_RANGE
 
 
-def _with_pitch(target: TipTarget, at: Configuration, rows: Matrix, lower: Vector) -> tuple[Matrix, Vector]:
-    """The rows, and two more that hold the pitch within the asked range."""
+def _pitch_rows(target: TipTarget, at: Configuration) -> tuple[Rows, ...]:
+    """The rows that hold the pitch within its range; none where it is one angle, or free."""
     if not has_open_range(target):
-        return rows, lower
+        return ()
     assert target.pitch is not None
     low, high = target.pitch
     middle = 0.5 * (low + high)
     off = (at.pitch - middle + np.pi) % (2.0 * np.pi) - np.pi
     half = 0.5 * (high - low)
     row = at.pitch_row
-    return np.vstack((rows, row, -row)), np.concatenate((lower, [-half - off, off - half]))
+    return (Rows("pitch", np.vstack((row, -row)), np.array([half - off, half + off]), Kind.HARD),)
 
 
 def _blocker(problem: Problem, at: Configuration, nearby: Nearby, proximity: Proximity) -> tuple[str, str]:

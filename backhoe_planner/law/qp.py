@@ -1,0 +1,140 @@
+"""One quadratic program: built of named rows, looked at, then solved by daqp.
+
+    min_x  1/2 x^T H x + f^T x + sum_i PRICE / 2 s_i^2 / (g_i H^-1 g_i^T)
+    s.t.   low <= x <= high         bounds, always kept
+           G x <= h                 rows of kind HARD
+           G x  = h                 rows of kind EQUAL
+           G x <= h + s             rows of kind SOFT; s is what they miss
+
+The price of s_i is daqp's: it counts what a row misses by how far x has to go for it, as
+the cost measures that.
+
+All conditions have this one sign. Building is separate from solving, so that tests can
+look at the problem, and a solution can say by itself whether it is right.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import daqp
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["PRICE", "UNBOUNDED", "Kind", "QuadraticProgram", "Rows", "Solution", "solve_program"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
+UNBOUNDED = 1e30  # from here on daqp counts a bound as none
+
+
+class Kind(IntEnum):
+    """How a row binds; the numbers are daqp's senses."""
+
+    HARD = 0
+    EQUAL = 5
+    SOFT = 8
+
+
+class Rows(NamedTuple):
+    """Conditions G x <= h that come from one source.
+
+    Attributes
+    ----------
+    name: of the source, as "clearance".
+    G: (K, n).
+    h: (K,).
+    kind: of all of them.
+    """
+
+    name: str
+    G: Matrix
+    h: Vector
+    kind: Kind = Kind.SOFT
+
+    def are_kept_by(self, x: Vector, tolerance: float = 0.0) -> bool:
+        """Whether G x <= h + tolerance at x (n,)."""
+        return not np.count_nonzero(self.G @ x > self.h + tolerance)
+
+
+class QuadraticProgram(NamedTuple):
+    """A problem, see the module's text.
+
+    Attributes
+    ----------
+    H: (n, n) symmetric, positive definite.
+    f: (n,).
+    low, high: (n,) bounds of x; -UNBOUNDED and UNBOUNDED for none.
+    rows: further conditions.
+    """
+
+    H: Matrix
+    f: Vector
+    low: Vector
+    high: Vector
+    rows: tuple[Rows, ...] = ()
+
+
+class Solution(NamedTuple):
+    """The x that costs least.
+
+    Attributes
+    ----------
+    x: (n,).
+    multipliers: (n + K,) of the bounds and of all rows, positive at an upper side.
+    """
+
+    program: QuadraticProgram
+    x: Vector
+    multipliers: Vector
+
+    @property
+    def residual(self) -> float:
+        """Largest violation of the optimality conditions (Karush, Kuhn and Tucker), in the units of the terms.
+
+        Gradient of the cost against the multipliers, conditions that are broken, and
+        multipliers of conditions that do not bind; 0 at the exact solution.
+        """
+        program, x = self.program, self.x
+        n = len(x)
+        pull = program.H @ x + program.f + self.multipliers[:n]
+        off = [np.maximum(program.low - x, x - program.high)]
+        side = np.where(self.multipliers[:n] > 0.0, program.high - x, x - program.low)
+        off.append(np.where(self.multipliers[:n] == 0.0, 0.0, side))
+        first = n
+        for rows in program.rows:
+            force = self.multipliers[first : first + len(rows.h)]
+            first += len(rows.h)
+            pull = pull + rows.G.T @ force
+            over = rows.G @ x - rows.h
+            if rows.kind is Kind.SOFT:
+                over -= force / PRICE * np.einsum("kn,nk->k", rows.G, np.linalg.solve(program.H, rows.G.T))
+            off.append(over if rows.kind is not Kind.EQUAL else np.abs(over))
+            if rows.kind is not Kind.EQUAL:
+                off += [-force, np.where(force == 0.0, 0.0, -over)]
+        return float(max(np.abs(pull).max(), *(part.max(initial=0.0) for part in off)))
+
+
+def solve_program(program: QuadraticProgram) -> Solution | None:
+    """The solution, or None where no x keeps bounds, hard and equal rows."""
+    n, rows = len(program.f), program.rows
+    counts = [len(block.h) for block in rows]
+    sense = np.zeros(n + sum(counts), dtype=np.int32)
+    lower = np.full(len(sense), -UNBOUNDED)
+    lower[:n] = program.low
+    first = n
+    for block, count in zip(rows, counts, strict=True):
+        if block.kind is not Kind.HARD:
+            sense[first : first + count] = block.kind
+        if block.kind is Kind.EQUAL:
+            lower[first : first + count] = block.h
+        first += count
+    G = np.concatenate([block.G for block in rows]) if rows else np.zeros((0, n))
+    upper = np.concatenate([program.high, *(block.h for block in rows)])
+    x, _, flag, more = daqp.solve(program.H, program.f, G, upper, lower, sense)
+    if flag < 1 or not np.isfinite(x).all():
+        return None
+    return Solution(program, np.asarray(x), np.asarray(more["lam"]))

@@ -1,0 +1,73 @@
+"""Quadratic programs: by hand, and what a solution says about itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from backhoe_planner.law import PRICE, Kind, QuadraticProgram, Rows, solve_program
+
+WIDE = np.full(2, 10.0)
+
+
+def nearest(wish: list[float], *rows: Rows, high: float = 10.0) -> np.ndarray:
+    """The point of the plane nearest to a wish."""
+    found = solve_program(QuadraticProgram(np.eye(2), -np.array(wish), -WIDE, np.full(2, high), rows))
+    assert found is not None
+    assert found.residual < 1e-7
+    return found.x
+
+
+def half_plane(kind: Kind) -> Rows:
+    """x + y <= 1"""
+    return Rows("test", np.array([[1.0, 1.0]]), np.array([1.0]), kind)
+
+
+def test_by_hand() -> None:
+    np.testing.assert_allclose(nearest([3.0, 2.0]), [3.0, 2.0], atol=1e-9)
+    np.testing.assert_allclose(nearest([3.0, 2.0], high=1.5), [1.5, 1.5], atol=1e-9)
+    np.testing.assert_allclose(nearest([3.0, 2.0], half_plane(Kind.HARD)), [1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(nearest([-1.0, 0.0], half_plane(Kind.HARD)), [-1.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(nearest([-1.0, 0.0], half_plane(Kind.EQUAL)), [0.0, 1.0], atol=1e-9)
+
+
+def test_a_soft_row_is_missed_by_its_force_over_its_price() -> None:
+    """From (3, 2) its force is 2, and g H^-1 g^T is 2. Where x, y >= 2, it misses 3: a force of 3 / 2."""
+    soft = half_plane(Kind.SOFT)
+    stuck = solve_program(QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, 2.0), WIDE, (soft,)))
+    assert stuck is not None
+    np.testing.assert_allclose(stuck.x, [2.0, 2.0], atol=1e-9)
+    assert stuck.multipliers[2] == pytest.approx(1.5 * PRICE, rel=1e-6)
+    assert nearest([3.0, 2.0], soft).sum() - 1.0 == pytest.approx(4.0 / PRICE, rel=1e-3)
+
+
+def test_what_is_impossible_has_no_solution() -> None:
+    hard = half_plane(Kind.HARD)
+    assert solve_program(QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, 2.0), WIDE, (hard,))) is None
+
+
+def test_rows_say_whether_they_are_kept() -> None:
+    rows = half_plane(Kind.HARD)
+    assert rows.are_kept_by(np.array([0.5, 0.5]))
+    assert not rows.are_kept_by(np.array([0.5, 0.6]))
+    assert rows.are_kept_by(np.array([0.5, 0.6]), 0.11)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_a_solution_knows_whether_it_is_right(seed: int) -> None:
+    """Around a point that keeps all conditions; anything 1e-3 beside the solution is not one."""
+    rng = np.random.default_rng(seed)
+    n = 4
+    known, A = rng.uniform(-1.0, 1.0, n), rng.normal(size=(n, n))
+    rows = []
+    for kind, count in ((Kind.HARD, 3), (Kind.EQUAL, 1), (Kind.SOFT, 4)):
+        G = rng.normal(size=(count, n))
+        h = G @ known + (0.0 if kind is Kind.EQUAL else rng.uniform(0.0, 0.5, count))
+        rows.append(Rows(kind.name.lower(), G, h, kind))
+    low, high = known - rng.uniform(0.0, 1.0, n), known + rng.uniform(0.0, 1.0, n)
+    found = solve_program(QuadraticProgram(A.T @ A + 0.1 * np.eye(n), rng.normal(size=n), low, high, tuple(rows)))
+    assert found is not None
+    assert found.residual < 1e-5
+    assert found._replace(x=found.x + 1e-3).residual > 1e-5
