@@ -103,7 +103,7 @@ def draw(robot: bp.Robot, seed: int) -> Iterator[Case]:
         length = rng.uniform(SHORTEST, LONGEST)
         begin = np.array(kinematics.at(q).tip_position)
         end = begin + length * direction / np.linalg.norm(direction)
-        inside = bp.solve_inverse_kinematics(robot, bp.TipTarget(end), kinematics=kinematics)
+        inside = bp.solve_inverse_kinematics(robot, bp.TipTarget(end))
         if inside.reached and bool(np.all(proximity.distances(q) >= proximity.clearance)):
             yield Case(tuple(q.tolist()), tuple(begin.tolist()), tuple(end.tolist()))
 

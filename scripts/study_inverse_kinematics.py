@@ -45,9 +45,7 @@ def main() -> None:
                 rotation=at.tip_rotation.copy() if kind == "full pose" else None,
             )
             begun = time.perf_counter()
-            found = bp.solve_inverse_kinematics(
-                robot, target, rng=np.random.default_rng([arguments.seed, index]), kinematics=kinematics
-            )
+            found = bp.solve_inverse_kinematics(robot, target, rng=np.random.default_rng([arguments.seed, index]))
             times.append(1e3 * (time.perf_counter() - begun))
             within = np.all(found.q >= robot.limits.lower) and np.all(found.q <= robot.limits.upper)
             solved += bool(found.position_error <= 1e-6 and found.angle_error <= 1e-6 and within)

@@ -7,11 +7,9 @@ from .description.urdf import example_names, read_urdf, shipped
 from .dynamics import GRAVITY, Dynamics, MotionEnergy, motion_energy
 from .hydraulics.hydraulics import BothWays, Hydraulics
 from .hydraulics.linkage import FourBar, Triangle
-from .kinematics.batch_inverse_kinematics import TargetBatch, solve_batch
-from .kinematics.batch_kinematics import BatchKinematics, ConfigurationBatch
-from .kinematics.inverse_kinematics import InverseKinematics, solve_inverse_kinematics
-from .kinematics.kinematics import Configuration, Kinematics, wrap_angle
-from .kinematics.target import TipTarget, movable_rows
+from .kinematics.inverse_kinematics import InverseKinematics, solve_batch, solve_inverse_kinematics
+from .kinematics.kinematics import BatchKinematics, Configuration, ConfigurationBatch, Kinematics, wrap_angle
+from .kinematics.target import TargetBatch, TipTarget, movable_rows
 from .reach import tip_travel_bound, travel_bounds
 from .robot import JointLimits, Robot, Visual, load_robot
 from .shape.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes

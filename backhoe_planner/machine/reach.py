@@ -9,7 +9,6 @@ broad phase rest.
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from backhoe_planner.machine.robot import Robot
@@ -40,13 +39,13 @@ def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float) -
     if joint == 0:
         return found
     from_origin = float(np.max(np.linalg.norm(points, axis=1))) + radius
-    found[joint - 1] = 1.0 if robot.prismatic[joint - 1] else _off_axis(points, _axis(model, joint)) + radius
+    found[joint - 1] = 1.0 if robot.prismatic[joint - 1] else _off_axis(points, robot.joint_axes[joint - 1]) + radius
     outer = joint
     inner = int(model.parents[joint])
     while inner > 0:
         step = model.jointPlacements[outer].translation
         from_origin += _slide(robot, outer)
-        off = _off_axis(step[None, :], _axis(model, inner))
+        off = _off_axis(step[None, :], robot.joint_axes[inner - 1])
         found[inner - 1] = 1.0 if robot.prismatic[inner - 1] else off + from_origin
         from_origin += float(np.linalg.norm(step))
         outer, inner = inner, int(model.parents[inner])
@@ -58,14 +57,6 @@ def _slide(robot: Robot, joint: int) -> float:
     if not robot.prismatic[joint - 1]:
         return 0.0
     return float(max(abs(robot.limits.lower[joint - 1]), abs(robot.limits.upper[joint - 1])))
-
-
-def _axis(model: pin.Model, joint: int) -> NDArray[np.float64]:
-    """(3,) the joint's axis in its own frame."""
-    data = model.joints[joint].createData()
-    model.joints[joint].calc(data, np.zeros(1))
-    subspace = np.asarray(data.S).reshape(6)
-    return subspace[3:] if np.any(subspace[3:]) else subspace[:3]
 
 
 def _off_axis(points: Matrix, axis: NDArray[np.float64]) -> float:

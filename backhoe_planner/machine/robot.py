@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, RobotError, nearest_name
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
-from backhoe_planner.machine.description.urdf import Urdf, read_urdf
+from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
@@ -150,8 +150,12 @@ class Robot:
     @cached_property
     def prismatic(self) -> NDArray[np.bool_]:
         """(n,) which joints slide."""
-        kinds = {joint.name: joint.type for joint in self.urdf.robot.joints}
-        return np.array([kinds[name] == "prismatic" for name in self.joint_names])
+        return np.array([self.urdf.joints[name].type == "prismatic" for name in self.joint_names])
+
+    @cached_property
+    def joint_axes(self) -> Vector:
+        """(n, 3) unit axis of each joint in its own frame."""
+        return np.array([axis_of(self.urdf.joints[name]) for name in self.joint_names])
 
     @cached_property
     def middle(self) -> Vector:
@@ -347,9 +351,8 @@ def _chain_model(urdf: Urdf, moving: set[str]) -> pin.Model:
     for element in root.findall("link"):
         for unread in (*element.findall("visual"), *element.findall("collision")):
             element.remove(unread)
-    joints = {joint.name: joint for joint in urdf.robot.joints}
     for element in root.findall("joint"):
-        joint = joints[element.get("name")]
+        joint = urdf.joints[element.get("name")]
         if joint.type != "fixed" and joint.name not in moving:
             _hold(element, joint)
             continue
@@ -384,11 +387,8 @@ def _hold(element: etree._Element, joint: yourdfpy.Joint) -> None:
             element.remove(node)
     if held == 0.0:
         return
-    axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
-    axis = axis / np.linalg.norm(axis)
-    moved = (
-        pin.SE3(np.eye(3), held * axis) if joint.type == "prismatic" else pin.SE3(pin.exp3(held * axis), np.zeros(3))
-    )
+    way = held * axis_of(joint)
+    moved = pin.SE3(np.eye(3), way) if joint.type == "prismatic" else pin.SE3(pin.exp3(way), np.zeros(3))
     placement = _se3(joint.origin) * moved
     origin = element.find("origin")
     if origin is None:
@@ -398,10 +398,9 @@ def _hold(element: etree._Element, joint: yourdfpy.Joint) -> None:
 
 
 def _limits(urdf: Urdf, model: pin.Model) -> JointLimits:
-    joints = {joint.name: joint for joint in urdf.robot.joints}
     lower, upper, velocity, acceleration, effort = [], [], [], [], []
     for name in model.names[1:]:
-        joint = joints[name]
+        joint = urdf.joints[name]
         limit = joint.limit
         free = joint.type == "continuous"
         lower.append(-np.inf if free else float(limit.lower))

@@ -55,7 +55,7 @@ def out_of_reach(context: Context, path: TipPath) -> Outcome | None:
         BatchKinematics(robot), TargetBatch.of(targets).take(rows), np.tile(guesses, (len(targets), 1))
     )
     for row in np.flatnonzero(~reached.reshape(len(targets), -1).any(axis=1)).tolist():
-        found = solve_inverse_kinematics(robot, targets[row], kinematics=context.kinematics)
+        found = solve_inverse_kinematics(robot, targets[row])
         if not found.reached:
             index = int(indices[row])
             what = "beginning of the path" if index == 0 else f"waypoint {index + 1} of the path"

@@ -180,9 +180,7 @@ def bucket_width(robot: Robot) -> float:
     ------
     InputError: there is no such shape.
     """
-    joint = next(joint for joint in robot.urdf.robot.joints if joint.name == robot.joint_names[-1])
-    axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
-    axis = axis / np.linalg.norm(axis)
+    axis = robot.joint_axes[-1]
     ends = [
         float(np.max(sign * (piece.piece.hull @ axis)) + piece.piece.radius)
         for sign in (1.0, -1.0)

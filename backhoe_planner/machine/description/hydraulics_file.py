@@ -19,7 +19,7 @@ from pydantic import Field, ValidationError, model_validator
 from backhoe_planner.errors import RobotError, nearest_name
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import read_yaml
-from backhoe_planner.machine.description.urdf import Urdf
+from backhoe_planner.machine.description.urdf import Urdf, axis_of
 from backhoe_planner.machine.hydraulics.cylinder import Cylinder
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
@@ -159,11 +159,10 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
         record = HydraulicsRecord.model_validate(content)
     except ValidationError as error:
         raise RobotError(explain(error, content, lines, root=HydraulicsRecord), file=file) from None
-    joints = {joint.name: joint for joint in urdf.robot.joints}
     cylinders = []
     for index, spec in enumerate(record.cylinders):
         place = _Place(file, f"cylinders[{index}]", spec.name)
-        joint = _turning_joint(spec.joint, joints, place)
+        joint = _turning_joint(spec.joint, urdf.joints, place)
         linkage = _linkage(spec, joint, place)
         cylinders.append(
             Cylinder(
@@ -181,7 +180,7 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
     ranges = {}
     for name in dict.fromkeys(cylinder.joint for cylinder in cylinders):
         mine = [(c, place) for c, place in zip(cylinders, places, strict=True) if c.joint == name]
-        limit = joints[name].limit
+        limit = urdf.joints[name].limit
         ranges[name] = _range_of_strokes(mine, float(limit.lower), float(limit.upper))
     kept = tuple(cylinder for cylinder in cylinders if cylinder.joint in joint_names)
     joint_ranges = np.array([ranges[cylinder.joint] for cylinder in kept]).reshape(-1, 2)
@@ -235,8 +234,7 @@ class _Plane:
 
     def __init__(self, joint: yourdfpy.Joint) -> None:
         self._T_parent_joint = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=float)
-        axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
-        self._axis = axis / np.linalg.norm(axis)
+        self._axis = axis_of(joint)
         first = np.eye(3)[int(np.argmin(np.abs(self._axis)))]
         u = first - (first @ self._axis) * self._axis
         self._u = u / np.linalg.norm(u)

@@ -20,10 +20,11 @@ from pathlib import Path
 import numpy as np
 import yourdfpy
 from lxml import etree
+from numpy.typing import NDArray
 
 from backhoe_planner.errors import RobotError, nearest_name
 
-__all__ = ["Urdf", "example_names", "read_urdf", "shipped"]
+__all__ = ["Urdf", "axis_of", "example_names", "read_urdf", "shipped"]
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _REFUSED = {
@@ -69,6 +70,11 @@ class Urdf:
     acceleration: dict[str, float]
 
     @cached_property
+    def joints(self) -> dict[str, yourdfpy.Joint]:
+        """Every joint by its name."""
+        return {joint.name: joint for joint in self.robot.joints}
+
+    @cached_property
     def joint_of_child(self) -> dict[str, yourdfpy.Joint]:
         """The joint above each link but the root."""
         return {joint.child: joint for joint in self.robot.joints}
@@ -100,6 +106,12 @@ class Urdf:
             if candidate.is_file():
                 return candidate
         return None
+
+
+def axis_of(joint: yourdfpy.Joint) -> NDArray[np.float64]:
+    """(3,) unit axis of a joint in its own frame; x where the URDF gives none."""
+    axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
+    return np.asarray(axis / np.linalg.norm(axis))
 
 
 def shipped(folder: str) -> Path:

@@ -1,9 +1,11 @@
-"""Newton-Raphson inverse kinematics within joint limits, with restarts.
+"""Newton-Raphson inverse kinematics within joint limits, of one target or of many.
 
 The iteration is the paper's (q <- q + J^+ (x* - x(q))), with the damping of
 Levenberg and Marquardt chosen from the error (Sugihara 2011, "Solvability-Unconcerned
 Inverse Kinematics by the Levenberg-Marquardt Method"), and with joints that push
-against a limit taken out of the step.
+against a limit taken out of the step. `solve_batch` runs it for many targets at once, each
+from a guess of the caller. `solve_inverse_kinematics` runs it for one target with
+restarts, and finds the nearest pose where the target is out of reach.
 """
 
 from __future__ import annotations
@@ -14,27 +16,35 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics
-from backhoe_planner.machine.kinematics.target import TipTarget, movable_rows
+from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, Kinematics
+from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, movable_rows
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["InverseKinematics", "solve_inverse_kinematics"]
+__all__ = ["InverseKinematics", "solve_batch", "solve_inverse_kinematics"]
 
 Vector = NDArray[np.float64]
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-_ITERATIONS = 60
+# Newton-Raphson converges in 5 to 15 steps; near singular postures it takes up to 60.
+_ITERATIONS = 40
+_ITERATIONS_OF_ONE = 60
+_LARGEST_STEP = 0.6  # rad or m: further from where it was taken, the Jacobian is another
+_STALLED_AT = 0.98  # of the squared error before: a step that leaves more is no progress
+_MOST_STALLED = 8  # such steps in a row; fewer would end searches that slide along a limit
+_DAMPING = 0.1  # of the squared error, which is taken as 0.01 at most (Sugihara's weight)
 _SETTLED = 6  # of the attempts that did not arrive, the best are led on to their nearest pose
 _ANGLE_WEIGHT = 1.0  # m per rad: a radian counts as a metre while converging
 
 
 @dataclass(frozen=True)
 class InverseKinematics:
-    """What the search found.
+    """The result of a search.
 
     Attributes
     ----------
     reached: both errors are within the tolerance.
-    q: (n,) the solution; where not reached, the configuration that comes nearest.
+    q: (n,) the solution [rad or m]; where not reached, the configuration that comes nearest.
     position_error: [m]
     angle_error: [rad]
     attempts: starting points tried.
@@ -55,43 +65,52 @@ def solve_inverse_kinematics(
     rng: np.random.Generator | None = None,
     attempts: int = 60,
     tolerance: float = 1e-8,
-    kinematics: Kinematics | None = None,
 ) -> InverseKinematics:
     """A configuration within the limits that puts the tip on `target`.
 
     Parameters
     ----------
+    robot: the machine whose tip is placed.
     target: position, and pitch or orientation where asked.
-    start: (n,) where the first attempt begins; the middle of the ranges by default.
+    start: (n,) where the first attempt begins [rad or m]; the middle of the ranges by default.
     rng: draws the other starting points; seeded with 0 by default.
     attempts: the most starting points.
     tolerance: on the position error [m] and the angle error [rad].
-    kinematics: working memory to use.
     """
-    kinematics = kinematics or Kinematics(robot)
+    kinematics, batch = Kinematics(robot), BatchKinematics(robot)
     rng = rng or np.random.default_rng(0)
-    guess = robot.middle if start is None else np.clip(start, robot.limits.lower, robot.limits.upper)
-    ends: list[tuple[float, Vector]] = []
-    for attempt in range(1, attempts + 1):
-        q, at = _descend(robot, target, guess, kinematics, tolerance)
-        position, angle = target.distances(at)
-        if position <= tolerance and angle <= tolerance:
-            return InverseKinematics(True, q, position, angle, attempt)
-        ends.append((position + _ANGLE_WEIGHT * angle, q))
-        guess = robot.random_q(rng)
-    ends = sorted(ends, key=lambda end: end[0])[:_SETTLED]
-    settled = [_nearest(robot, target, q, kinematics) for _, q in ends]
+    guesses = (robot.middle if start is None else np.asarray(start, dtype=float))[None, :]
+    ends: list[Vector] = []
+    while len(ends) < attempts:
+        targets = TargetBatch.of([target] * len(guesses))
+        found, reached = solve_batch(batch, targets, guesses, tolerance=tolerance, iterations=_ITERATIONS_OF_ONE)
+        if reached.any():
+            first = int(np.argmax(reached))
+            return InverseKinematics(
+                True, found[first], *target.distances(kinematics.at(found[first])), len(ends) + first + 1
+            )
+        ends += list(found)
+        # few at first, since most targets need few; then ever more at once, which is cheaper for each
+        count = min(2 * len(ends), attempts - len(ends))
+        guesses = np.array([robot.random_q(rng) for _ in range(count)])
+
+    def miss(q: Vector) -> float:
+        position, angle = target.distances(kinematics.at(q))
+        return position + _ANGLE_WEIGHT * angle
+
+    settled = [_nearest(target, q, kinematics) for q in sorted(ends, key=miss)[:_SETTLED]]
     q = min(settled, key=lambda q: float(np.sum(np.square(target.error(kinematics.at(q))))))
     position, angle = target.distances(kinematics.at(q))
     return InverseKinematics(position <= tolerance and angle <= tolerance, q, position, angle, attempts)
 
 
-def _nearest(robot: Robot, target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector:
+def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector:
     """(n,) where the squared error is least near `start`.
 
     Newton-Raphson crawls there: with an error that stays large, its J^T J is far from
     the second derivative of the squared error.
     """
+    limits = kinematics.robot.limits
 
     def cost(q: Vector) -> tuple[float, Vector]:
         at = kinematics.at(q)
@@ -103,62 +122,82 @@ def _nearest(robot: Robot, target: TipTarget, start: Vector, kinematics: Kinemat
         start,
         jac=True,
         method="SLSQP",
-        bounds=np.column_stack((robot.limits.lower, robot.limits.upper)),
+        bounds=np.column_stack((limits.lower, limits.upper)),
         options={"ftol": 1e-15, "maxiter": 200},
     )
-    return np.asarray(np.clip(found.x, robot.limits.lower, robot.limits.upper))
+    return np.asarray(np.clip(found.x, limits.lower, limits.upper))
 
 
-def _descend(
-    robot: Robot, target: TipTarget, start: Vector, kinematics: Kinematics, tolerance: float
-) -> tuple[Vector, Configuration]:
-    """Iterate from `start` until converged, stuck, or out of iterations."""
-    lower, upper = robot.limits.lower, robot.limits.upper
-    q = np.array(start, dtype=float)
-    at = kinematics.at(q)
-    error = target.error(at)
-    cost = float(error @ error)
-    small = tolerance * 0.5
-    stalled = 0
-    for _ in range(_ITERATIONS):
-        if np.sqrt(cost) <= small:
+def solve_batch(
+    kinematics: BatchKinematics,
+    targets: TargetBatch,
+    guesses: Array,
+    *,
+    tolerance: float = 1e-8,
+    iterations: int = _ITERATIONS,
+) -> tuple[Array, Mask]:
+    """Configurations within the limits that put the tip on B targets, each searched from its own guess.
+
+    Nothing is restarted: the caller chooses the guesses, so that one batch yields all
+    branches of a solution.
+
+    Parameters
+    ----------
+    kinematics: of the machine whose tip is placed.
+    targets: B of them.
+    guesses: (B, n) where each search begins [rad or m]; brought into the limits.
+    tolerance: on the norm of the position error [m] and the angle errors [rad] together.
+    iterations: the most steps of one search.
+
+    Returns
+    -------
+    (B, n) where each search ended [rad or m], and (B,) whether it arrived.
+    """
+    limits = kinematics.robot.limits
+    q = np.clip(np.array(guesses, dtype=float), limits.lower, limits.upper)
+    reached = np.zeros(len(q), dtype=bool)
+    going = np.arange(len(q))
+    cost_before = np.full(len(q), np.inf)
+    stalled = np.zeros(len(q), dtype=int)
+    for iteration in range(iterations + 1):
+        if not len(going):
             break
-        jacobian = target.jacobian(at)
-        rows = movable_rows(jacobian)
-        J, e = jacobian[rows], error[rows]
-        gradient = J.T @ e
-        free = ~(((q <= lower) & (gradient < 0.0)) | ((q >= upper) & (gradient > 0.0)))
-        if not np.any(free) or float(np.linalg.norm(gradient[free])) < 1e-14:
+        here = targets.take(going)
+        at = kinematics.at(q[going])
+        error = here.errors(at)
+        cost = np.einsum("bi,bi->b", error, error)
+        arrived = np.sqrt(cost) <= tolerance
+        reached[going[arrived]] = True
+        stalled[going] = np.where(cost > _STALLED_AT * cost_before[going], stalled[going] + 1, 0)
+        cost_before[going] = cost
+        left = ~arrived & (stalled[going] <= _MOST_STALLED)
+        if iteration == iterations or not left.any():
             break
-        step = _step(J, e, free, float(e @ e))
-        # joints that the step drives into a limit stay there; the others try again
-        for _ in range(robot.n):
-            hit = free & (((q + step < lower) & (q <= lower)) | ((q + step > upper) & (q >= upper)))
-            if not np.any(hit):
-                break
-            free &= ~hit
-            if not np.any(free):
-                break
-            step = _step(J, e, free, float(e @ e))
-        step = np.clip(step, -0.6, 0.6)
-        moved = np.clip(q + step, lower, upper)
-        at_moved = kinematics.at(moved)
-        error_moved = target.error(at_moved)
-        cost_moved = float(error_moved @ error_moved)
-        stalled = stalled + 1 if cost_moved > 0.98 * cost else 0
-        q, at, error, cost = moved, at_moved, error_moved, cost_moved
-        if stalled > 8:
-            break
-    return q, at
+        going, error = going[left], error[left]
+        J = here.jacobians(at)[left]
+        rows = movable_rows(J).any(axis=0)
+        J, error = J[:, rows], error[:, rows]
+        step = _limited_step(J, error, q[going], limits.lower, limits.upper)
+        q[going] = np.clip(q[going] + step, limits.lower, limits.upper)
+    return q, reached
 
 
-def _step(J: NDArray[np.float64], e: Vector, free: NDArray[np.bool_], cost: float) -> Vector:
-    """(n,) damped Newton step of the free joints."""
-    step = np.zeros(J.shape[1])
-    Jf = J[:, free]
-    damping = min(cost, 1e-2) * 1e-1 + 1e-12
-    if Jf.shape[1] >= Jf.shape[0]:
-        step[free] = Jf.T @ np.linalg.solve(Jf @ Jf.T + damping * np.eye(Jf.shape[0]), e)
-    else:
-        step[free] = np.linalg.solve(Jf.T @ Jf + damping * np.eye(Jf.shape[1]), Jf.T @ e)
-    return step
+def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) -> Array:
+    """(B, n) damped Newton steps; joints that a step drives beyond a limit at which they stand are taken out."""
+    cost = np.einsum("bi,bi->b", error, error)
+    damping = np.minimum(cost, 1e-2) * _DAMPING + 1e-12
+    step = np.zeros_like(q)
+    free = np.ones(q.shape, dtype=bool)
+    todo = np.arange(len(q))
+    for _ in range(q.shape[1]):
+        part = J[todo] * free[todo][:, None, :]
+        square = part @ np.swapaxes(part, 1, 2)
+        square[:, range(J.shape[1]), range(J.shape[1])] += damping[todo, None]
+        step[todo] = np.einsum("bij,bi->bj", part, np.linalg.solve(square, error[todo][..., None])[..., 0])
+        hit = free & (((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0)))
+        todo = np.flatnonzero(hit.any(axis=1))
+        if not len(todo):
+            break
+        free = free & ~hit
+    step = np.where(free, step, 0.0)
+    return np.asarray(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))

@@ -1,21 +1,25 @@
-"""What the tip is asked to do: a position, and perhaps a pitch or an orientation."""
+"""Where the tip is to be: a position, and perhaps a pitch or an orientation; of one target or of many."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from backhoe_planner.machine.kinematics.kinematics import Configuration, wrap_angle
+from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
-__all__ = ["TipTarget", "movable_rows"]
+__all__ = ["TargetBatch", "TipTarget", "movable_rows"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-_IMMOVABLE = 1e-9
+_IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
 
 @dataclass(frozen=True)
@@ -38,10 +42,8 @@ class TipTarget:
         if self.pitch is None:
             return 0.0
         low, high = self.pitch
-        middle = 0.5 * (low + high)
-        off = wrap_angle(pitch - middle)
-        half = 0.5 * (high - low)
-        return float(np.sign(off) * max(abs(off) - half, 0.0))
+        off = wrap_angle(float(pitch) - 0.5 * (low + high))
+        return float(np.sign(off) * max(abs(off) - 0.5 * (high - low), 0.0))
 
     def error(self, at: Configuration) -> Vector:
         """(m,) what is missing: target minus actual, position [m] then angles [rad].
@@ -70,6 +72,79 @@ class TipTarget:
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
 
+@dataclass(frozen=True, eq=False)
+class TargetBatch:
+    """B targets of the tip; errors and Jacobians as of a `TipTarget`, for all at once.
+
+    Attributes
+    ----------
+    position: (B, 3) [m], world.
+    rotation: (B, 3, 3) R_world_tip; the identity where `turned` is false.
+    turned: (B,) whether the orientation is asked.
+    pitch_middle, pitch_half: (B,) the asked range of the pitch [rad].
+    pitched: (B,) whether a pitch is asked.
+    """
+
+    position: Array
+    rotation: Array
+    turned: Mask
+    pitch_middle: Array
+    pitch_half: Array
+    pitched: Mask
+
+    @classmethod
+    def of(cls, targets: Sequence[TipTarget]) -> TargetBatch:
+        """The same targets as one batch."""
+        ranges = [target.pitch for target in targets]
+        turned = np.array([target.rotation is not None for target in targets], dtype=bool)
+        return cls(
+            position=np.array([target.position for target in targets]).reshape(-1, 3),
+            rotation=np.array([np.eye(3) if t.rotation is None else t.rotation for t in targets]).reshape(-1, 3, 3),
+            turned=turned,
+            pitch_middle=np.array([0.0 if r is None else 0.5 * (r[0] + r[1]) for r in ranges]),
+            pitch_half=np.array([0.0 if r is None else 0.5 * (r[1] - r[0]) for r in ranges]),
+            # where both are given the orientation says it all, as in `TipTarget`
+            pitched=np.array([r is not None for r in ranges], dtype=bool) & ~turned,
+        )
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    def take(self, rows: NDArray[np.intp] | Mask) -> TargetBatch:
+        """The targets at `rows`."""
+        return TargetBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def at_pitch(self, pitch: Array) -> TargetBatch:
+        """The same positions, each with exactly the `pitch` (B,) [rad]."""
+        return TargetBatch(
+            self.position, self.rotation, np.zeros(len(self), dtype=bool),
+            np.array(pitch), np.zeros(len(self)), np.ones(len(self), dtype=bool),
+        )  # fmt: skip
+
+    def errors(self, at: ConfigurationBatch) -> Array:
+        """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not asked."""
+        found = np.zeros((len(self), 7))
+        found[:, :3] = self.position - at.tip_position
+        if self.turned.any():
+            turn = Rotation.from_matrix(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2))
+            found[:, 3:6] = np.where(self.turned[:, None], turn.as_rotvec(), 0.0)
+        if self.pitched.any():
+            off = wrap_angle(at.pitch() - self.pitch_middle)
+            excess = np.sign(off) * np.maximum(np.abs(off) - self.pitch_half, 0.0)
+            found[:, 6] = np.where(self.pitched, -excess, 0.0)
+        return found
+
+    def jacobians(self, at: ConfigurationBatch) -> Array:
+        """(B, 7, n) of `errors`: to first order, jacobian @ dq reduces the error by as much."""
+        found = np.zeros((len(self), 7, at.q.shape[1]))
+        found[:, :3] = at.position_jacobian()
+        if self.turned.any():
+            found[:, 3:6] = np.where(self.turned[:, None, None], at.rotation_jacobian(), 0.0)
+        if self.pitched.any():
+            found[:, 6] = np.where(self.pitched[:, None], at.pitch_rows(), 0.0)
+        return found
+
+
 def movable_rows(jacobian: Matrix) -> NDArray[np.bool_]:
-    """(m,) which task rows any joint can move at all; z on a planar arm is none."""
-    return np.asarray(np.max(np.abs(jacobian), axis=1) > _IMMOVABLE)
+    """(..., m) which rows of a task's Jacobian (..., m, n) any joint can move at all; z on a planar arm is none."""
+    return np.asarray(np.max(np.abs(jacobian), axis=-1) > _IMMOVABLE)

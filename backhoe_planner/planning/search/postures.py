@@ -112,7 +112,7 @@ class Postures:
             elif mildest is None or contact.margin > mildest.margin:
                 mildest = contact
         if best is None:
-            best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng, kinematics=self._kinematics)
+            best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng)
             if best.reached:
                 contact = self.contact(best.q, time=time)
                 if contact is None or contact.margin >= _SPARE:
