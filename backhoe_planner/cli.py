@@ -10,7 +10,6 @@ import contextlib
 import io
 import json
 import math
-import re
 import sys
 import time as clock
 import webbrowser
@@ -153,8 +152,6 @@ def view_plan(
 @app.command()
 def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     """Compute the certificate of a plan anew."""
-    from backhoe_planner.site import obstacle_told
-
     begun = clock.monotonic()
     loaded = bp.load_plan(plan_file, urdf=urdf)
     certificate = loaded.certificate
@@ -166,9 +163,7 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
             _out.print(f"  {problem}")
     table = Table("obstacle", "link", "distance [m]", "margin [m]", "at [s]", box=None, pad_edge=False)
     for row in certificate.clearances:
-        table.add_row(
-            obstacle_told(row.obstacle), row.link, f">= {row.value:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}"
-        )
+        table.add_row(row.name, row.link, f">= {row.distance:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}")
     if certificate.clearances:
         _out.print(table)
     for kind in ("position", "velocity", "acceleration"):
@@ -361,8 +356,6 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
-    from backhoe_planner.site import obstacle_told
-
     _out.print(_verdict(found))
     if found.message:
         _out.print(f"  {found.message}")
@@ -370,8 +363,8 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
     tightest = certificate.min_clearance
     if tightest is not None:
         _out.print(
-            f"clearance     {tightest.value:.3f} m at least between {tightest.link} "
-            f"and {obstacle_told(tightest.obstacle)} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
+            f"clearance     {tightest.distance:.3f} m at least between {tightest.link} "
+            f"and {tightest.name} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
         )
     tracking = certificate.tracking
     if len(found.trajectory) < 2:
@@ -405,17 +398,10 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
 
 def _because(found: Plan, detour: Detour) -> str:
     """What the planner left the path for, where it says so."""
-    from backhoe_planner.site import obstacle_told
-
     middle = 0.5 * (detour.path_from + detour.path_to)
     for known in found.details.get("detours", ()):
         if known["path_from"] - 0.05 <= middle <= known["path_to"] + 0.05:
-            limit = known["link"] == "joint"
-            return (
-                f", for the limit of joint {known['obstacle']}"
-                if limit
-                else f", around {obstacle_told(known['obstacle'])}"
-            )
+            return f", for {known['name']}" if not known["link"] else f", around {known['name']}"
     return ""
 
 
@@ -434,17 +420,15 @@ def _tell_saving(compared: dict[str, Any] | None) -> None:
 
     unit = OBJECTIVES[compared["name"]].unit
     breaks = compared["law_breaks"]
-    if breaks is not None:
-        breaks = re.sub(r"self: (\S+)", r"the machine itself (\1)", breaks)
     told = f"{compared['name']} {_quantity(compared['value'], unit)} along the path"
     if compared["law"] is not None:
         told += f"; the local law {_quantity(compared['law'], unit)}"
         if compared["saving_percent"] is not None:
             told += f" (saves {compared['saving_percent']:.0f} %)"
         if breaks is not None:
-            told += f", and it breaks the {breaks}"
+            told += f", and it breaks {breaks}"
     elif breaks is not None:
-        told += f"; the local law does not get along it ({breaks})"
+        told += f"; the local law does not get along it: {breaks}"
     _out.print(f"objective     {told}")
     if compared["whole"] > compared["value"] * (1.0 + 1e-3):
         told = f"{_quantity(compared['whole'], unit)} with the approach to it"

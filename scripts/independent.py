@@ -108,7 +108,7 @@ def refutations(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> list
     refine: moments looked at for every sample of the plan.
     itself: whether the machine is also held against itself.
     """
-    proven = {entry.obstacle: entry.value for entry in plan.certificate.clearances}
+    proven = {entry.obstacle: entry.distance for entry in plan.certificate.clearances if entry.kind == "obstacle"}
 
     def floor(obstacle: str, clearance: float) -> float:
         allowed = clearance - CLEARANCE_SLACK if plan.verified else -np.inf

@@ -140,7 +140,7 @@ def measure(robot: bp.Robot, case: Case) -> Result | None:
             found.append(None if moved is None else _work(problem, moved))
     assert found[0] is not None
     assert found[3] is not None
-    breaks = blind is None or blind.blocker is not None
+    breaks = blind is None or blind.obstruction is not None
     return Result(*found, breaks, not law.complete, _follows(free))  # type: ignore[arg-type]
 
 

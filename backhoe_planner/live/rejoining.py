@@ -21,7 +21,7 @@ from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.motion import Problem, SmoothWay, Trajectory, drive_of, time_way
 from backhoe_planner.planning import MotionCheck, Way, blend, sample_way, shorten
 from backhoe_planner.proof import TOUCH, segment_is_clear
-from backhoe_planner.site import Obstacle, Proximity, Scene
+from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
 __all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_still_clear"]
 
@@ -133,29 +133,30 @@ class _Search:
         self._time = np.concatenate(([query.since], query.motion.time[later]))
         self._q = np.vstack((query.motion.at(query.since)[None], query.motion.q[later]))
         self._start = query.q
-        self._blocker: tuple[str, float] | None = None  # what stands on the motion first, and from when on
+        self._obstruction: Obstruction | None = None  # what stands on the motion first, from its time on
 
     def run(self) -> Rejoining | NoRejoining:
-        link, obstacle, margin = self._tightest(self._query.q)
-        if margin < 0.0 and not MotionCheck(self._problem, self._proximity, [self._query.q], spare=0.0).ends_clear[0]:
-            return NoRejoining(
-                f"{link} is {-margin:.3f} m closer to {obstacle} than allowed where it stands", searched=False
-            )
+        here = self._proximity.tightest(self._query.q)
+        if here is not None and here.margin < 0.0:
+            check = MotionCheck(self._problem, self._proximity, [self._query.q], spare=0.0)
+            if not check.ends_clear[0]:
+                why = f"{here.link} is {-here.margin:.3f} m closer to {here.name} than allowed where it stands"
+                return NoRejoining(why, searched=False)
         self._start = self._drawn_back(self._query.q)
         places = list(islice(self._places(), _PLACES if self._query.attempt else 1))
         found = self._way_to(places) if places else None
         if found is not None:
             return found
-        return NoRejoining(self._told(link, obstacle), searched=bool(places))
+        return NoRejoining(self._why(here), searched=bool(places))
 
-    def _told(self, link: str, obstacle: str) -> str:
-        _, at_end, margin = self._tightest(self._q[-1])
-        if margin < -TOUCH:
-            return f"{at_end} stands on the end of the plan"
-        if self._blocker is not None:
-            name, since = self._blocker
-            return f"{name} stands on the plan from {since:.1f} s on, and no way round it was found"
-        return f"{link} is held back by {obstacle}"
+    def _why(self, here: Obstruction | None) -> str:
+        """Why no way was found, in words."""
+        at_end, found = self._proximity.tightest(self._q[-1]), self._obstruction
+        if at_end is not None and at_end.margin < -TOUCH:
+            return f"{at_end.name} stands on the end of the plan"
+        if found is not None:
+            return f"{found.name} stands on the plan from {found.time:.1f} s on, and no way round it was found"
+        return "no way was found" if here is None else f"{here.link} is held back by {here.name}"
 
     # --- where to -------------------------------------------------------------------
 
@@ -180,7 +181,7 @@ class _Search:
         first = None
         last = len(self._q) - 1
         for row in range(last + 1):
-            alone = first is None and self._tightest(self._q[row])[2] >= 0.0
+            alone = first is None and self._margin(self._q[row]) >= 0.0
             if alone:
                 first = row
             elif first is None:
@@ -198,28 +199,25 @@ class _Search:
 
     def _note(self, row: int) -> None:
         """Something stands on the motion at a sample."""
-        if self._blocker is None:
-            self._blocker = (self._tightest(self._q[row])[1], float(self._time[row]))
+        if self._obstruction is None:
+            found = self._proximity.tightest(self._q[row])
+            self._obstruction = found and replace(found, time=float(self._time[row]))
 
     def _roomiest(self, first: int, end: int) -> int:
         """The first sample of a stretch that has room, or the one of its first that has most."""
         best, most = first, -np.inf
         for row in range(first, min(end, first + _LOOKS) + 1):
-            margin = self._tightest(self._q[row])[2]
+            margin = self._margin(self._q[row])
             if margin > most:
                 best, most = row, margin
             if margin >= _ROOMY:
                 break
         return best
 
-    def _tightest(self, q: Vector) -> tuple[str, str, float]:
-        """Link and obstacle of the least margin at q (n,), and that margin [m]."""
-        proximity = self._proximity
-        if not proximity.pairs:
-            return "", "", np.inf
-        margins = proximity.distances(q) - proximity.clearance
-        pair = int(margins.argmin())
-        return proximity.pairs[pair].link, proximity.pairs[pair].obstacle, float(margins[pair])
+    def _margin(self, q: Vector) -> float:
+        """The least at `q` (n,) [m]."""
+        tightest = self._proximity.tightest(q)
+        return np.inf if tightest is None else tightest.margin
 
     # --- how ------------------------------------------------------------------------
 
@@ -234,7 +232,8 @@ class _Search:
                 way = min(ways, key=lambda way: way.length(query.limits))
                 motion = self._timed(blend(check, way))
                 place = min(places, key=lambda place: float(np.abs(self._q[place] - way.q[-1]).max()))
-                return Rejoining(motion, float(self._time[place]), self._blocker and self._blocker[0])
+                name = None if self._obstruction is None else self._obstruction.name
+                return Rejoining(motion, float(self._time[place]), name)
         return None
 
     def _timed(self, way: SmoothWay) -> Trajectory:
@@ -264,7 +263,7 @@ class _Search:
             if gain <= 0.0:
                 break
             there = np.clip(found + (_RETREAT_STEP / gain) * away, limits.lower, limits.upper)
-            if self._tightest(there)[2] <= tightest:
+            if self._margin(there) <= tightest:
                 break
             found = there
         check = MotionCheck(self._problem, proximity, [q, found], spare=0.0)

@@ -12,7 +12,7 @@ from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import TipPath
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.law_timing import as_fast_as_allowed
-from backhoe_planner.planning.outcome import Outcome, no_posture
+from backhoe_planner.planning.outcome import Outcome, no_posture, obstruction_details
 from backhoe_planner.planning.reactive.following import Followed, Follower
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
@@ -45,9 +45,10 @@ def stuck(context: Context, attempts: Sequence[Attempt]) -> Outcome:
     """What is said where none of the attempts arrived."""
     nearest = min(attempts, key=lambda attempt: attempt.distance)
     details = _details(attempts) | {"closest_distance": nearest.distance}
-    if nearest.blocker is not None:
-        details |= {"link": nearest.blocker[0], "obstacle": nearest.blocker[1]}
-    held = f", where {nearest.blocker[0]} is held back by {nearest.blocker[1]}" if nearest.blocker else ""
+    held = ""
+    if nearest.obstruction is not None:
+        details |= obstruction_details(nearest.obstruction)
+        held = f", where {nearest.obstruction.link} is held back by {nearest.obstruction.name}"
     if context.out_of_time:
         message = f"time ran out; the closest attempt came to {nearest.distance:.3f} m of the goal"
         return Outcome(nearest.stepper.trajectory(), "budget", message, details)
@@ -113,14 +114,11 @@ def _along(context: Context, follower: Follower, path: TipPath, stepper: Stepper
 def _blocked_on(context: Context, path: TipPath, followed: Followed) -> Outcome:
     assert context.problem.scene.task.path is not None
     details: dict[str, Any] = {"path_from": followed.blocked_from, "path_to": followed.blocked_to}
-    what = "joint limits"
-    if followed.blocker is not None:
-        link, obstacle = followed.blocker
-        details |= {"link": link, "obstacle": obstacle}
-        what = f"the limit of joint {obstacle}" if link == "joint" else f"{obstacle} (at {link})"
+    assert followed.obstruction is not None
+    details |= obstruction_details(followed.obstruction)
     message = (
         f"the path is blocked from {followed.blocked_from:.2f} m to {followed.blocked_to:.2f} m "
-        f"of {path.length:.2f} m by {what}"
+        f"of {path.length:.2f} m by {followed.obstruction}"
     )
     if not context.problem.scene.task.path.detour:
         message += ", and detours are not allowed"

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, drive_of, retimed
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.outcome import Outcome, told
+from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.proof import segment_is_clear
@@ -187,7 +187,7 @@ def _refuges(context: Context, stepper: Stepper, known: list[Obstacle]) -> Itera
     clear = []
     for spread in np.linspace(0.1, 1.0, _REFUGES):
         q = stepper.q + spread * (robot.random_q(rng) - stepper.q)
-        contact = passed.postures.contact(q)
+        contact = passed.world.tightest(q)
         if contact is None or contact.margin > _ROOM:
             clear.append(q)
     if not clear:
@@ -264,10 +264,10 @@ def _stop_and_plan(
 
 def _inside(context: Context, q: Vector, moment: float) -> str | None:
     """What the machine is too near to at this moment already, in words."""
-    contact = context.knowing(_known(context, moment)).postures.contact(q, time=moment)
+    contact = Proximity(context.problem.robot, _known(context, moment)).tightest(q, time=moment)
     if contact is None or contact.margin >= 0.0:
         return None
-    return f"{told(contact)} from the first moment on"
+    return f"{contact.describe()} from the first moment on"
 
 
 def _halted(context: Context, motion: Trajectory, moment: float) -> Trajectory:

@@ -13,10 +13,10 @@ from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.result.plan import Reason
-from backhoe_planner.planning.search.postures import Contact, Found
-from backhoe_planner.site import obstacle_told
+from backhoe_planner.planning.search.postures import Found
+from backhoe_planner.site import Obstruction
 
-__all__ = ["Outcome", "bad_start", "contact_details", "no_posture", "point", "standing", "told"]
+__all__ = ["Outcome", "bad_start", "no_posture", "obstruction_details", "point", "standing"]
 
 Vector = NDArray[np.float64]
 
@@ -43,24 +43,9 @@ def standing(q: Vector) -> Trajectory:
     return Trajectory.from_steps(np.zeros(1), np.array([q]))
 
 
-def told(contact: Contact) -> str:
-    """A contact in words."""
-    if contact.distance < 0.0:
-        return f"{contact.link} is {-contact.distance:.3f} m inside {obstacle_told(contact.obstacle)}"
-    return (
-        f"{contact.link} is {contact.distance:.3f} m from {obstacle_told(contact.obstacle)}, "
-        f"{-contact.margin:.3f} m closer than allowed"
-    )
-
-
-def contact_details(contact: Contact) -> dict[str, Any]:
-    """A contact in numbers."""
-    return {
-        "link": contact.link,
-        "obstacle": contact.obstacle,
-        "distance": contact.distance,
-        "depth": -contact.distance,
-    }
+def obstruction_details(found: Obstruction) -> dict[str, Any]:
+    """An obstruction in numbers."""
+    return {"link": found.link, "obstacle": found.obstacle, "distance": found.distance, "depth": -found.distance}
 
 
 def point(position: Vector) -> str:
@@ -79,9 +64,10 @@ def bad_start(context: Context, start: Vector) -> Outcome | None:
             for j in outside
         )
         return Outcome(standing(start), "outside_limits", words, {"joints": [names[j] for j in outside]})
-    contact = context.postures.contact(start)
+    contact = context.world.tightest(start)
     if contact is not None and contact.margin < 0.0:
-        return Outcome(standing(start), "start_in_collision", f"at the start {told(contact)}", contact_details(contact))
+        message = f"at the start {contact.describe()}"
+        return Outcome(standing(start), "start_in_collision", message, obstruction_details(contact))
     return None
 
 
@@ -129,4 +115,4 @@ def no_posture(context: Context, found: Found, target: TipTarget, reason: Reason
     contact = found.contact
     if contact is None:
         return Outcome(here, reason, f"no configuration for the {what} is free")
-    return Outcome(here, reason, f"at the {what} {told(contact)}", contact_details(contact))
+    return Outcome(here, reason, f"at the {what} {contact.describe()}", obstruction_details(contact))

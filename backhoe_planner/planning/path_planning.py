@@ -293,17 +293,17 @@ class _Along:
     # --- what went wrong ---------------------------------------------------------
 
     def _blocked(self, resolved: Resolved, trajectory: Any) -> Outcome:
-        if resolved.blame is None:
+        if resolved.obstruction is None:
             return Outcome(trajectory, "budget", "time ran out while the path was resolved")
         details: dict[str, Any] = {
             "path_from": resolved.blocked_from,
             "path_to": resolved.blocked_to,
-            "link": resolved.blame.link,
-            "obstacle": resolved.blame.obstacle,
+            "link": resolved.obstruction.link,
+            "obstacle": resolved.obstruction.obstacle,
         }
         message = (
             f"the path is blocked from {resolved.blocked_from:.2f} m to {resolved.blocked_to:.2f} m "
-            f"of {self._path.length:.2f} m by {resolved.blame}"
+            f"of {self._path.length:.2f} m by {resolved.obstruction}"
         )
         if not self._may_leave:
             message += ", and detours are not allowed"
@@ -315,13 +315,13 @@ class _Along:
         first = detours[0]
         message = (
             f"the path is blocked from {first.path_from:.2f} m to {first.path_to:.2f} m "
-            f"of {self._path.length:.2f} m by {first.blame}, and detours are not allowed"
+            f"of {self._path.length:.2f} m by {first.obstruction}, and detours are not allowed"
         )
         details = _details(detours) | {
             "path_from": first.path_from,
             "path_to": first.path_to,
-            "link": first.blame.link,
-            "obstacle": first.blame.obstacle,
+            "link": first.obstruction.link,
+            "obstacle": first.obstruction.obstacle,
         }
         return Outcome(stepper.trajectory(), "blocked", message, details)
 
@@ -334,8 +334,9 @@ def _details(detours: Sequence[Detouring]) -> dict[str, Any]:
             {
                 "path_from": detour.path_from,
                 "path_to": detour.path_to,
-                "link": detour.blame.link,
-                "obstacle": detour.blame.obstacle,
+                "link": detour.obstruction.link,
+                "obstacle": detour.obstruction.obstacle,
+                "name": detour.obstruction.name,
             }
             for detour in detours
         ]

@@ -1,7 +1,6 @@
 from .certificate import (
     TOUCH,
     Certificate,
-    Clearance,
     certify,
     certify_problem,
     path_segment_is_clear,
@@ -12,7 +11,6 @@ from .certificate import (
 __all__ = [
     "TOUCH",
     "Certificate",
-    "Clearance",
     "certify",
     "certify_problem",
     "path_segment_is_clear",

@@ -32,12 +32,11 @@ from backhoe_planner.motion import (
     track_path,
     use_of_drive,
 )
-from backhoe_planner.site import Proximity, Scene, obstacle_told
+from backhoe_planner.site import Obstruction, Proximity, Scene
 
 __all__ = [
     "TOUCH",
     "Certificate",
-    "Clearance",
     "LimitUse",
     "LoadUse",
     "SpeedUse",
@@ -60,25 +59,6 @@ _TOUCHING_DEPTH = 9
 _LIMIT_TOLERANCE = 1e-6  # relative, for rounding
 SPEED_WITHIN = 0.03  # over the asked speed of the tip that a motion may be: it is timed along the path's own arc
 _NEVER = 10.0  # m: clearances above this are not told apart
-
-
-@dataclass(frozen=True)
-class Clearance:
-    """The least distance to one obstacle over the whole motion.
-
-    Attributes
-    ----------
-    value: proven lower bound of the signed distance [m].
-    margin: `value` minus the clearance that must be kept [m].
-    obstacle, link: between which it was found.
-    time: when [s].
-    """
-
-    value: float
-    margin: float
-    obstacle: str
-    link: str
-    time: float
 
 
 @dataclass(frozen=True)
@@ -158,7 +138,9 @@ class Certificate:
     Attributes
     ----------
     min_clearance: the tightest, by margin; None where nothing can be touched.
-    clearances: of every obstacle that comes near, tightest margin first.
+    clearances: for every obstacle that comes near, and for the machine itself, the tightest
+        spot of the whole motion, with the proven lower bound of its distance and when it was
+        found; tightest margin first.
     position, velocity, acceleration: use of the joint limits.
     effort: use of the joints' torques; None for a machine whose torques are not limited.
     hydraulics: use of rod speeds, pump flow and engine power; None for a machine without
@@ -168,8 +150,8 @@ class Certificate:
     problems: what is not as it must be, in words; empty where verified.
     """
 
-    min_clearance: Clearance | None
-    clearances: tuple[Clearance, ...]
+    min_clearance: Obstruction | None
+    clearances: tuple[Obstruction, ...]
     position: LimitUse
     velocity: LimitUse
     acceleration: LimitUse
@@ -252,7 +234,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
 def _problems(
     problem: Problem,
     trajectory: Trajectory,
-    tightest: Clearance | None,
+    tightest: Obstruction | None,
     limits: tuple[LimitUse, LimitUse, LimitUse],
     tracking: Tracking,
     kinematics: Kinematics,
@@ -260,7 +242,7 @@ def _problems(
     found = []
     if tightest is not None and tightest.margin < -KEPT_WITHIN:
         found.append(
-            f"{tightest.link} comes to {tightest.value:.3f} m of {obstacle_told(tightest.obstacle)} "
+            f"{tightest.link} comes to {tightest.distance:.3f} m of {tightest.name} "
             f"at {tightest.time:.2f} s, {-tightest.margin:.3f} m closer than allowed"
         )
     for kind, use in zip(("position", "velocity", "acceleration"), limits, strict=True):
@@ -292,7 +274,7 @@ def _problems(
 # --- distances ------------------------------------------------------------------
 
 
-def _clearances(problem: Problem, trajectory: Trajectory) -> tuple[Clearance, ...]:
+def _clearances(problem: Problem, trajectory: Trajectory) -> tuple[Obstruction, ...]:
     proximity = Proximity(problem.robot, problem.obstacles)
     if not proximity.pairs:
         return ()
@@ -349,7 +331,7 @@ class _Search:
         """On this segment the margin may be as low as `bound`."""
         heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0))
 
-    def finish(self) -> Clearance | None:
+    def finish(self) -> Obstruction | None:
         """Halve the lowest until nothing can lie below what is to be proven.
 
         A motion that is refuted anyway, or too long for the effort, is left with the
@@ -374,7 +356,7 @@ class _Search:
             proven = min(proven, self._open[0][0])
         moment, index = self._where
         pair_record = self._proximity.pairs[index]
-        return Clearance(proven + pair_record.clearance, proven, pair_record.obstacle, pair_record.link, moment)
+        return pair_record.at(proven + pair_record.clearance, time=moment)
 
     def _travel(self, segment: int, pair: int) -> float:
         """How much the distance of a pair can change on a segment [m]."""

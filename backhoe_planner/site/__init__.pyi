@@ -1,7 +1,8 @@
 from .clearance_screen import ClearanceScreen
 from .limits import scaled_limits, within_sectors
 from .obstacles import Obstacle, build_obstacle, build_obstacles, read_heights, read_points, swept
-from .proximity import Nearby, Pair, Proximity, obstacle_told
+from .obstruction import Obstruction, ObstructionKind
+from .proximity import Nearby, Pair, Proximity
 from .scene_file import (
     Box,
     Capsule,
@@ -32,6 +33,8 @@ __all__ = [
     "Level",
     "Nearby",
     "Obstacle",
+    "Obstruction",
+    "ObstructionKind",
     "Pair",
     "Pose",
     "Proximity",
@@ -49,7 +52,6 @@ __all__ = [
     "failure_angle",
     "load_scene",
     "obstacle_from_dict",
-    "obstacle_told",
     "pace",
     "read_heights",
     "read_points",

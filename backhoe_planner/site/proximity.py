@@ -26,8 +26,9 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import Robot, geometry_model, self_pairs, travel_bounds
 from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
 
-__all__ = ["Nearby", "Pair", "Proximity", "obstacle_told"]
+__all__ = ["Nearby", "Pair", "Proximity"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -38,14 +39,6 @@ _CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not b
 _TOLERANCE = 1e-12  # of coal's iterations [m]
 
 
-_SELF = "self: "
-
-
-def obstacle_told(name: str) -> str:
-    """The name of an obstacle in a sentence; of a part of the machine, ``self: LINK``, the machine itself."""
-    return f"the machine itself ({name.removeprefix(_SELF)})" if name.startswith(_SELF) else name
-
-
 @dataclass(frozen=True)
 class Pair:
     """Two convex pieces that must keep apart.
@@ -53,15 +46,21 @@ class Pair:
     Attributes
     ----------
     link: name of the link.
-    obstacle: name of the obstacle; for the machine itself, ``self: LINK``.
+    kind: ``obstacle``, or ``machine`` where the machine must not touch itself.
+    obstacle: name of the obstacle, or of the machine's other link.
     piece: index into the robot's pieces.
     clearance: signed distance to be kept [m].
     """
 
     link: str
+    kind: ObstructionKind
     obstacle: str
     piece: int
     clearance: float
+
+    def at(self, distance: float, *, time: float = 0.0) -> Obstruction:
+        """The pair where it is `distance` apart [m], at `time` [s]."""
+        return Obstruction(self.kind, self.obstacle, self.link, distance, distance - self.clearance, time)
 
 
 @dataclass(frozen=True)
@@ -134,7 +133,7 @@ class Proximity:
                     if link_piece.joint == 0 or not _counts(obstacle, link_piece.link):
                         continue
                     self._model.addCollisionPair(pin.CollisionPair(row, geometry))
-                    pairs.append(Pair(link_piece.link, obstacle.name, row, obstacle.clearance))
+                    pairs.append(Pair(link_piece.link, "obstacle", obstacle.name, row, obstacle.clearance))
                     travel.append(radii[row])
                     owner.append(index)
                     other.append(0)
@@ -143,7 +142,7 @@ class Proximity:
             # the one further out is the link, the other what it must not touch
             outer, inner = (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
             self._model.addCollisionPair(pin.CollisionPair(outer, inner))
-            pairs.append(Pair(robot.pieces[outer].link, f"{_SELF}{robot.pieces[inner].link}", outer, 0.0))
+            pairs.append(Pair(robot.pieces[outer].link, "machine", robot.pieces[inner].link, outer, 0.0))
             shared = np.array(_support(robot, robot.pieces[inner].joint) > 0.0)
             travel.append(np.where(shared, 0.0, radii[outer]))
             owner.append(-1)
@@ -247,6 +246,15 @@ class Proximity:
         if self._some_appear:
             found[self.appears_at > time] = np.inf
         return found
+
+    def tightest(self, q: Vector, *, time: float = 0.0) -> Obstruction | None:
+        """The pair with the least margin at `q` (n,) and `time` [s]; None where nothing can be touched."""
+        if not self.pairs:
+            return None
+        distances = self.distances(q, time=time)
+        index = int(np.argmin(distances - self.clearance))
+        distance = float(distances[index])
+        return self.pairs[index].at(distance, time=time) if np.isfinite(distance) else None
 
     def lower_bounds(self, q: Vector, *, time: float, floor: Vector) -> tuple[Vector, NDArray[np.bool_]]:
         """Signed distances, measured only where they may be below `floor`.

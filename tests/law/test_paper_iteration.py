@@ -237,7 +237,7 @@ def test_the_scene_file_is_the_scene_that_is_shown(paper_scene: Path) -> None:
 def test_the_completed_law_verifies_it(planar4: Robot, paper_scene: Path) -> None:
     found = plan(planar4, load_scene(paper_scene))
     assert found.verdict == "verified"
-    from_point = [proven.value for proven in found.certificate.clearances if proven.obstacle == "point"]
+    from_point = [proven.distance for proven in found.certificate.clearances if proven.obstacle == "point"]
     assert from_point
     assert min(from_point) >= 0.3
 

@@ -62,6 +62,6 @@ def test_law_takes_a_leg_without_length_in_its_stride(backhoe: bp.Robot) -> None
     kinematics, proximity = bp.Kinematics(backhoe), Proximity(backhoe, ())
     start = bp.solve_inverse_kinematics(backhoe, path.target(0.0)).q
     found = resolve_along(problem, path, 0.0, start, proximity=proximity, kinematics=kinematics)
-    assert found.blocker is None
+    assert found.obstruction is None
     assert np.all(np.isfinite(found.q))
     assert found.reached == pytest.approx(np.hypot(0.7, 0.3))

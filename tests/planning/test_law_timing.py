@@ -101,7 +101,7 @@ def test_past_the_pole_the_machine_is_at_a_limit_and_clear(backhoe: bp.Robot) ->
     assert np.mean(usage.greatest > 0.9) > 0.9
     tightest = plan.certificate.min_clearance
     assert tightest is not None
-    assert tightest.value >= 0.2
+    assert tightest.distance >= 0.2
 
 
 def test_among_what_moves_the_times_are_left(backhoe: bp.Robot) -> None:

@@ -311,10 +311,10 @@ def test_the_least_norm_law_is_the_pseudo_inverse(backhoe: bp.Robot) -> None:
     first = found.q[1] - found.q[0]
     assert abs(null @ first) < 0.02 * np.linalg.norm(first)
     outside = (found.q < problem.limits.lower - 1e-6) | (found.q > problem.limits.upper + 1e-6)
-    if found.blocker is None:
+    if found.obstruction is None:
         assert not outside.any()
     else:
-        assert outside[:, backhoe.joint_names.index(found.blocker[1])].any()
+        assert outside[:, backhoe.joint_names.index(found.obstruction.obstacle)].any()
 
 
 def test_a_law_that_is_blocked_by_an_obstacle_is_told(planar4: bp.Robot) -> None:

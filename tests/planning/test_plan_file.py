@@ -152,7 +152,7 @@ def test_an_edited_motion_is_not_believed(solved: bp.Plan, tmp_path: Path) -> No
     assert not again.verified
     assert again.certificate.min_clearance is not None
     assert again.certificate.min_clearance.obstacle == "ball"
-    assert again.certificate.min_clearance.value < 0.0
+    assert again.certificate.min_clearance.distance < 0.0
 
 
 # --- writing ----------------------------------------------------------------------

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.motion import Trajectory, build_problem
-from backhoe_planner.proof import Certificate, Clearance, certify, segment_is_clear
+from backhoe_planner.proof import Certificate, certify, segment_is_clear
+from backhoe_planner.site import Obstruction
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -57,16 +58,16 @@ def straight(q_a: Vector, q_b: Vector, duration: float = 10.0) -> Trajectory:
     return Trajectory.from_steps(np.array([0.0, duration]), np.array([q_a, q_b]))
 
 
-def to(certificate: Certificate, name: str = "ball") -> Clearance:
+def to(certificate: Certificate, name: str = "ball") -> Obstruction:
     (found,) = [entry for entry in certificate.clearances if entry.obstacle == name]
     return found
 
 
-def assert_proven(found: Clearance, true: float) -> None:
+def assert_proven(found: Obstruction, true: float) -> None:
     """Never above the true distance, and below it by 0.1 mm or 2 % of the margin at most."""
-    clearance = found.value - found.margin
-    assert found.value <= true + 1e-9
-    assert found.value >= true - max(1e-4, 0.02 * (true - clearance)) - 1e-9
+    clearance = found.distance - found.margin
+    assert found.distance <= true + 1e-9
+    assert found.distance >= true - max(1e-4, 0.02 * (true - clearance)) - 1e-9
 
 
 def link_distances(q: Matrix, centre: Vector) -> Matrix:
@@ -118,8 +119,8 @@ def test_all_joints_at_once_against_dense_sampling(planar4: bp.Robot, seed: int)
     true = float(np.min(link_distances((1.0 - part) * q_a + part * q_b, centre))) - radius
     found = to(certify(planar4, scene, straight(q_a, q_b)))
     spacing = 5e-4  # m: how far a sampled least can lie above the true one
-    assert found.value <= true + 1e-9
-    assert found.value >= true - spacing - max(1e-4, 0.02 * (true - 0.05))
+    assert found.distance <= true + 1e-9
+    assert found.distance >= true - spacing - max(1e-4, 0.02 * (true - 0.05))
 
 
 def test_a_thin_pole_between_two_samples_is_found(planar4: bp.Robot) -> None:
@@ -128,7 +129,7 @@ def test_a_thin_pole_between_two_samples_is_found(planar4: bp.Robot) -> None:
     certificate = certify(planar4, site([pole]), straight(STILL, np.array([1.4, 0.0, 0.0, 0.0])))
     assert not certificate.verified
     assert not certificate.safe
-    assert to(certificate, "pole").value < 0.0
+    assert to(certificate, "pole").distance < 0.0
     assert "pole" in certificate.problems[0]
 
 
@@ -187,7 +188,7 @@ def test_a_moving_obstacle_crosses_between_samples(planar4: bp.Robot) -> None:
     assert found.time == pytest.approx(5.0, abs=0.3)
     hitting = passing | {"position": [2.5, -3.0, 0.0]}
     certificate = certify(planar4, site([hitting]), straight(STILL, STILL))
-    assert to(certificate).value < 0.0
+    assert to(certificate).distance < 0.0
     assert not certificate.safe
 
 
@@ -200,7 +201,7 @@ def test_an_obstacle_counts_from_its_appearance_on(planar4: bp.Robot) -> None:
     found = to(certify(planar4, site([late]), motion))
     assert_proven(found, true)
     assert found.time == pytest.approx(5.0)
-    assert to(certify(planar4, site([late | {"appears_at": 0.0}]), motion)).value < 0.0
+    assert to(certify(planar4, site([late | {"appears_at": 0.0}]), motion)).distance < 0.0
 
 
 def test_an_obstacle_moves_from_its_appearance_on(planar4: bp.Robot) -> None:
@@ -224,7 +225,7 @@ def test_the_machine_itself_is_an_obstacle(planar4: bp.Robot) -> None:
     folded = np.array([0.0, 2.4, 2.4, 0.0])
     certificate = certify(planar4, site([]), straight(STILL, folded))
     assert certificate.min_clearance is not None
-    assert certificate.min_clearance.obstacle.startswith("self: ")
+    assert certificate.min_clearance.kind == "machine"
     assert not certificate.safe
 
 

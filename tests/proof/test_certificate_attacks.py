@@ -59,7 +59,7 @@ def test_deep_inside_is_inside(backhoe: bp.Robot, obstacle: dict[str, Any]) -> N
     given = scene(task=goal_at(backhoe, START), obstacles=[{"name": "rock", "clearance": 0.0} | obstacle])
     certificate = bp.certify(backhoe, given, bp.Trajectory.from_steps(np.zeros(1), np.array([START])))
     assert certificate.min_clearance is not None
-    assert certificate.min_clearance.value < -1000.0
+    assert certificate.min_clearance.distance < -1000.0
     assert not certificate.verified
 
 

@@ -132,7 +132,7 @@ def test_nothing_stands_inside_the_machine_and_the_whole_language_is_used() -> N
             site = drawn("backhoe", kind, "goal", index)
             post = bp.Proximity(load_machine("backhoe"), bp.build_obstacles(site.scene, load_machine("backhoe")))
             for pair, distance in zip(post.pairs, post.distances(np.zeros(4)), strict=True):
-                if pair.link == "swing_post" and not pair.obstacle.startswith("self"):
+                if pair.link == "swing_post" and pair.kind == "obstacle":
                     assert distance > 0.0, (site.key, pair.obstacle)
             shapes |= {obstacle.shape for obstacle in site.scene.obstacles}
             limited += sum(obstacle.links is not None for obstacle in site.scene.obstacles)
@@ -183,9 +183,9 @@ def test_a_claim_that_is_too_high_is_refuted() -> None:
     assert plan.verified
     assert independent.refutations(plan) == []
     entries = plan.certificate.clearances
-    first = next(entry for entry in entries if not entry.obstacle.startswith("self"))
+    first = next(entry for entry in entries if entry.kind == "obstacle")
     # what is proven lies within 2 % of the truth, and the points lie 4 cm apart
-    raised = dataclasses.replace(first, value=1.02 * first.value + 0.03)
+    raised = dataclasses.replace(first, distance=1.02 * first.distance + 0.03)
     others = tuple(raised if entry is first else entry for entry in entries)
     wrong = dataclasses.replace(plan, certificate=dataclasses.replace(plan.certificate, clearances=others))
     told = independent.refutations(wrong)

@@ -155,8 +155,8 @@ def test_distance_of_folded_arm_to_itself(planar4: Robot) -> None:
     proximity = Proximity(planar4, ())
     found = proximity.distances(np.array([0.0, np.pi / 2.0, np.pi / 2.0, 0.0]))
     names = {(pair.obstacle, pair.link): d for pair, d in zip(proximity.pairs, found, strict=True)}
-    assert names["self: link1", "link3"] == pytest.approx(1.0 - 0.08)
-    assert names["self: base", "link3"] == pytest.approx(1.0 - 0.04 - 0.06 / np.cos(np.pi / 32), abs=1e-3)
+    assert names["link1", "link3"] == pytest.approx(1.0 - 0.08)
+    assert names["base", "link3"] == pytest.approx(1.0 - 0.04 - 0.06 / np.cos(np.pi / 32), abs=1e-3)
     assert len(names) == 6
     assert not np.any(proximity.clearance)
 
@@ -633,7 +633,7 @@ def test_travel_of_own_pairs_counts_only_the_joints_between(planar4: Robot) -> N
     proximity = Proximity(planar4, ())
     bounds = travel_bounds(planar4)
     for pair, travel in zip(proximity.pairs, proximity.travel, strict=True):
-        inner = int(pair.obstacle.removeprefix("self: link").replace("self: base", "0"))
+        inner = int(pair.obstacle.removeprefix("link").replace("base", "0"))
         np.testing.assert_array_equal(travel[:inner], np.zeros(inner))
         np.testing.assert_array_equal(travel[inner:], bounds[pair.piece][inner:])
 

@@ -145,7 +145,7 @@ def test_a_plan_keeps_the_stop_distance_and_the_line_says_what_was_passed(backho
     scene = site(low, SECTOR, task={"goal": {"position": [4.2, 1.8, 0.6]}})
     plan = bp.plan(backhoe, scene, seed=0)
     assert plan.verified, plan.message
-    kept = {clearance.obstacle: clearance.value for clearance in plan.certificate.clearances}
+    kept = {clearance.obstacle: clearance.distance for clearance in plan.certificate.clearances}
     assert kept["pipe bridge"] >= 0.3 - 2e-4
     visits = worst_first(zone_log(backhoe, scene, plan.trajectory))
     assert [visit for visit in visits if visit.level == "stop"] == []

@@ -382,7 +382,7 @@ class Servo:
             command=command,
             margin=margin if near else math.inf,
             link=self._separation.link(pair) if near else None,
-            obstacle=self._site.said(pair) if near else None,
+            obstacle=self._site.name_of(pair) if near else None,
             tip_position=self._tip.position,
             tip_velocity=tip,
             refused=wish - tip,
@@ -653,7 +653,7 @@ class Servo:
         pair, margin = self._bounds.tightest(near)
         link, obstacle, normal = None, None, _ZERO
         if margin < self._tip.law.influence:
-            link, obstacle = self._separation.link(pair), self._site.said(pair)
+            link, obstacle = self._separation.link(pair), self._site.name_of(pair)
             if margin < _WARN:
                 normal = self._separation.world_normals(np.array([pair]), self._at)[0]
         else:

@@ -83,10 +83,10 @@ class Surroundings:
         """Whether there is an obstacle of that name, or any, that has a velocity."""
         return any(name is None or placed.obstacle.name == name for placed in self._movers)
 
-    def said(self, pair: int) -> str:
-        """Name of what the machine's link must not touch in this pair."""
+    def name_of(self, pair: int) -> str:
+        """What the machine's link must not touch in this pair, in words."""
         owner = int(self._separation.owner[pair])
-        return f"self: {self._separation.inner_link(pair)}" if owner == MACHINE else self._name_of[owner]
+        return f"the machine itself ({self._separation.inner_link(pair)})" if owner == MACHINE else self._name_of[owner]
 
     def shift_of(self, name: str) -> Vector:
         """(3,) how far an obstacle has moved from where it was put [m]; InputError if there is none of that name."""

@@ -17,7 +17,7 @@ from backhoe_planner.law import CompletedLaw, Kind, Rows, step_on_path
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem, TipPath, hand_set_gains
 from backhoe_planner.proof import segment_is_clear
-from backhoe_planner.site import Nearby, Proximity
+from backhoe_planner.site import Nearby, Obstruction, Proximity
 
 __all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
 
@@ -45,18 +45,17 @@ class Resolution:
     Attributes
     ----------
     stations: (K,) arc lengths [m]; q: (K, n) joint positions there.
-    blocker: (link, obstacle) that ended it, ("joint", name) for a limit; None where
-        the end of the path was reached.
+    obstruction: what ended it; None where the end of the path was reached.
     """
 
     stations: Vector
     q: Matrix
-    blocker: tuple[str, str] | None
+    obstruction: Obstruction | None
 
     @property
     def complete(self) -> bool:
         """Whether the end of the path was reached."""
-        return self.blocker is None
+        return self.obstruction is None
 
     @property
     def reached(self) -> float:
@@ -93,7 +92,7 @@ def resolve_along(
         span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
         after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):
-            return Resolution(stations[: len(found)], np.array(found), _blocker(problem, at, nearby, proximity))
+            return Resolution(stations[: len(found)], np.array(found), _obstruction(problem, at, nearby, proximity))
         found.append(after)
     return Resolution(stations, np.array(found), None)
 
@@ -167,13 +166,12 @@ def _pitch_rows(target: TipTarget, at: Configuration) -> tuple[Rows, ...]:
     return (Rows("pitch", np.vstack((row, -row)), np.array([half - off, half + off]), Kind.HARD),)
 
 
-def _blocker(problem: Problem, at: Configuration, nearby: Nearby, proximity: Proximity) -> tuple[str, str]:
+def _obstruction(problem: Problem, at: Configuration, nearby: Nearby, proximity: Proximity) -> Obstruction:
     """What most likely ended the motion: the tightest pair, or the joint at its limit."""
     gap = np.minimum(at.q - problem.limits.lower, problem.limits.upper - at.q)
     joint = int(np.argmin(gap))
     if len(nearby):
         row = int(np.argmin(nearby.margin))
         if nearby.margin[row] < (_TOUCHING if gap[joint] < _AT_LIMIT else _IN_THE_WAY):
-            pair = proximity.pairs[int(nearby.pair[row])]
-            return pair.link, pair.obstacle
-    return "joint", problem.robot.joint_names[joint]
+            return proximity.pairs[int(nearby.pair[row])].at(float(nearby.distance[row]))
+    return Obstruction.joint_limit(problem.robot.joint_names[joint], float(gap[joint]))

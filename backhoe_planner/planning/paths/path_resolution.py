@@ -21,9 +21,9 @@ from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, Layered
 from backhoe_planner.planning.paths.path_layers import PathLayers
 from backhoe_planner.planning.search.deadline import OutOfTime, check_deadline
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
-from backhoe_planner.site import ClearanceScreen, Proximity, obstacle_told
+from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
-__all__ = ["Blame", "Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
+__all__ = ["Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -43,26 +43,6 @@ _EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
 _MOST_DETOURS = 24  # that are tried in vain
 _TRIES = 2  # between two layers
 _FEW = 8  # nodes of a layer that are followed back to where the path is free again
-
-
-@dataclass(frozen=True)
-class Blame:
-    """What is in the way.
-
-    Attributes
-    ----------
-    link, obstacle: the pair that would come too near; ("joint", name) for a joint limit.
-    margin: by how much [m], negative; 0 for a joint limit.
-    """
-
-    link: str
-    obstacle: str
-    margin: float
-
-    def __str__(self) -> str:
-        if self.link == "joint":
-            return f"the limit of joint {self.obstacle}"
-        return f"{obstacle_told(self.obstacle)} (at {self.link})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +67,13 @@ class Detouring:
     ----------
     way: (K, n) joint positions, straight lines between them.
     path_from, path_to: where it leaves and where it comes back [m].
-    blame: why.
+    obstruction: what it goes round.
     """
 
     way: Matrix
     path_from: float
     path_to: float
-    blame: Blame
+    obstruction: Obstruction
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +85,7 @@ class Resolved:
     pieces: in order; without an end where it is blocked.
     complete: whether they lead to the end of the path.
     blocked_from, blocked_to: the part that could be neither followed nor bypassed [m].
-    blame: what is in the way there.
+    obstruction: what is in the way there.
     out_of_time: whether the search was ended by its deadline.
     """
 
@@ -113,7 +93,7 @@ class Resolved:
     complete: bool
     blocked_from: float = 0.0
     blocked_to: float = 0.0
-    blame: Blame | None = None
+    obstruction: Obstruction | None = None
     out_of_time: bool = False
 
 
@@ -308,23 +288,23 @@ class PathResolver:
         a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
         low, high = (float(graph.stations[node[0]]) for node in (edge.start, edge.end))
         if low == high or (self._off_path and edge.start[0] == 0):
-            blame = self._blame(a, low)
+            obstruction = self._obstruction(a, low)
             before, after = Stretch(np.array([low]), a[None, :]), Stretch(np.array([high]), b[None, :])
         else:
-            before, blame = self._extend(low, high, a)
+            before, obstruction = self._extend(low, high, a)
             # never so far that both ends cross
             back, _ = self._extend(high, float(before.stations[-1]), b)
             after = Stretch(back.stations[::-1], back.q[::-1])
         way = self._find_detour(before.q[-1], after.q[0], float(before.stations[-1]), float(after.stations[0]))
         if way is None:
             return None
-        return before, Detouring(way, float(before.stations[-1]), float(after.stations[0]), blame), after
+        return before, Detouring(way, float(before.stations[-1]), float(after.stations[0]), obstruction), after
 
-    def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, Blame]:
+    def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, Obstruction]:
         """On along the path from `low` towards `high` [m], the shortest step at a time, as far as it is clear."""
         count = max(int(np.ceil(abs(high - low) / _EXTENSION)), 1)
         stations, found = [low], [q]
-        blame = None
+        obstruction = None
         for s in np.linspace(low, high, count + 1)[1:].tolist():
             targets = TargetBatch.of([self._path.target(s)])
             after, reached = solve_batch(self._kinematics, targets, found[-1][None, :], iterations=12)
@@ -332,37 +312,29 @@ class PathResolver:
             if not reached[0] or not near:
                 break
             if not self._is_clear(np.array([found[-1], after[0]])):
-                blame = self._blame(after[0], s)
+                obstruction = self._obstruction(after[0], s)
                 break
             stations.append(s)
             found.append(after[0])
-        return Stretch(np.array(stations), np.array(found)), blame or self._blame(found[-1], stations[-1])
+        return Stretch(np.array(stations), np.array(found)), obstruction or self._obstruction(found[-1], stations[-1])
 
-    def _blame(self, q: Vector, station: float) -> Blame:
+    def _obstruction(self, q: Vector, station: float) -> Obstruction:
         """What is in the way at `q`, or else at what else would put the tip on the path there."""
-        tightest = self._tightest(q)
+        tightest = self._proximity.tightest(q, time=self._time)
         gap = np.minimum(q - self._problem.limits.lower, self._problem.limits.upper - q)
         if tightest is not None and tightest.margin < 0.0:
             return tightest
         joint = int(np.argmin(gap))
         if gap[joint] < 1e-3:
-            return Blame("joint", self._problem.robot.joint_names[joint], 0.0)
+            return Obstruction.joint_limit(self._problem.robot.joint_names[joint])
         layer = min(int(np.searchsorted(self._stations, station + 1e-9)), len(self._all) - 1)
-        others = [self._tightest(node) for node in self._all[layer]]
+        others = [self._proximity.tightest(node, time=self._time) for node in self._all[layer]]
         blocked = [other for other in others if other is not None and other.margin < 0.0]
         if blocked:
             return max(blocked, key=lambda other: other.margin)
         if tightest is not None and tightest.margin < 0.1:
             return tightest
-        return Blame("joint", self._problem.robot.joint_names[joint], 0.0)
-
-    def _tightest(self, q: Vector) -> Blame | None:
-        if not self._proximity.pairs:
-            return None
-        margins = self._proximity.distances(q, time=self._time) - self._proximity.clearance
-        index = int(np.argmin(margins))
-        pair = self._proximity.pairs[index]
-        return Blame(pair.link, pair.obstacle, float(margins[index])) if np.isfinite(margins[index]) else None
+        return Obstruction.joint_limit(self._problem.robot.joint_names[joint])
 
     def _free_again(self, left: float) -> float:
         """The first arc length after `left` at which the tip can be on the path again [m], else the path's end."""
@@ -399,7 +371,7 @@ class PathResolver:
         """The pieces up to where the path is blocked."""
         graph.only_detours(self._ways)
         pieces: tuple[Stretch | Detouring, ...] = ()
-        blame = None
+        obstruction = None
         left = 0.0
         while (reached := graph.furthest(costs)) >= 0:
             route = graph.best_route(costs, end=reached)
@@ -409,15 +381,15 @@ class PathResolver:
             layer, index = route.nodes[-1]
             low = float(graph.stations[layer])
             high = float(graph.stations[min(layer + 1, len(graph.stations) - 1)])
-            further, blame = self._extend(low, high, graph.layers[layer][index])
+            further, obstruction = self._extend(low, high, graph.layers[layer][index])
             joined = list(self._pieces(graph, route))
             _append(joined, further)
             pieces, left = tuple(joined), float(further.stations[-1])
             break
         again = self._free_again(left)
-        if blame is None:
-            blame = self._blame(self._problem.robot.middle, left)
-        return Resolved(pieces, False, left, again, blame)
+        if obstruction is None:
+            obstruction = self._obstruction(self._problem.robot.middle, left)
+        return Resolved(pieces, False, left, again, obstruction)
 
 
 def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:

@@ -22,7 +22,7 @@ from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.reactive.reaching import approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.postures import Postures
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import Obstruction, Proximity
 
 __all__ = ["Followed", "Follower"]
 
@@ -45,14 +45,14 @@ class Followed:
     stepper: the motion.
     blocked_from, blocked_to: part of the path that could be neither followed nor
         bypassed [m].
-    blocker: (link, obstacle) that is in the way there, or ("joint", name).
+    obstruction: what is in the way there; None where it is done.
     """
 
     done: bool
     stepper: Stepper
     blocked_from: float = 0.0
     blocked_to: float = 0.0
-    blocker: tuple[str, str] | None = None
+    obstruction: Obstruction | None = None
 
 
 class Follower:
@@ -102,7 +102,7 @@ class Follower:
             if not rejoined.done:
                 return rejoined
             stepper = rejoined.stepper
-        return Followed(False, stepper, s, self._path.length)
+        return Followed(False, stepper, s, self._path.length, resolution.obstruction)
 
     def _resolve(self, stepper: Stepper, s: float, q: Vector) -> Resolution:
         return resolve_along(
@@ -125,7 +125,7 @@ class Follower:
         """Get back onto the path behind what blocks it; and where that was [m]."""
         left = resolution.reached
         if not self._detour:
-            return Followed(False, stepper, left, self._free_again(stepper, left), resolution.blocker), left
+            return Followed(False, stepper, left, self._free_again(stepper, left), resolution.obstruction), left
         furthest = self._path.length
         rejoins = 0
         s = left
@@ -145,7 +145,7 @@ class Follower:
             if s >= self._path.length:
                 break
             s = min(s + (_COARSE if fresh else _RASTER), self._path.length)
-        return Followed(False, stepper, left, furthest, resolution.blocker), left
+        return Followed(False, stepper, left, furthest, resolution.obstruction), left
 
     def _free_again(self, stepper: Stepper, left: float) -> float:
         """The first point of the path behind `left` that the machine can stand on, else its end [m]."""

@@ -20,7 +20,7 @@ from backhoe_planner.law import CompletedLaw
 from backhoe_planner.machine import Configuration, JointLimits, TipTarget, movable_rows
 from backhoe_planner.motion import hand_set_gains
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.site import Nearby
+from backhoe_planner.site import Nearby, Obstruction
 
 __all__ = ["Attempt", "approach_goal"]
 
@@ -49,14 +49,14 @@ class Attempt:
     arrived: the tip is on the goal, at rest.
     stepper: the motion that was made.
     distance: of the tip from the goal at the end [m].
-    blocker: (link, obstacle) that held the motion back at the end, if any.
+    obstruction: what held the motion back at the end; None where nothing is near.
     way: how it was tried, in words.
     """
 
     arrived: bool
     stepper: Stepper
     distance: float
-    blocker: tuple[str, str] | None
+    obstruction: Obstruction | None
     way: str
 
 
@@ -326,8 +326,8 @@ def _attempt(stepper: Stepper, goal: TipTarget, arrived: bool, way: str) -> Atte
     if not arrived:
         stepper.stop()
     at, nearby = stepper.look()
-    blocker = None
+    obstruction = None
     if len(nearby):
-        pair = stepper.pair(int(nearby.pair[int(np.argmin(nearby.margin))]))
-        blocker = (pair.link, pair.obstacle)
-    return Attempt(arrived, stepper, goal.distances(at)[0], blocker, way)
+        row = int(np.argmin(nearby.margin))
+        obstruction = stepper.pair(int(nearby.pair[row])).at(float(nearby.distance[row]), time=stepper.time)
+    return Attempt(arrived, stepper, goal.distances(at)[0], obstruction, way)

@@ -30,7 +30,7 @@ from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
 from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.proof import Certificate
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import Obstruction, Proximity
 
 __all__ = [
     "Comparison",
@@ -64,7 +64,7 @@ class Comparison:
     motion: that part of it; begun: when it begins in the plan [s].
     law: of the law's motion with the same timing, for `time` with its own; None where it does not get along the path.
     law_motion: that motion, or None.
-    law_breaks: the joint whose limit the law breaks, or what it would come too near to;
+    law_breaks: what the law comes too near to, or the joint whose limit it breaks;
         None where it keeps everything.
     """
 
@@ -75,7 +75,7 @@ class Comparison:
     begun: float
     law: float | None
     law_motion: Trajectory | None
-    law_breaks: str | None
+    law_breaks: Obstruction | None
 
     @property
     def saving_percent(self) -> float | None:
@@ -106,7 +106,7 @@ class Comparison:
             "whole": self.whole,
             "law_whole": self.law_whole,
             "saving_percent_whole": self.saving_percent_whole,
-            "law_breaks": self.law_breaks,
+            "law_breaks": None if self.law_breaks is None else str(self.law_breaks),
         }
 
 
@@ -123,21 +123,19 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
     is_time = OBJECTIVES[name].is_time
     value, whole = trajectory_costs(problem, motion)[name], trajectory_costs(problem, trajectory)[name]
 
-    def beside(law: float | None, moved: Trajectory | None, breaks: str | None) -> Comparison:
+    def beside(law: float | None, moved: Trajectory | None, breaks: Obstruction | None) -> Comparison:
         return Comparison(name, value, whole, motion, begun, law, moved, breaks)
 
     if certificate.detours:
-        return beside(None, None, "clearance: the path itself is blocked")
+        return beside(None, None, None)  # the path itself is blocked
     if np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING):
         return beside(None, None, None)  # no place to compare by
     proximity = Proximity(problem.robot, problem.obstacles)
     law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
-    breaks = None
-    if law.blocker is not None:
-        kind, what = law.blocker
-        if kind != "joint":
-            return beside(None, None, f"clearance: {what} (at {kind})")
-        breaks = f"limit of joint {what}"
+    breaks = law.obstruction
+    if breaks is not None:
+        if breaks.kind != "joint":
+            return beside(None, None, breaks)
         # a motion beyond a limit cannot be timed within the limits
         found = None if is_time else least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
         if found is None:
@@ -231,12 +229,12 @@ def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinemat
 
     Returns
     -------
-    With the first joint that breaks a limit as its blocker; None where the arm is
+    With the first joint that breaks a limit as its obstruction; None where the arm is
     stretched out before the end.
     """
     stations = sample_stations(path, 0.0)
     found = [np.array(q, dtype=float)]
-    broken: tuple[str, str] | None = None
+    broken: Obstruction | None = None
     limits = problem.limits
     for s in stations[1:].tolist():
         target, joints = path.target(s), found[-1]
@@ -256,5 +254,6 @@ def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinemat
         found.append(joints)
         over = np.maximum(limits.lower - joints, joints - limits.upper)
         if broken is None and float(np.max(over)) > _BREAKS:
-            broken = ("joint", problem.robot.joint_names[int(np.argmax(over))])
+            worst = int(np.argmax(over))
+            broken = Obstruction.joint_limit(problem.robot.joint_names[worst], -float(over[worst]))
     return Resolution(stations, np.array(found), broken)

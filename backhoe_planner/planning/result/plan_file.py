@@ -20,7 +20,7 @@ from backhoe_planner.machine import load_robot
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.result.plan import METHODS, Plan
 from backhoe_planner.proof import certify
-from backhoe_planner.site import Scene, scene_from_dict
+from backhoe_planner.site import Obstruction, Scene, scene_from_dict
 
 __all__ = ["certificate_to_dict", "load_plan", "plan_to_dict", "save_plan"]
 
@@ -90,14 +90,22 @@ def certificate_to_dict(plan: Plan) -> dict[str, Any]:
     tightest = certificate.min_clearance
     tracking = certificate.tracking
     return {
-        "min_clearance": None if tightest is None else asdict(tightest),
-        "clearances": [asdict(clearance) for clearance in certificate.clearances],
+        "min_clearance": None if tightest is None else _clearance(tightest),
+        "clearances": [_clearance(clearance) for clearance in certificate.clearances],
         "limits": {kind: asdict(use) for kind in _LIMITS if (use := getattr(certificate, kind)) is not None},
         "tip_error": {"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
         "path": {"length": tracking.path_length, "followed": tracking.followed},
         "detours": [asdict(detour) for detour in tracking.detours],
         "problems": list(certificate.problems),
     }
+
+
+def _clearance(found: Obstruction) -> dict[str, Any]:
+    """As the contract has it: a link of the machine is named ``self: LINK``."""
+    obstacle = f"self: {found.obstacle}" if found.kind == "machine" else found.obstacle
+    return {
+        "value": found.distance, "margin": found.margin, "obstacle": obstacle, "link": found.link, "time": found.time,
+    }  # fmt: skip
 
 
 def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> Plan:

@@ -17,31 +17,14 @@ from backhoe_planner.machine import (
     solve_inverse_kinematics,
 )
 from backhoe_planner.motion import Problem
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import Obstruction, Proximity
 
-__all__ = ["Contact", "Found", "Postures"]
+__all__ = ["Found", "Postures"]
 
 Vector = NDArray[np.float64]
 
 _SPARE = 0.003  # m beyond the clearance, so that the motion can end there
 _SAME = 0.05  # rad: configurations nearer than this count as one
-
-
-@dataclass(frozen=True)
-class Contact:
-    """What comes nearest in a configuration.
-
-    Attributes
-    ----------
-    link, obstacle: names.
-    distance: signed [m].
-    margin: distance minus the clearance that must be kept [m].
-    """
-
-    link: str
-    obstacle: str
-    distance: float
-    margin: float
 
 
 @dataclass(frozen=True)
@@ -59,7 +42,7 @@ class Found:
     clear: tuple[Vector, ...]
     reachable: bool
     best: InverseKinematics
-    contact: Contact | None
+    contact: Obstruction | None
 
 
 class Postures:
@@ -73,17 +56,6 @@ class Postures:
         self._kinematics = kinematics
         self._rng = rng
         self._batch = BatchKinematics(problem.robot)
-
-    def contact(self, q: Vector, *, time: float = 0.0) -> Contact | None:
-        """The tightest pair at `q` (n,), None where nothing can be touched."""
-        proximity = self._proximity
-        if not proximity.pairs:
-            return None
-        distances = proximity.distances(q, time=time)
-        margins = distances - proximity.clearance
-        index = int(np.argmin(margins))
-        pair = proximity.pairs[index]
-        return Contact(pair.link, pair.obstacle, float(distances[index]), float(margins[index]))
 
     def at(self, target: TipTarget, *, near: Vector | None = None, count: int = 24, time: float = 0.0) -> Found:
         """Clear configurations that put the tip on `target`.
@@ -101,12 +73,12 @@ class Postures:
         ends, reached = solve_batch(self._batch, batch, guesses)
         best: InverseKinematics | None = None
         clear: list[Vector] = []
-        mildest: Contact | None = None
+        mildest: Obstruction | None = None
         for q in ends[reached]:
             best = best or InverseKinematics(True, q, *target.distances(self._kinematics.at(q)), count)
             if any(float(np.max(np.abs(q - other))) <= _SAME for other in clear):
                 continue
-            contact = self.contact(q, time=time)
+            contact = self._proximity.tightest(q, time=time)
             if contact is None or contact.margin >= _SPARE:
                 clear.append(q)
             elif mildest is None or contact.margin > mildest.margin:
@@ -114,7 +86,7 @@ class Postures:
         if best is None:
             best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng)
             if best.reached:
-                contact = self.contact(best.q, time=time)
+                contact = self._proximity.tightest(best.q, time=time)
                 if contact is None or contact.margin >= _SPARE:
                     clear.append(best.q)
                 else:

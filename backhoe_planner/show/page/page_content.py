@@ -12,7 +12,7 @@ from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, Timeline
+from backhoe_planner.show.drawing.timeline import Nearest, Timeline
 
 __all__ = ["plan_content", "problem_content", "step_content"]
 
@@ -98,15 +98,13 @@ def _facts(plan: Plan) -> list[list[str]]:
     facts: list[list[str]] = []
     tightest = certificate.min_clearance
     if tightest is not None:
-        itself = tightest.obstacle.startswith("self: ")
-        asked = tightest.value - tightest.margin
-        other = f"{ITSELF} ({tightest.obstacle[6:]})" if itself else tightest.obstacle
+        asked = tightest.distance - tightest.margin
         facts.append(
             [
                 "Tightest margin",
                 f"{_metres(tightest.margin)} m",
-                f"{tightest.link} to {other} at {tightest.time:.1f} s; "
-                f"{_metres(tightest.value)} m apart" + (f", {asked:.2f} m asked" if asked > 1e-9 else ""),
+                f"{tightest.link} to {tightest.name} at {tightest.time:.1f} s; "
+                f"{_metres(tightest.distance)} m apart" + (f", {asked:.2f} m asked" if asked > 1e-9 else ""),
             ]
         )
     tracking = certificate.tracking

@@ -1,0 +1,61 @@
+"""What is in the way of a motion: one record, from where it is found to where it is printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["Obstruction", "ObstructionKind"]
+
+ObstructionKind = Literal["obstacle", "machine", "joint"]
+
+
+@dataclass(frozen=True)
+class Obstruction:
+    """The tightest spot between a link and what it must keep away from, or a joint at its limit.
+
+    Attributes
+    ----------
+    kind: ``obstacle`` of the site, ``machine`` for another link of it, ``joint`` for a joint's limit.
+    obstacle: name of the obstacle, of that other link, or of the joint.
+    link: name of the link that comes near; empty for a joint.
+    distance: signed, negative inside [m]; of a joint, to its limit [rad or m]. A certificate
+        gives the proven lower bound.
+    margin: `distance` minus the clearance that must be kept [m]; of a joint, `distance`.
+    time: when [s]; 0 where nothing moves.
+    path_from, path_to: the part of the path that it is about [m]; None where it is about none.
+    """
+
+    kind: ObstructionKind
+    obstacle: str
+    link: str
+    distance: float
+    margin: float
+    time: float = 0.0
+    path_from: float | None = None
+    path_to: float | None = None
+
+    @classmethod
+    def joint_limit(cls, joint: str, distance: float = 0.0) -> Obstruction:
+        """A joint that stands `distance` [rad or m] before its limit, or beyond it (negative)."""
+        return cls("joint", joint, "", distance, distance)
+
+    @property
+    def name(self) -> str:
+        """For a sentence: ``gas pipe``, ``the machine itself (boom)``, ``the limit of joint boom``."""
+        if self.kind == "machine":
+            return f"the machine itself ({self.obstacle})"
+        return f"the limit of joint {self.obstacle}" if self.kind == "joint" else self.obstacle
+
+    def __str__(self) -> str:
+        """`name` and the link: ``gas pipe (at bucket)``."""
+        return f"{self.name} (at {self.link})" if self.link else self.name
+
+    def describe(self) -> str:
+        """How close it is: ``bucket is 0.140 m inside rock``."""
+        if self.kind == "joint":
+            return f"{self.obstacle} is {'beyond' if self.margin < 0.0 else 'at'} its limit"
+        if self.distance < 0.0:
+            return f"{self.link} is {-self.distance:.3f} m inside {self.name}"
+        than = "closer than allowed" if self.margin < 0.0 else "more than the least allowed"
+        return f"{self.link} is {self.distance:.3f} m from {self.name}, {abs(self.margin):.3f} m {than}"
