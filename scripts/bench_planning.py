@@ -1,21 +1,20 @@
 #!/usr/bin/env python
 """How often, how fast and how well `bp.plan` solves seeded random sites.
 
-Every (machine, kind, task) is a group of N sites (see random_scenes.py), each drawn
-from a seed of its own. For each group: the part that was verified, of all sites and of
-those where a solution is known to exist; the reasons of the others; planning time, also
-as a multiple of a reference measured beside it (1000 calls of `Proximity.distances` on
-the same site), which a faster machine leaves as it is; the motion's duration, the tip's
-way, and the least margin of any verified plan.
+For each group of sites (machine, kind, task; see validation/sites.py): the part that was
+verified, of all and of those where a solution is known to exist; the reasons of the
+others; planning time, also as a multiple of a reference measured beside it (1000 calls
+of `Proximity.distances` on the same site); the motion's duration, the tip's way, and the
+least margin of any verified plan. The results are in docs/measurements.md.
 
     python scripts/bench_planning.py --sites 50 --save run.json
     python scripts/bench_planning.py --sites 50 --compare run.json
     python scripts/bench_planning.py --only backhoe/narrow/goal/7
     python scripts/bench_planning.py --sites 300 --refute --dask tcp://scheduler:8786
 
-`--refute` holds every verified plan against an independent check (independent.py).
-Ctrl-C ends it with what is done so far. The exit status is 1 where a verified plan was
-refuted or an exception was raised, 130 after Ctrl-C, else 0.
+`--refute` holds every verified plan against validation/independent_check.py. Ctrl-C ends
+the run and prints what is done. The exit status is 1 where a verified plan was refuted
+or an exception was raised, 130 after Ctrl-C, else 0.
 """
 
 from __future__ import annotations
@@ -25,454 +24,35 @@ import os
 os.environ["OMP_NUM_THREADS"] = "1"  # one site to a core; before numpy is imported
 
 import argparse
-import json
-import multiprocessing
-import signal
 import sys
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from independent import refutations
-from joblib import Parallel, delayed
-from random_scenes import KINDS, MACHINES, TASKS, Site, SiteKey, load_machine, random_site
 
 import backhoe_planner as bp
-from backhoe_planner.files.output_file import check_writable, whole_file
+from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.planning import DEFAULT_BUDGET
-
-__all__ = [
-    "Comparison",
-    "Row",
-    "Settings",
-    "Summary",
-    "compare",
-    "load_rows",
-    "run",
-    "run_site",
-    "save_rows",
-    "summarise",
-    "table",
-]
-
-Group = tuple[str, str, str]
-
-VERSION = 1
-REFERENCE_CALLS = 1000
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How every site is planned."""
-
-    method: str = "auto"
-    budget: float = DEFAULT_BUDGET
-    refute: bool = False
-
-
-@dataclass(frozen=True)
-class Row:
-    """What became of one site.
-
-    Attributes
-    ----------
-    verdict: ``verified``, ``failed``, or ``error`` where an exception was raised.
-    seconds: planning time [s].
-    reference: time of 1000 calls of `Proximity.distances` on this site [s]; None where
-        an exception came before.
-    duration, tip_length: of the motion [s, m]; of verified plans only, else None.
-    margin: the least, of verified plans with anything near [m].
-    refuted: what contradicts the certificate; empty where nothing does, None where the
-        plan was not held against the independent check.
-    """
-
-    machine: str
-    kind: str
-    task: str
-    index: int
-    seed: int
-    form: str
-    way_known: bool
-    blocked: bool
-    verdict: str
-    reason: str
-    message: str
-    seconds: float
-    reference: float | None
-    duration: float | None = None
-    tip_length: float | None = None
-    margin: float | None = None
-    refuted: list[str] | None = None
-
-    @property
-    def key(self) -> SiteKey:
-        """The name of the site."""
-        return SiteKey(self.machine, self.kind, self.task, self.index, self.seed)
-
-    @property
-    def group(self) -> Group:
-        """(machine, kind, task)."""
-        return self.machine, self.kind, self.task
-
-    @property
-    def ratio(self) -> float | None:
-        """Planning time over the reference."""
-        return self.seconds / self.reference if self.reference else None
-
-    @property
-    def verified(self) -> bool:
-        """Whether the plan is verified."""
-        return self.verdict == "verified"
-
-
-@dataclass(frozen=True)
-class Summary:
-    """Figures of one group; times of all its sites, motions of the verified plans."""
-
-    group: Group
-    sites: int
-    verified: int
-    known: int
-    known_verified: int
-    reasons: dict[str, int]
-    median: float
-    p95: float
-    ratio: float
-    duration: float
-    tip_length: float
-    margin: float
-    refuted: int | None
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """What changed in one group, on the sites that both runs have.
-
-    Attributes
-    ----------
-    before, now: how many are verified.
-    time_ratio: median of planning time now over before, each as a multiple of its own
-        reference; over the sites that both runs verified.
-    lost, won: the sites that went from verified to not, and the other way.
-    """
-
-    group: Group
-    sites: int
-    before: int
-    now: int
-    time_ratio: float
-    lost: tuple[SiteKey, ...]
-    won: tuple[SiteKey, ...]
-
-
-# --- one site -------------------------------------------------------------------------
-
-
-def run_site(key: SiteKey, settings: Settings) -> Row:
-    """Draw a site, plan it, and hold the plan against the independent check where asked."""
-    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who hands out the sites ends it
-    name: dict[str, Any] = {name: getattr(key, name) for name in ("machine", "kind", "task", "index", "seed")}
-    known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False}
-    begun = time.perf_counter()
-    reference: float | None = None
-    try:
-        robot = load_machine(key.machine)
-        site = random_site(robot, key)
-        known = {"form": site.form, "way_known": site.way_known, "blocked": site.blocked}
-        reference = _reference(robot, site)
-        begun = time.perf_counter()
-        plan = bp.plan(robot, site.scene, method=settings.method, budget=settings.budget)
-        seconds = time.perf_counter() - begun
-        least = plan.certificate.min_clearance
-        found: dict[str, Any] = {}
-        if plan.verified:
-            found = {
-                "duration": float(plan.metrics["duration"]),
-                "tip_length": float(plan.metrics["tip_length"]),
-                "margin": None if least is None else float(least.margin),
-                "refuted": refutations(plan) if settings.refute else None,
-            }
-        return Row(
-            **name, **known, verdict=plan.verdict, reason=plan.reason, message=plan.message,
-            seconds=seconds, reference=reference, **found,
-        )  # fmt: skip
-    except Exception as error:  # noqa: BLE001  an exception is a finding, not the end of the run
-        return Row(
-            **name, **known, verdict="error", reason="error", message=f"{type(error).__name__}: {error}",
-            seconds=time.perf_counter() - begun, reference=reference,
-        )  # fmt: skip
-
-
-def _reference(robot: bp.Robot, site: Site) -> float:
-    """Time of 1000 calls of `Proximity.distances` [s], from a tenth of them."""
-    proximity = bp.Proximity(robot, bp.build_obstacles(site.scene, robot))
-    rng = np.random.default_rng(0)
-    configurations = [robot.random_q(rng) for _ in range(REFERENCE_CALLS // 10)]
-    begun = time.perf_counter()
-    for q in configurations:
-        proximity.distances(q)
-    return 10.0 * (time.perf_counter() - begun)
-
-
-# --- all of them ----------------------------------------------------------------------
-
-
-def run(
-    keys: Sequence[SiteKey],
-    settings: Settings,
-    *,
-    jobs: int = -1,
-    dask: str | None = None,
-    told: Callable[[int], None] = lambda done: None,
-) -> tuple[list[Row], bool]:
-    """The rows of all sites in the order of the keys, and whether it was interrupted before the last.
-
-    Parameters
-    ----------
-    jobs: processes; -1 for one on each core, 1 for this process alone.
-    dask: address of a Dask scheduler, or ``local``; instead of processes of its own.
-        backhoe_planner must be installed for its workers; the scripts are sent there.
-    told: is called with the number of sites done.
-    """
-    rows: list[Row] = []
-    results = _by_dask(keys, settings, dask, jobs) if dask else _by_processes(keys, settings, jobs)
-    interrupted = False
-    try:
-        for record in results:
-            rows.append(Row(**record))
-            told(len(rows))
-    except KeyboardInterrupt:
-        interrupted = len(rows) < len(keys)
-    finally:
-        results.close()
-    order = {key: place for place, key in enumerate(keys)}
-    return sorted(rows, key=lambda row: order[row.key]), interrupted
-
-
-def _record(key: SiteKey, settings: Settings) -> dict[str, Any]:
-    """A row as plain data: the other process may know this file by another name."""
-    return asdict(run_site(key, settings))
-
-
-def _on_worker(key: tuple[Any, ...], settings: tuple[Any, ...]) -> dict[str, Any]:
-    """The same where neither this file nor its records were imported; the scheduler has none of them."""
-    import bench_planning
-
-    record: dict[str, Any] = bench_planning._record(bench_planning.SiteKey(*key), bench_planning.Settings(*settings))
-    return record
-
-
-def _by_processes(keys: Sequence[SiteKey], settings: Settings, jobs: int) -> Generator[dict[str, Any], None, None]:
-    if jobs == 1:
-        yield from (_record(key, settings) for key in keys)
-        return
-    calls = (delayed(_record)(key, settings) for key in keys)
-    try:
-        yield from Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")(calls)
-    except (KeyboardInterrupt, GeneratorExit):
-        from joblib.externals.loky import get_reusable_executor
-
-        get_reusable_executor().shutdown(wait=True, kill_workers=True)
-        raise
-
-
-def _by_dask(
-    keys: Sequence[SiteKey], settings: Settings, address: str, jobs: int
-) -> Generator[dict[str, Any], None, None]:
-    try:
-        from distributed import Client, LocalCluster, as_completed
-    except ImportError as error:
-        raise SystemExit('--dask needs Dask: pip install "dask[distributed]"') from error
-    count = jobs if jobs > 0 else (os.cpu_count() or 1)
-    local = address == "local"
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # the workers of a local cluster inherit it
-    try:
-        cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) if local else None
-    finally:
-        signal.signal(signal.SIGINT, before)
-    with Client(cluster or address) as client:
-        try:
-            for name in ("random_scenes.py", "independent.py", "bench_planning.py"):
-                client.upload_file(str(Path(__file__).with_name(name)), load=False)
-            plain = [astuple(key) for key in keys]
-            futures = client.map(_on_worker, plain, settings=astuple(settings), pure=False)
-            try:
-                for future in as_completed(futures):
-                    yield future.result()
-            finally:
-                client.cancel(futures)
-        finally:
-            if cluster is not None:
-                cluster.close()
-
-
-def all_keys(
-    sites: int, *, machines: Sequence[str], kinds: Sequence[str], tasks: Sequence[str], seed: int
-) -> list[SiteKey]:
-    """The keys of all groups, the first of each before the second of any."""
-    return [
-        SiteKey(machine, kind, task, index, seed)
-        for index in range(sites) for machine in machines for kind in kinds for task in tasks
-    ]  # fmt: skip
-
-
-# --- what came of it ------------------------------------------------------------------
-
-
-def summarise(rows: Sequence[Row]) -> list[Summary]:
-    """The figures of every group, in the order in which the groups first appear."""
-    return [
-        _summary(group, [row for row in rows if row.group == group]) for group in dict.fromkeys(r.group for r in rows)
-    ]
-
-
-def _summary(group: Group, rows: Sequence[Row]) -> Summary:
-    verified = [row for row in rows if row.verified]
-    known = [row for row in rows if row.way_known]
-    checked = [row for row in verified if row.refuted is not None]
-    seconds = [row.seconds for row in rows]
-    return Summary(
-        group=group,
-        sites=len(rows),
-        verified=len(verified),
-        known=len(known),
-        known_verified=sum(row.verified for row in known),
-        reasons=dict(Counter(row.reason for row in rows if not row.verified).most_common()),
-        median=float(np.median(seconds)),
-        p95=float(np.percentile(seconds, 95)),
-        ratio=_median([row.ratio for row in rows]),
-        duration=_median([row.duration for row in verified]),
-        tip_length=_median([row.tip_length for row in verified]),
-        margin=min((row.margin for row in verified if row.margin is not None), default=float("nan")),
-        refuted=sum(bool(row.refuted) for row in checked) if checked else None,
-    )
-
-
-def _median(values: Sequence[float | None]) -> float:
-    finite = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.median(finite)) if finite else float("nan")
-
-
-def table(summaries: Sequence[Summary]) -> str:
-    """The figures of every group as text."""
-    lines = [
-        f"{'':<24}{'sites':>6}{'verified':>10}{'of known ways':>16}{'median':>9}{'p95':>8}{'/ref':>7}"
-        f"{'motion':>8}{'tip':>7}{'margin':>8}{'refuted':>9}  reasons",
-        f"{'':<24}{'':>6}{'':>10}{'':>16}{'[s]':>9}{'[s]':>8}{'':>7}{'[s]':>8}{'[m]':>7}{'[mm]':>8}",
-    ]
-    for group in summaries:
-        known = f"{_part(group.known_verified, group.known)} of {group.known}" if group.known else "-"
-        reasons = ", ".join(f"{reason} {count}" for reason, count in group.reasons.items())
-        lines.append(
-            f"{' '.join(group.group):<24}{group.sites:>6}{_part(group.verified, group.sites):>10}{known:>16}"
-            f"{group.median:>9.2f}{group.p95:>8.2f}{group.ratio:>7.1f}{group.duration:>8.1f}{group.tip_length:>7.2f}"
-            f"{1e3 * group.margin:>8.1f}{'-' if group.refuted is None else group.refuted:>9}  {reasons}"
-        )
-    return "\n".join(lines)
-
-
-def _part(part: int, whole: int) -> str:
-    return f"{100.0 * part / whole:.1f} %"
-
-
-def failures(rows: Sequence[Row]) -> str:
-    """The indices of the sites that are not verified, group by group; a star where a way is known."""
-    lines = []
-    for group in dict.fromkeys(row.group for row in rows):
-        failed = [row for row in rows if row.group == group and not row.verified]
-        if failed:
-            told = " ".join(f"{row.index}{'*' if row.way_known else ''}" for row in failed)
-            lines.append(f"  {'/'.join(group)}: {told}")
-    if not lines:
-        return ""
-    seed = rows[0].seed
-    return "\n".join(
-        [
-            f"not verified (* a way is known), seed {seed}; rerun with --only MACHINE/KIND/TASK/INDEX --seed {seed}:",
-            *lines,
-        ]
-    )
-
-
-def compare(before: Sequence[Row], now: Sequence[Row]) -> list[Comparison]:
-    """What changed from one run to another, by group, on the sites that both have."""
-    old = {row.key: row for row in before}
-    pairs = [(old[row.key], row) for row in now if row.key in old]
-    found = []
-    for group in dict.fromkeys(row.group for _, row in pairs):
-        mine = [(was, row) for was, row in pairs if row.group == group]
-        times = [
-            row.ratio / was.ratio for was, row in mine if was.verified and row.verified and row.ratio and was.ratio
-        ]
-        found.append(
-            Comparison(
-                group=group,
-                sites=len(mine),
-                before=sum(was.verified for was, _ in mine),
-                now=sum(row.verified for _, row in mine),
-                time_ratio=_median(times),
-                lost=tuple(row.key for was, row in mine if was.verified and not row.verified),
-                won=tuple(row.key for was, row in mine if not was.verified and row.verified),
-            )
-        )
-    return found
-
-
-def comparison_table(comparisons: Sequence[Comparison]) -> str:
-    """What changed, as text."""
-    if not comparisons:
-        return "no site is in both runs"
-    lines = [f"{'compared':<24}{'sites':>6}{'before':>10}{'now':>10}{'won':>6}{'lost':>6}{'time':>8}"]
-    lines += [
-        f"{' '.join(c.group):<24}{c.sites:>6}{_part(c.before, c.sites):>10}{_part(c.now, c.sites):>10}"
-        f"{len(c.won):>6}{len(c.lost):>6}{c.time_ratio:>8.2f}"
-        for c in comparisons
-    ]
-    lost = [key for c in comparisons for key in c.lost]
-    if lost:
-        lines.append("went from verified to failed: " + " ".join(map(str, lost)))
-    return "\n".join(lines)
-
-
-# --- the file ------------------------------------------------------------------------
-
-
-def save_rows(path: Path, rows: Sequence[Row], settings: Settings) -> None:
-    """Write a run as JSON, whole or not at all."""
-    content = {"version": VERSION, "settings": asdict(settings), "rows": [asdict(row) for row in rows]}
-    text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-    with whole_file(path) as stream:
-        stream.write(text)
-
-
-def load_rows(path: Path) -> list[Row]:
-    """The rows of a saved run.
-
-    Raises
-    ------
-    ValueError: the file is not one that `save_rows` wrote.
-    """
-    content = json.loads(path.read_text())
-    if not isinstance(content, dict) or content.get("version") != VERSION or "rows" not in content:
-        raise ValueError(f"{path} is not a saved run of version {VERSION}")
-    names = {field.name for field in fields(Row)}
-    for record in content["rows"]:
-        if set(record) != names:
-            raise ValueError(f"{path}: a row has other fields than a run of version {VERSION}")
-    return [Row(**record) for record in content["rows"]]
-
-
-# --- the command line -----------------------------------------------------------------
+from validation.habitats import load_machine
+from validation.planning_runs import (
+    Row,
+    Settings,
+    all_keys,
+    compare,
+    comparison_table,
+    failures,
+    load_rows,
+    run,
+    run_site,
+    save_rows,
+    summarise,
+    table,
+)
+from validation.sites import KINDS, MACHINES, TASKS, SiteKey, random_site
 
 
 def _only(name: str, settings: Settings, seed: int) -> int:
-    """Plan one site, and tell all of it."""
+    """Plan one site, and print all that is known of it."""
     key = _key(name, seed)
     site = random_site(load_machine(key.machine), key)
     shapes = Counter(obstacle.shape for obstacle in site.scene.obstacles)
@@ -499,6 +79,7 @@ def _key(name: str, seed: int) -> SiteKey:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sites", type=int, default=50, help="in each group")
     parser.add_argument("--machines", nargs="+", choices=MACHINES, default=MACHINES)
@@ -513,34 +94,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--compare", type=Path, metavar="FILE.json", help="a run that was saved")
     parser.add_argument("--refute", action="store_true", help="hold verified plans against the independent check")
     parser.add_argument("--only", metavar="MACHINE/KIND/TASK/INDEX", help="plan this site alone")
-    asked = parser.parse_args(arguments)
-    settings = Settings(asked.method, asked.budget, asked.refute)
-    if asked.only:
-        return _only(asked.only, settings, asked.seed)
-    if asked.sites < 1 or asked.seed < 0 or asked.jobs == 0 or not asked.budget > 0.0:
+    options = parser.parse_args(arguments)
+    settings = Settings(options.method, options.budget, options.refute)
+    if options.only:
+        return _only(options.only, settings, options.seed)
+    if options.sites < 1 or options.seed < 0 or options.jobs == 0 or not options.budget > 0.0:
         parser.error("--sites, --jobs and --budget must be greater than 0, --seed not negative")
-    if asked.save:
+    if options.save:
         try:
-            check_writable(asked.save)
+            check_writable(options.save)
         except bp.OutputError as error:
             parser.error(f"--save: {error}")
     before: list[Row] = []
-    if asked.compare:
+    if options.compare:
         try:
-            before = load_rows(asked.compare)
+            before = load_rows(options.compare)
         except (OSError, ValueError, TypeError) as error:
             parser.error(f"--compare: {error}")
-    keys = all_keys(asked.sites, machines=asked.machines, kinds=asked.kinds, tasks=asked.tasks, seed=asked.seed)
+    keys = all_keys(
+        options.sites, machines=options.machines, kinds=options.kinds, tasks=options.tasks, seed=options.seed
+    )
     begun = time.perf_counter()
 
-    def told(done: int) -> None:
+    def progress(done: int) -> None:
         if sys.stderr.isatty():
             print(f"\r{done} of {len(keys)}, {time.perf_counter() - begun:.0f} s ", end="", file=sys.stderr, flush=True)
 
-    rows, interrupted = run(keys, settings, jobs=asked.jobs, dask=asked.dask, told=told)
+    rows, interrupted = run(keys, settings, jobs=options.jobs, dask=options.dask, progress=progress)
     if sys.stderr.isatty():
         print(file=sys.stderr)
-    return _report(rows, settings, before, asked.save, interrupted, time.perf_counter() - begun)
+    return _report(rows, settings, before, options.save, interrupted, time.perf_counter() - begun)
 
 
 def _report(
@@ -552,8 +135,8 @@ def _report(
         return 130 if interrupted else 0
     print(f"{len(rows)} sites, method {settings.method}, budget {settings.budget:g} s, {seconds:.0f} s in all\n")
     print(table(summarise(rows)))
-    if told := failures(rows):
-        print(f"\n{told}")
+    if failed := failures(rows):
+        print(f"\n{failed}")
     wrong = [row for row in rows if row.refuted or row.verdict == "error"]
     for row in wrong:
         print(

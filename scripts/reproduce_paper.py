@@ -17,7 +17,7 @@ chaotic: the critical point jumps from link to link at the edge of the region.
 is taken of rounding noise: with the tip itself as the critical point J_o N is 0, and the
 inverse of what rounding leaves of it 1e15.
 
-What is counted over random scenes, and how they are made, stands in population.py.
+What is counted over random scenes, and how they are made, stands in validation/printed_laws.py.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
-from population import (
+from rich.progress import track
+
+import backhoe_planner as bp
+from validation.printed_laws import (
     ARRIVED,
     PUSH_SPEED,
     REGION,
@@ -51,9 +54,6 @@ from population import (
     measure,
     printed_laws,
 )
-from rich.progress import track
-
-import backhoe_planner as bp
 
 Matrix = NDArray[np.float64]
 
@@ -221,7 +221,7 @@ def draw_population(rows: Sequence[Row], count: int) -> Figure:
     axes.set_axisbelow(True)
     figure.text(0.02, 0.945, "One point obstacle in the way of a planar arm", fontsize=14, weight="bold", color=INK)
     figure.text(
-        0.02, 0.03, "Four links of 1 m; scenes by the recipe in scripts/population.py, not the paper's.",
+        0.02, 0.03, "Four links of 1 m; scenes by the recipe in validation/printed_laws.py, not the paper's.",
         fontsize=9.5, color="#555555",
     )  # fmt: skip
     figure.legend(loc="upper left", bbox_to_anchor=(0.015, 0.93), ncols=3, frameon=False, fontsize=10)

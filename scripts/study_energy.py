@@ -141,7 +141,11 @@ def measure(robot: bp.Robot, case: Case) -> Result | None:
     assert found[0] is not None
     assert found[3] is not None
     breaks = blind is None or blind.obstruction is not None
-    return Result(*found, breaks, not law.complete, _follows(free))  # type: ignore[arg-type]
+    return Result(
+        same=found[0], same_least_norm=found[1], same_law=found[2],
+        free=found[3], free_least_norm=found[4], free_law=found[5],
+        least_norm_breaks=breaks, law_stuck=not law.complete, verified=_follows(free),
+    )  # fmt: skip
 
 
 def study(robot: bp.Robot, *, paths: int, seed: int) -> None:

@@ -29,10 +29,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from independent import least_distances, refutations
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from random_scenes import random_planar_scene
 
 import backhoe_planner as bp
 from backhoe_planner.law import CompletedLaw, run_iteration
@@ -40,6 +38,8 @@ from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.planning import Plan, Stepper, approach_goal
 from backhoe_planner.planning.reactive.stepping import STEP
 from backhoe_planner.proof import certify_problem
+from validation.independent_check import least_distances, refutations
+from validation.planar_scenes import random_planar_scene
 
 Vector = NDArray[np.float64]
 NEAR = 1e-2  # m from the goal counts as arrived, for the laws that only approach it
@@ -61,7 +61,7 @@ class Row:
 def run_scene(index: int, seed: int) -> list[Row]:
     """Every law on one scene."""
     robot = bp.load_robot("example:planar4")
-    scene, _ = random_planar_scene(robot, np.random.default_rng([seed, index]))
+    scene = random_planar_scene(robot, np.random.default_rng([seed, index]))
     problem = build_problem(robot, scene)
     laws: dict[str, Callable[[Problem], tuple[bp.Trajectory, bool]]] = {
         "pseudo-inverse": lambda p: _unshielded(p, null_space=False),
@@ -113,7 +113,7 @@ def _unshielded(problem: Problem, *, null_space: bool) -> tuple[bp.Trajectory, b
         v = law.wish(at, at.jacobian[:2], error * min(4.0, 0.6 / float(np.linalg.norm(error))), nearby).v
         fastest = float(np.max(np.abs(v) / problem.limits.velocity))
         q.append(q[-1] + STEP * v / max(1.0, fastest))
-    return bp.Trajectory.from_steps(STEP * np.arange(len(q)), np.array(q)), arrived
+    return bp.Trajectory.from_steps(np.array([STEP * k for k in range(len(q))]), np.array(q)), arrived
 
 
 def _paper(problem: Problem) -> tuple[bp.Trajectory, bool]:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from independent import refutations  # type: ignore[import-not-found]
 
 import backhoe_planner as bp
+from validation.independent_check import refutations
 
 Data = dict[str, Any]
 

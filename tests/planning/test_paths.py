@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from random_scenes import SiteKey, load_machine, random_site  # type: ignore[import-not-found]
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import PathLayers, PathResolver, Stretch, redundancy_of, smooth_stretch, stretch_cost
+from validation.sites import SiteKey, load_machine, random_site
 
 Data = dict[str, Any]
 

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from independent import refutations  # type: ignore[import-not-found]
 from numpy.typing import NDArray
-from random_scenes import random_planar_scene  # type: ignore[import-not-found]
 
 import backhoe_planner as bp
 from backhoe_planner.planning import plan_to_dict
+from validation.independent_check import refutations
+from validation.planar_scenes import random_planar_scene
 
 Data = dict[str, Any]
 
@@ -81,7 +81,7 @@ def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int)
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_verified_plan_of_a_random_scene_is_refuted(planar4: bp.Robot, seed: int) -> None:
-    scene, _ = random_planar_scene(planar4, np.random.default_rng(seed))
+    scene = random_planar_scene(planar4, np.random.default_rng(seed))
     plan = bp.plan(planar4, scene, budget=1.5)
     assert plan.verified == (plan.reason == "") == plan.certificate.verified
     assert refutations(plan, refine=4) == []

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from independent import box_distance  # type: ignore[import-not-found]
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.motion import Trajectory, build_problem
 from backhoe_planner.proof import Certificate, certify, segment_is_clear
 from backhoe_planner.site import Obstruction
+from validation.signed_distances import box_distance
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

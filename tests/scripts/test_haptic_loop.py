@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from haptic_loop import simulate  # type: ignore[import-not-found]
+from haptic_loop import simulate
 
 
 def test_the_hand_is_pushed_back_and_never_given_energy() -> None:

@@ -17,9 +17,8 @@ thickness of a link and the radius of the sphere that the point is for the compl
 The laws as printed know no joint limits, no rates and no contact of the arm with itself;
 the completed law keeps all of these, and here also 0.3 m from the point.
 
-Several solid obstacles (`count_solid_scenes`): one to six spheres, boxes and capsules
-anywhere in the workspace, start and goal free; what the terms of the completed law are
-worth on its first attempt, the tip straight for the goal.
+Several solid obstacles (`count_solid_scenes`, scenes by `random_planar_scene`): what the
+terms of the completed law are worth on its first attempt, the tip straight for the goal.
 """
 
 from __future__ import annotations
@@ -37,6 +36,7 @@ from backhoe_planner.law import ITERATIONS, CompletedLaw, Magnification, Push, R
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.planning import Stepper, approach_goal
 from backhoe_planner.site import Gains
+from validation.planar_scenes import random_planar_scene
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -137,6 +137,7 @@ class Measured:
 
     @property
     def arrives(self) -> bool:
+        """Whether the motion ends on the goal."""
         return self.error < ARRIVED
 
 
@@ -252,20 +253,24 @@ def count_point_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
         problem = build_problem(robot, as_scene(robot, scene))
         plan = bp.plan(robot, problem.scene, method="reactive", budget=60.0)
         planned = np.asarray(plan.trajectory.q)
-        straight = planned if plan.details.get("way") == "straight" else first_attempt(problem)
+        straight = planned if plan.details.get("way") == "straight" else first_attempt(problem)[0].q
         runs[first].append(measure(kinematics, scene, straight))
         runs[all_ways].append(measure(kinematics, scene, planned))
     return [summary(name, found) for name, found in runs.items()]
 
 
-def first_attempt(problem: Problem) -> Matrix:
-    """(T, n) the completed law's first attempt, whether or not it arrives."""
+def first_attempt(problem: Problem, *, null_space: bool = True) -> tuple[bp.Trajectory, bool]:
+    """The completed law's first attempt, straight for the goal, and whether it arrives."""
     assert problem.goal is not None
-    attempts = approach_goal(_stepper(problem), problem.goal, [], deadline=time.monotonic() + 60.0)
-    return np.asarray(next(attempts).stepper.trajectory().q)
+    attempts = approach_goal(
+        stepper_at_start(problem), problem.goal, [], deadline=time.monotonic() + 60.0, null_space=null_space
+    )
+    attempt = next(iter(attempts))
+    return attempt.stepper.trajectory(), attempt.arrived
 
 
-def _stepper(problem: Problem) -> Stepper:
+def stepper_at_start(problem: Problem) -> Stepper:
+    """What takes the completed law's steps, at rest at the start."""
     assert problem.start_q is not None
     return Stepper(
         problem,
@@ -295,47 +300,10 @@ TERMS = (
 )
 
 
-def random_solid_scene(robot: bp.Robot, kinematics: bp.Kinematics, rng: np.random.Generator) -> bp.Scene:
-    """One to six solid obstacles, start and goal configuration free of contact by 1 cm."""
-    while True:
-        obstacles = [_random_solid(index, rng) for index in range(rng.integers(1, 7))]
-        document: dict[str, Any] = {
-            "version": 1,
-            "start": {"joints": dict.fromkeys(robot.joint_names, 0.0)},
-            "task": {"goal": {"position": [1.0, 1.0, 0.0]}},
-            "obstacles": obstacles,
-            "clearance": 0.02,
-            "influence": 0.4,
-        }
-        proximity = bp.Proximity(robot, build_problem(robot, bp.scene_from_dict(document)).obstacles)
-        free = [q for q in (robot.random_q(rng) for _ in range(100)) if _is_free(proximity, q)][:2]
-        if len(free) == 2:
-            document["start"] = {"joints": dict(zip(robot.joint_names, map(float, free[0]), strict=True))}
-            document["task"] = {"goal": {"position": list(map(float, kinematics.at(free[1]).tip_position))}}
-            return bp.scene_from_dict(document)
-
-
-def _is_free(proximity: bp.Proximity, q: Vector) -> bool:
-    return bool(np.all(proximity.distances(q) > proximity.clearance + 0.01))
-
-
-def _random_solid(index: int, rng: np.random.Generator) -> dict[str, Any]:
-    name, middle = f"obstacle {index}", rng.uniform(-3.5, 3.5, 2)
-    kind = rng.integers(3)
-    if kind == 0:
-        return {"name": name, "shape": "sphere", "radius": float(rng.uniform(0.1, 0.5)), "position": [*middle, 0.0]}
-    if kind == 1:
-        size, turn = rng.uniform(0.2, 1.0, 2), float(rng.uniform(0.0, 3.0))
-        return {"name": name, "shape": "box", "size": [*size, 0.5], "position": [*middle, 0.0], "rpy": [0, 0, turn]}
-    half, radius = rng.uniform(-0.7, 0.7, 2), float(rng.uniform(0.05, 0.2))
-    ends = {"from": [*(middle - half), 0.0], "to": [*(middle + half), 0.0]}
-    return {"name": name, "shape": "capsule", "radius": radius, **ends}
-
-
 def drive(problem: Problem, terms: Terms, *, longest: float = 60.0) -> tuple[bool, float]:
     """The completed law with some of its terms, straight for the goal: (arrived, duration [s])."""
     assert problem.goal is not None
-    stepper = _stepper(problem)
+    stepper = stepper_at_start(problem)
     limits = problem.limits
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, directionality=terms.directionality)
     best, since = np.inf, 0.0
@@ -362,12 +330,11 @@ def drive(problem: Problem, terms: Terms, *, longest: float = 60.0) -> tuple[boo
 def count_solid_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
     """The table of the completed law's terms over `count` scenes with solid obstacles."""
     robot = bp.load_robot("example:planar4")
-    kinematics = bp.Kinematics(robot)
     rng = np.random.default_rng(seed)
     arrived: dict[str, list[bool]] = {terms.name: [] for terms in TERMS}
     durations: dict[str, list[float]] = {terms.name: [] for terms in TERMS}
     for _ in progress(range(count), "solid obstacles"):
-        problem = build_problem(robot, random_solid_scene(robot, kinematics, rng))
+        problem = build_problem(robot, random_planar_scene(robot, rng))
         for terms in TERMS:
             done, duration = drive(problem, terms)
             arrived[terms.name].append(done)

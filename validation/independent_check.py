@@ -12,30 +12,25 @@ point moves, so a ball and a window whose middle is far enough away are done wit
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-import trimesh
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine import load_mesh, self_pairs
-from backhoe_planner.site import scene_file
+from backhoe_planner.machine import self_pairs
+from validation.signed_distances import SignedDistance, obstacle_distance
+from validation.surfaces import BRANCHES, Cover, Solid, link_shapes
 
 __all__ = ["Least", "least_distances", "refutations"]
 
 Points = NDArray[np.float64]
 Indices = NDArray[np.intp]
-SignedDistance = Callable[[Points], NDArray[np.float64]]
 
-SPACING = 0.04  # m between points on a surface at most
 SPANS = np.array([64, 8, 1])  # moments in a window, from coarse to fine
-BRANCHES = 8  # of a ball; also of a window
 CHUNK = 20_000  # balls in windows at once
 CLAIM_SLACK = 1e-6  # m below what is proven that a distance may be found, for rounding
 CLEARANCE_SLACK = 2e-4  # m below the clearance: what the certificate takes for keeping it, doubled
@@ -52,35 +47,10 @@ class Least:
     time: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Cover:
-    """Points on all collision shapes of a link, as a tree of balls in the frame of its joint.
-
-    A ball without children is a point; its radius is how far the shape reaches beyond it.
-    """
-
-    link: str
-    joint: int
-    centre: Points  # (M, 3)
-    radius: NDArray[np.float64]  # (M,)
-    first: Indices  # (M,) the first child, -1 where there is none
-    children: Indices  # (M,) how many
-
-
-@dataclass(frozen=True, eq=False)
-class _Solid:
-    """One collision shape of a link, as what others must not touch."""
-
-    link: str
-    joint: int
-    T_joint_shape: pin.SE3
-    signed_distance: SignedDistance  # in the frame of the shape
-
-
 class _Track:
     """How a cover moves past something: rotation (T, 3, 3) and translation (T, 3) at every moment."""
 
-    def __init__(self, cover: _Cover, rotation: Points, translation: Points) -> None:
+    def __init__(self, cover: Cover, rotation: Points, translation: Points) -> None:
         self.cover, self.rotation, self.translation = cover, rotation, translation
         count = len(translation)
         self.windows = -(-count // SPANS)
@@ -136,11 +106,11 @@ def _search(plan: bp.Plan, *, refine: int, itself: bool, floor: Callable[[str, f
     robot, scene, motion = plan.robot, plan.scene, plan.trajectory
     time = _finer(motion.time, refine)
     placements = _placements(robot, motion.at(time))
-    covers, solids = _bodies(robot)
+    covers, solids = link_shapes(robot)
     tracks = [_Track(cover, *placements[cover.joint]) for cover in covers if cover.joint > 0]
     found = []
     for spec in scene.obstacles:
-        distance = _obstacle(spec, scene)
+        distance = obstacle_distance(spec, scene)
         clearance = scene.clearance if spec.clearance is None else spec.clearance
         below = floor(spec.name, clearance)
         if below == -np.inf:
@@ -241,7 +211,7 @@ def _in_time(
     return finer[kept], part[kept], np.repeat(node, BRANCHES)[kept], np.repeat(lower, BRANCHES)[kept]
 
 
-def _in_space(level: Indices, window: Indices, node: Indices, lower: NDArray[np.float64], cover: _Cover) -> _Items:
+def _in_space(level: Indices, window: Indices, node: Indices, lower: NDArray[np.float64], cover: Cover) -> _Items:
     """Every ball in its parts."""
     child = (cover.first[node][:, None] + np.arange(BRANCHES)).ravel()
     kept = (np.arange(BRANCHES) < cover.children[node][:, None]).ravel()
@@ -253,7 +223,7 @@ def _in_space(level: Indices, window: Indices, node: Indices, lower: NDArray[np.
 def _against_itself(
     robot: bp.Robot,
     tracks: list[_Track],
-    solids: list[_Solid],
+    solids: list[Solid],
     placements: list[tuple[Points, Points]],
     time: NDArray[np.float64],
     floor: Callable[[str, float], float],
@@ -288,162 +258,3 @@ def _against_itself(
 def _at(distance: SignedDistance, rotation: Points, place: Points) -> SignedDistance:
     """The signed distance to the same shape, placed."""
     return lambda points: distance((points - place) @ rotation)
-
-
-# --- the machine's shapes, from the URDF itself --------------------------------------
-
-
-@lru_cache(maxsize=8)
-def _bodies(robot: bp.Robot) -> tuple[list[_Cover], list[_Solid]]:
-    """Every link's cover, and every shape of every link."""
-    covers, solids = [], []
-    for link in robot.urdf.robot.links:
-        if not link.collisions:
-            continue
-        frame = robot.model.frames[robot.model.getFrameId(link.name, pin.FrameType.BODY)]
-        joint, sets, fats = int(frame.parentJoint), [], []
-        for collision in link.collisions:
-            origin = np.eye(4) if collision.origin is None else collision.origin
-            T = frame.placement * pin.SE3(origin[:3, :3], origin[:3, 3])
-            points, fat, distance = _shape(robot, collision.geometry)
-            sets.append(points @ T.rotation.T + T.translation)
-            fats.append(np.full(len(points), fat))
-            solids.append(_Solid(link.name, joint, T, distance))
-        covers.append(_cover(link.name, joint, np.vstack(sets), np.concatenate(fats)))
-    return covers, solids
-
-
-def _cover(link: str, joint: int, points: Points, fat: NDArray[np.float64]) -> _Cover:
-    """The tree of balls over points (N, 3) that reach `fat` (N,) beyond themselves [m]."""
-    centre, radius, first, children = [], [], [], []
-    queue, known = deque([np.arange(len(points))]), 1
-    while queue:
-        members = queue.popleft()
-        held = points[members]
-        middle = 0.5 * (held.min(axis=0) + held.max(axis=0))
-        centre.append(middle)
-        radius.append(float(np.max(np.linalg.norm(held - middle, axis=1) + fat[members])))
-        parts = _split(points, members)
-        first.append(known if parts else -1)
-        children.append(len(parts))
-        queue.extend(parts)
-        known += len(parts)
-    return _Cover(link, joint, np.array(centre), np.array(radius), np.array(first), np.array(children))
-
-
-def _split(points: Points, members: Indices) -> list[Indices]:
-    """Up to `BRANCHES` parts, each cut across its longest side; none of a single point."""
-    parts = [members]
-    while len(parts) < BRANCHES:
-        halved = []
-        for part in parts:
-            if len(part) == 1:
-                halved.append(part)
-                continue
-            axis = int(np.argmax(np.ptp(points[part], axis=0)))
-            order = part[np.argsort(points[part, axis], kind="stable")]
-            halved += [order[: len(order) // 2], order[len(order) // 2 :]]
-        if len(halved) == len(parts):
-            break
-        parts = halved
-    return parts if len(parts) > 1 else []
-
-
-def _shape(robot: bp.Robot, geometry) -> tuple[Points, float, SignedDistance]:  # type: ignore[no-untyped-def]
-    if geometry.box is not None:
-        size = np.asarray(geometry.box.size, dtype=float)
-        return _box_points(size), 0.0, lambda points: box_distance(points, size)
-    if geometry.sphere is not None:
-        radius = float(geometry.sphere.radius)
-        return np.zeros((1, 3)), radius, lambda points: np.linalg.norm(points, axis=1) - radius
-    if geometry.cylinder is not None:
-        radius, length = float(geometry.cylinder.radius), float(geometry.cylinder.length)
-        return _cylinder_points(radius, length), 0.0, lambda points: cylinder_distance(points, radius, length)
-    path = robot.urdf.mesh_path(geometry.mesh.filename)
-    assert path is not None
-    mesh = load_mesh(path)
-    if geometry.mesh.scale is not None:
-        mesh.apply_scale(geometry.mesh.scale)
-    points, _ = trimesh.sample.sample_surface(mesh, 1500, seed=0)
-    hull = mesh.convex_hull
-    return np.vstack((mesh.vertices, points)), 0.0, lambda p: _hull_distance(p, hull)
-
-
-def _box_points(size: Points) -> Points:
-    axes = [np.linspace(-s / 2.0, s / 2.0, max(2, int(np.ceil(s / SPACING)) + 1)) for s in size]
-    faces = []
-    for axis in range(3):
-        others = [axes[k] for k in range(3) if k != axis]
-        u, v = (grid.ravel() for grid in np.meshgrid(*others, indexing="ij"))
-        for side in (-size[axis] / 2.0, size[axis] / 2.0):
-            face = np.empty((len(u), 3))
-            face[:, axis] = side
-            face[:, [k for k in range(3) if k != axis]] = np.column_stack((u, v))
-            faces.append(face)
-    return np.unique(np.vstack(faces), axis=0)
-
-
-def _cylinder_points(radius: float, length: float) -> Points:
-    around = max(12, int(np.ceil(2.0 * np.pi * radius / SPACING)))
-    angle = 2.0 * np.pi * np.arange(around) / around
-    ring = np.column_stack((np.cos(angle), np.sin(angle)))
-    heights = np.linspace(-length / 2.0, length / 2.0, max(2, int(np.ceil(length / SPACING)) + 1))
-    side = [np.column_stack((radius * ring, np.full(around, z))) for z in heights]
-    radii = np.linspace(0.0, radius, max(2, int(np.ceil(radius / SPACING)) + 1))[:-1]
-    caps = [np.column_stack((r * ring, np.full(around, z))) for r in radii for z in (-length / 2.0, length / 2.0)]
-    return np.vstack(side + caps)
-
-
-# --- signed distance functions --------------------------------------------------------
-
-
-def box_distance(points: Points, size: Points) -> NDArray[np.float64]:
-    """(K,) exact signed distance of points (K, 3) to a box of full edges `size`, centred."""
-    off = np.abs(points) - size / 2.0
-    return np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(np.max(off, axis=1), 0.0)
-
-
-def cylinder_distance(points: Points, radius: float, length: float) -> NDArray[np.float64]:
-    """(K,) exact signed distance to a cylinder along z, centred."""
-    off = np.column_stack((np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - length / 2.0))
-    return np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(np.max(off, axis=1), 0.0)
-
-
-def capsule_distance(points: Points, start: Points, end: Points, radius: float) -> NDArray[np.float64]:
-    """(K,) exact signed distance to a capsule."""
-    axis = end - start
-    square = float(axis @ axis)
-    part = np.clip((points - start) @ axis / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(points))
-    return np.linalg.norm(points - start - part[:, None] * axis, axis=1) - radius
-
-
-def _hull_distance(points: Points, hull: trimesh.Trimesh) -> NDArray[np.float64]:
-    """(K,) largest distance over the planes of a convex hull: never above the true distance."""
-    offsets = np.einsum("ij,ij->i", hull.face_normals, hull.triangles[:, 0])
-    return np.max(points @ hull.face_normals.T - offsets, axis=1)
-
-
-def _obstacle(spec: scene_file.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
-    if isinstance(spec, scene_file.HalfSpace):
-        point, normal = np.array(spec.point), np.array(spec.normal)
-        return lambda points: (points - point) @ normal
-    if isinstance(spec, scene_file.Capsule):
-        start, end = np.array(spec.start), np.array(spec.end)
-        return lambda points: capsule_distance(points, start, end, spec.radius)
-    rotation, place = spec.placement.rotation, spec.placement.translation
-
-    def local(points: Points) -> Points:
-        return (points - place) @ rotation
-
-    if isinstance(spec, scene_file.Sphere):
-        return lambda points: np.linalg.norm(points - place, axis=1) - spec.radius
-    if isinstance(spec, scene_file.Box):
-        size = np.array(spec.size)
-        return lambda points: box_distance(local(points), size)
-    if isinstance(spec, scene_file.Cylinder):
-        return lambda points: cylinder_distance(local(points), spec.radius, spec.length)
-    if isinstance(spec, scene_file.Mesh):
-        mesh = load_mesh(scene.folder / spec.file)
-        mesh.apply_scale(spec.scale)
-        return lambda points: -trimesh.proximity.signed_distance(mesh, local(points))
-    raise NotImplementedError(f"no second opinion on a {spec.shape}")

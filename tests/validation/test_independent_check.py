@@ -1,0 +1,69 @@
+"""The independent check against pinocchio, against all of its own points, and against a claim that is wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import backhoe_planner as bp
+
+# opens the wall: the tree of balls is held against every point at the same moments and placements
+from validation import independent_check
+from validation.habitats import load_machine
+from validation.signed_distances import obstacle_distance
+from validation.sites import SiteKey, random_site
+from validation.surfaces import link_shapes
+
+
+@pytest.fixture(scope="module")
+def plan() -> bp.Plan:
+    robot = load_machine("planar4")
+    return bp.plan(robot, random_site(robot, SiteKey("planar4", "cluttered", "goal", 1)).scene)
+
+
+def test_the_independent_check_places_the_joints_as_pinocchio_does() -> None:
+    robot = load_machine("panda")
+    rng = np.random.default_rng(3)
+    q = np.array([robot.random_q(rng) for _ in range(4)])
+    data = robot.model.createData()
+    for row, joints in enumerate(q):
+        pin.forwardKinematics(robot.model, data, joints)
+        for joint, (rotation, translation) in enumerate(independent_check._placements(robot, q)):
+            np.testing.assert_allclose(rotation[row], data.oMi[joint].rotation, atol=1e-14)
+            np.testing.assert_allclose(translation[row], data.oMi[joint].translation, atol=1e-14)
+
+
+def test_the_independent_check_finds_the_least_distance_that_all_points_give(plan: bp.Plan) -> None:
+    """Against every point of the cover at every moment, one by one."""
+    found = {
+        (least.link, least.obstacle): least.distance for least in independent_check.least_distances(plan, refine=2)
+    }
+    covers, _ = link_shapes(plan.robot)
+    q = plan.trajectory.at(independent_check._finer(plan.trajectory.time, 2))
+    placements = independent_check._placements(plan.robot, q)
+    for spec in plan.scene.obstacles:
+        distance = obstacle_distance(spec, plan.scene)
+        for cover in covers:
+            if cover.joint == 0:
+                continue
+            points = cover.points
+            rotation, translation = placements[cover.joint]
+            placed = points @ np.swapaxes(rotation, 1, 2) + translation[:, None]
+            assert found[cover.link, spec.name] == pytest.approx(np.min(distance(placed.reshape(-1, 3))), abs=1e-12)
+
+
+def test_a_claim_that_is_too_high_is_refuted(plan: bp.Plan) -> None:
+    assert plan.verified
+    assert independent_check.refutations(plan) == []
+    entries = plan.certificate.clearances
+    first = next(entry for entry in entries if entry.kind == "obstacle")
+    # what is proven lies within 2 % of the truth, and the points lie 4 cm apart
+    raised = dataclasses.replace(first, distance=1.02 * first.distance + 0.03)
+    others = tuple(raised if entry is first else entry for entry in entries)
+    wrong = dataclasses.replace(plan, certificate=dataclasses.replace(plan.certificate, clearances=others))
+    lines = independent_check.refutations(wrong)
+    assert lines
+    assert all(first.obstacle in line for line in lines)

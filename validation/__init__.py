@@ -1,0 +1,24 @@
+"""What the planner is measured and checked with; not part of the installed package.
+
+A verified plan carries a certificate, but the certificate comes from the same collision
+library as the planner. This package holds both to account on scenes that nobody chose
+by hand, and with distances that share no code with them. Tests and scripts import it;
+it imports `backhoe_planner` by its doors, and no script.
+
+    module             what it offers
+    obstacles          random obstacles, as entries of a scene file; everything draws them here
+    habitats           what is sensible around each machine; what makes a site narrow
+    sites              random sites, each named by machine, kind, task and index
+    planar_scenes      random scenes for a planar arm
+    printed_laws       the laws as printed and the completed law on planar scenes, counted
+    signed_distances   exact distances of points to shapes, in plain numpy
+    surfaces           points on every link's collision shape
+    independent_check  the least distances of a whole motion, and what refutes a certificate
+    planning_runs      the planner on many sites: rows, tables, comparisons
+    step_times         one obstacle course on which the steps of the law and the servo are timed
+    servo_drives       a servo driven among obstacles that stand, appear and move
+    recoveries         a servo that starts inside an obstacle or outside a limit
+    placements         an obstacle put on a plan while a servo follows it
+
+Lengths in metres, angles in radians, times in seconds; x away from the machine, z up.
+"""

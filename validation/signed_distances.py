@@ -1,0 +1,89 @@
+"""Exact signed distances of points to shapes, in plain numpy: nothing of the planner's own, no coal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine import load_mesh
+from backhoe_planner.site import scene_file
+
+__all__ = [
+    "SignedDistance",
+    "box_distance",
+    "capsule_distance",
+    "cylinder_distance",
+    "hull_distance",
+    "obstacle_distance",
+    "sphere_distance",
+]
+
+Points = NDArray[np.float64]
+SignedDistance = Callable[[Points], NDArray[np.float64]]
+
+
+def sphere_distance(points: Points, radius: float) -> NDArray[np.float64]:
+    """(K,) exact signed distance of points (K, 3) to a sphere, centred."""
+    return np.asarray(np.linalg.norm(points, axis=1) - radius)
+
+
+def box_distance(points: Points, size: Points) -> NDArray[np.float64]:
+    """(K,) exact signed distance of points (K, 3) to a box of full edges `size`, centred."""
+    off = np.abs(points) - size / 2.0
+    return np.asarray(np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(np.max(off, axis=1), 0.0))
+
+
+def cylinder_distance(points: Points, radius: float, length: float) -> NDArray[np.float64]:
+    """(K,) exact signed distance to a cylinder along z, centred."""
+    off = np.column_stack((np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - length / 2.0))
+    return np.asarray(np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(np.max(off, axis=1), 0.0))
+
+
+def capsule_distance(points: Points, start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+    """(K,) exact signed distance to a capsule."""
+    axis = end - start
+    square = float(axis @ axis)
+    part = np.clip((points - start) @ axis / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(points))
+    return np.asarray(np.linalg.norm(points - start - part[:, None] * axis, axis=1) - radius)
+
+
+def hull_distance(points: Points, hull: trimesh.Trimesh) -> NDArray[np.float64]:
+    """(K,) largest distance over the planes of a convex hull: never above the true distance."""
+    offsets = np.einsum("ij,ij->i", hull.face_normals, hull.triangles[:, 0])
+    return np.asarray(np.max(points @ hull.face_normals.T - offsets, axis=1))
+
+
+def obstacle_distance(spec: scene_file.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
+    """The distance to an obstacle of a scene, where it stands at time 0, as a function of points (K, 3).
+
+    Raises
+    ------
+    NotImplementedError: heightmaps and point clouds are not written out here.
+    """
+    if isinstance(spec, scene_file.HalfSpace):
+        point, normal = np.array(spec.point), np.array(spec.normal)
+        return lambda points: np.asarray((points - point) @ normal)
+    if isinstance(spec, scene_file.Capsule):
+        start, end = np.array(spec.start), np.array(spec.end)
+        return lambda points: capsule_distance(points, start, end, spec.radius)
+    rotation, place = spec.placement.rotation, spec.placement.translation
+
+    def local(points: Points) -> Points:
+        return np.asarray((points - place) @ rotation)
+
+    if isinstance(spec, scene_file.Sphere):
+        return lambda points: sphere_distance(points - place, spec.radius)
+    if isinstance(spec, scene_file.Box):
+        size = np.array(spec.size)
+        return lambda points: box_distance(local(points), size)
+    if isinstance(spec, scene_file.Cylinder):
+        return lambda points: cylinder_distance(local(points), spec.radius, spec.length)
+    if isinstance(spec, scene_file.Mesh):
+        mesh = load_mesh(scene.folder / spec.file)
+        mesh.apply_scale(spec.scale)
+        return lambda points: -np.asarray(trimesh.proximity.signed_distance(mesh, local(points)))
+    raise NotImplementedError(f"no second opinion on a {spec.shape}")

@@ -1,0 +1,205 @@
+"""Points on every link's collision shape, read from the URDF itself, as trees of balls.
+
+`LinkDistances` looks at one configuration; `independent_check` at whole motions.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.machine import load_mesh
+from validation.signed_distances import SignedDistance, box_distance, cylinder_distance, hull_distance, sphere_distance
+
+__all__ = ["BRANCHES", "Cover", "LinkDistances", "Nearest", "Solid", "link_shapes"]
+
+Points = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+SPACING = 0.04  # m between points on a surface at most
+BRANCHES = 8  # of a ball: an octree's, and three halvings of the points
+_ON_MESH = 1500  # points on a mesh beside its corners
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Points on all collision shapes of a link, as a tree of balls in the frame of its joint.
+
+    A ball without children is a point; its radius is how far the shape reaches beyond it.
+    """
+
+    link: str
+    joint: int
+    centre: Points  # (M, 3)
+    radius: NDArray[np.float64]  # (M,)
+    first: Indices  # (M,) the first child, -1 where there is none
+    children: Indices  # (M,) how many
+
+    @property
+    def points(self) -> Points:
+        """(N, 3) the points themselves."""
+        return self.centre[self.first < 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """One collision shape of a link, as what others must not touch."""
+
+    link: str
+    joint: int
+    T_joint_shape: pin.SE3
+    signed_distance: SignedDistance  # in the frame of the shape
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The least signed distance found, and between what [m]; infinite where nothing was near."""
+
+    distance: float
+    link: str
+    obstacle: str
+
+
+class LinkDistances:
+    """Signed distances of the links' surface points to placed shapes, at one configuration at a time.
+
+    Parameters
+    ----------
+    links: names of the links that are looked at; all that move by default.
+    """
+
+    def __init__(self, robot: bp.Robot, *, links: Iterable[str] | None = None) -> None:
+        self._robot = robot
+        self._data = robot.model.createData()
+        covers, _ = link_shapes(robot)
+        self._covers = [c for c in covers if c.joint > 0 and (links is None or c.link in links)]
+
+    def least(
+        self, q: NDArray[np.float64], obstacles: Mapping[str, tuple[SignedDistance, NDArray[np.float64]]]
+    ) -> Nearest:
+        """The least at `q` (n,) over obstacles given as distance and shift (3,); only exact below 0.3 m."""
+        pin.forwardKinematics(self._robot.model, self._data, q)
+        found = Nearest(np.inf, "", "")
+        for cover in self._covers:
+            placement = self._data.oMi[cover.joint]
+            middle = placement.rotation @ cover.centre[0] + placement.translation
+            points = None
+            for name, (distance, shift) in obstacles.items():
+                rough = float(distance((middle - shift)[None])[0]) - float(cover.radius[0])
+                if rough > min(0.3, found.distance):
+                    continue
+                if points is None:
+                    points = cover.points @ placement.rotation.T + placement.translation
+                exact = float((distance(points - shift) - cover.radius[cover.first < 0]).min())
+                if exact < found.distance:
+                    found = Nearest(exact, cover.link, name)
+        return found
+
+
+@lru_cache(maxsize=8)
+def link_shapes(robot: bp.Robot) -> tuple[list[Cover], list[Solid]]:
+    """Every link's cover, and every shape of every link."""
+    covers, solids = [], []
+    for link in robot.urdf.robot.links:
+        if not link.collisions:
+            continue
+        frame = robot.model.frames[robot.model.getFrameId(link.name, pin.FrameType.BODY)]
+        joint, sets, fats = int(frame.parentJoint), [], []
+        for collision in link.collisions:
+            origin = np.eye(4) if collision.origin is None else collision.origin
+            T = frame.placement * pin.SE3(origin[:3, :3], origin[:3, 3])
+            points, fat, distance = _shape(robot, collision.geometry)
+            sets.append(points @ T.rotation.T + T.translation)
+            fats.append(np.full(len(points), fat))
+            solids.append(Solid(link.name, joint, T, distance))
+        covers.append(_cover(link.name, joint, np.vstack(sets), np.concatenate(fats)))
+    return covers, solids
+
+
+def _cover(link: str, joint: int, points: Points, fat: NDArray[np.float64]) -> Cover:
+    """The tree of balls over points (N, 3) that reach `fat` (N,) beyond themselves [m]."""
+    centre, radius, first, children = [], [], [], []
+    queue, known = deque([np.arange(len(points))]), 1
+    while queue:
+        members = queue.popleft()
+        held = points[members]
+        middle = 0.5 * (held.min(axis=0) + held.max(axis=0))
+        centre.append(middle)
+        radius.append(float(np.max(np.linalg.norm(held - middle, axis=1) + fat[members])))
+        parts = _split(points, members)
+        first.append(known if parts else -1)
+        children.append(len(parts))
+        queue.extend(parts)
+        known += len(parts)
+    return Cover(link, joint, np.array(centre), np.array(radius), np.array(first), np.array(children))
+
+
+def _split(points: Points, members: Indices) -> list[Indices]:
+    """Up to `BRANCHES` parts, each cut across its longest side; none of a single point."""
+    parts = [members]
+    while len(parts) < BRANCHES:
+        halved = []
+        for part in parts:
+            if len(part) == 1:
+                halved.append(part)
+                continue
+            axis = int(np.argmax(np.ptp(points[part], axis=0)))
+            order = part[np.argsort(points[part, axis], kind="stable")]
+            halved += [order[: len(order) // 2], order[len(order) // 2 :]]
+        if len(halved) == len(parts):
+            break
+        parts = halved
+    return parts if len(parts) > 1 else []
+
+
+def _shape(robot: bp.Robot, geometry) -> tuple[Points, float, SignedDistance]:  # type: ignore[no-untyped-def]
+    if geometry.box is not None:
+        size = np.asarray(geometry.box.size, dtype=float)
+        return _box_points(size), 0.0, lambda points: box_distance(points, size)
+    if geometry.sphere is not None:
+        radius = float(geometry.sphere.radius)
+        return np.zeros((1, 3)), radius, lambda points: sphere_distance(points, radius)
+    if geometry.cylinder is not None:
+        radius, length = float(geometry.cylinder.radius), float(geometry.cylinder.length)
+        return _cylinder_points(radius, length), 0.0, lambda points: cylinder_distance(points, radius, length)
+    path = robot.urdf.mesh_path(geometry.mesh.filename)
+    assert path is not None
+    mesh = load_mesh(path)
+    if geometry.mesh.scale is not None:
+        mesh.apply_scale(geometry.mesh.scale)
+    points, _ = trimesh.sample.sample_surface(mesh, _ON_MESH, seed=0)
+    hull = mesh.convex_hull
+    return np.vstack((mesh.vertices, points)), 0.0, lambda p: hull_distance(p, hull)
+
+
+def _box_points(size: Points) -> Points:
+    axes = [np.linspace(-s / 2.0, s / 2.0, max(2, int(np.ceil(s / SPACING)) + 1)) for s in size]
+    faces = []
+    for axis in range(3):
+        others = [axes[k] for k in range(3) if k != axis]
+        u, v = (grid.ravel() for grid in np.meshgrid(*others, indexing="ij"))
+        for side in (-size[axis] / 2.0, size[axis] / 2.0):
+            face = np.empty((len(u), 3))
+            face[:, axis] = side
+            face[:, [k for k in range(3) if k != axis]] = np.column_stack((u, v))
+            faces.append(face)
+    return np.unique(np.vstack(faces), axis=0)
+
+
+def _cylinder_points(radius: float, length: float) -> Points:
+    around = max(12, int(np.ceil(2.0 * np.pi * radius / SPACING)))
+    angle = 2.0 * np.pi * np.arange(around) / around
+    ring = np.column_stack((np.cos(angle), np.sin(angle)))
+    heights = np.linspace(-length / 2.0, length / 2.0, max(2, int(np.ceil(length / SPACING)) + 1))
+    side = [np.column_stack((radius * ring, np.full(around, z))) for z in heights]
+    radii = np.linspace(0.0, radius, max(2, int(np.ceil(radius / SPACING)) + 1))[:-1]
+    caps = [np.column_stack((r * ring, np.full(around, z))) for r in radii for z in (-length / 2.0, length / 2.0)]
+    return np.vstack(side + caps)
