@@ -96,7 +96,10 @@ def plan(
     ),
     method: Annotated[str, typer.Option(help="auto, reactive, optimal or paper.")] = "auto",
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
-    budget: Annotated[float, typer.Option(metavar="S", help="Time to plan in [s].")] = DEFAULT_BUDGET,
+    effort: Annotated[str, typer.Option(help="quick, normal or thorough: how much is searched.")] = "normal",
+    budget: Annotated[
+        float, typer.Option(metavar="S", help="Time after which whatever still runs is ended [s].")
+    ] = DEFAULT_BUDGET,
     view: Annotated[bool, typer.Option("--view", help="Show the steps in the browser, then play the plan.")] = False,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the plan offline.")
@@ -115,10 +118,10 @@ def plan(
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
     if view:
-        found = _plan_in_viewer(robot, loaded, method, seed, budget, output, as_json)
+        found = _plan_in_viewer(robot, loaded, method, seed, effort, budget, output, as_json)
     else:
         with _working(not as_json):
-            found = bp.plan(robot, loaded, method=method, seed=seed, budget=budget)
+            found = bp.plan(robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
         found.save(output)
         _tell(found, output, as_json)
     if html is not None:
@@ -297,7 +300,7 @@ def _working(shown: bool) -> Iterator[None]:
 
 
 def _plan_in_viewer(
-    robot: bp.Robot, scene: bp.Scene, method: str, seed: int, budget: float, output: Path, as_json: bool
+    robot: bp.Robot, scene: bp.Scene, method: str, seed: int, effort: str, budget: float, output: Path, as_json: bool
 ) -> Plan:
     from backhoe_planner.motion import build_problem
     from backhoe_planner.show import Viewer
@@ -306,7 +309,7 @@ def _plan_in_viewer(
         _warn(viewer.show_problem(build_problem(robot, scene)))
         _announce(viewer)
         found = bp.plan(
-            robot, scene, method=method, seed=seed, budget=budget,
+            robot, scene, method=method, seed=seed, effort=effort, budget=budget,
             watch=lambda step: viewer.show_step(step.q, step.time),
         )  # fmt: skip
         found.save(output)

@@ -32,7 +32,7 @@ from pathlib import Path
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import check_writable
-from backhoe_planner.planning import DEFAULT_BUDGET
+from backhoe_planner.planning import EFFORTS
 from validation.habitats import load_machine
 from validation.planning_runs import (
     Row,
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
     parser.add_argument("--method", default="auto")
-    parser.add_argument("--budget", type=float, default=DEFAULT_BUDGET, help="for each site [s]")
+    parser.add_argument("--effort", choices=list(EFFORTS), default="normal", help="for each site")
     parser.add_argument("--seed", type=int, default=0, help="of the sites")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
     parser.add_argument("--dask", metavar="ADDRESS", help="of a Dask scheduler, or local")
@@ -95,11 +95,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--refute", action="store_true", help="hold verified plans against the independent check")
     parser.add_argument("--only", metavar="MACHINE/KIND/TASK/INDEX", help="plan this site alone")
     options = parser.parse_args(arguments)
-    settings = Settings(options.method, options.budget, options.refute)
+    settings = Settings(options.method, options.effort, options.refute)
     if options.only:
         return _only(options.only, settings, options.seed)
-    if options.sites < 1 or options.seed < 0 or options.jobs == 0 or not options.budget > 0.0:
-        parser.error("--sites, --jobs and --budget must be greater than 0, --seed not negative")
+    if options.sites < 1 or options.seed < 0 or options.jobs == 0:
+        parser.error("--sites and --jobs must be greater than 0, --seed not negative")
     if options.save:
         try:
             check_writable(options.save)
@@ -133,7 +133,7 @@ def _report(
         print(f"interrupted: {len(rows)} sites are done")
     if not rows:
         return 130 if interrupted else 0
-    print(f"{len(rows)} sites, method {settings.method}, budget {settings.budget:g} s, {seconds:.0f} s in all\n")
+    print(f"{len(rows)} sites, method {settings.method}, effort {settings.effort}, {seconds:.0f} s in all\n")
     print(table(summarise(rows)))
     if failed := failures(rows):
         print(f"\n{failed}")

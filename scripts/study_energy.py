@@ -118,10 +118,10 @@ def _follows(plan: bp.Plan) -> bool:
 
 def measure(robot: bp.Robot, case: Case) -> Result | None:
     """One case; None where it cannot be followed from its posture."""
-    same = bp.plan(robot, case.scene(free=False), method="optimal", budget=60.0)
+    same = bp.plan(robot, case.scene(free=False), method="optimal")
     if not _follows(same):
         return None
-    free = bp.plan(robot, case.scene(free=True), method="optimal", budget=60.0)
+    free = bp.plan(robot, case.scene(free=True), method="optimal")
     if not _follows(free):
         print(f"start left free, not verified: {free.message}")
     problem = build_problem(robot, case.scene(free=False))

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.law import CompletedLaw, run_iteration
 from backhoe_planner.motion import Problem, build_problem
-from backhoe_planner.planning import Plan, Stepper, approach_goal
+from backhoe_planner.planning import Plan, Stepper, Work, approach_goal
 from backhoe_planner.planning.reactive.stepping import STEP
 from backhoe_planner.proof import certify_problem
 from validation.independent_check import least_distances, refutations
@@ -135,7 +135,7 @@ def _first_attempt(problem: Problem, *, null_space: bool) -> tuple[bp.Trajectory
         problem, problem.start_q, proximity=bp.Proximity(problem.robot, problem.obstacles),
         kinematics=bp.Kinematics(problem.robot),
     )  # fmt: skip
-    attempts = approach_goal(stepper, problem.goal, [], deadline=time.monotonic() + 60.0, null_space=null_space)
+    attempts = approach_goal(stepper, problem.goal, [], work=Work(), null_space=null_space)
     attempt = next(iter(attempts))
     return attempt.stepper.trajectory(), attempt.arrived
 

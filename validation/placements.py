@@ -42,7 +42,6 @@ _BLOCKED = 16.0  # s of standing blocked after which a drive is ended,
 _BLOCKED_AT_END = 2.0  # where the end of the plan is taken
 _END_TAKEN = 0.2  # part of the obstacles on the end of a plan that are kept
 _SPARE = 0.02  # m beyond the clearance that the machine has of what appears
-_PLANNER_BUDGET = 10.0  # s for the planner's own answer
 
 
 class Immediate(Executor):
@@ -225,7 +224,7 @@ class Placement:
         content = _content(self.scene)
         content["start"] = {"joints": dict(zip(self.robot.joint_names, self.servo.q.tolist(), strict=True))}
         content["task"] = {"goal": {"position": end.tip_position.tolist(), "pitch": float(end.pitch)}}
-        return bp.plan(self.robot, bp.scene_from_dict(content), budget=_PLANNER_BUDGET)
+        return bp.plan(self.robot, bp.scene_from_dict(content))
 
 
 def _content(scene: bp.Scene) -> Record:

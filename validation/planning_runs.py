@@ -27,7 +27,6 @@ from joblib import Parallel, delayed
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.planning import DEFAULT_BUDGET
 from validation.habitats import load_machine
 from validation.independent_check import refutations
 from validation.sites import Site, SiteKey, random_site
@@ -60,7 +59,7 @@ class Settings:
     """How every site is planned."""
 
     method: str = "auto"
-    budget: float = DEFAULT_BUDGET
+    effort: str = "normal"
     refute: bool = False
 
 
@@ -176,7 +175,7 @@ def run_site(key: SiteKey, settings: Settings) -> Row:
         known = {"form": site.form, "way_known": site.way_known, "blocked": site.blocked}
         reference = _reference(robot, site)
         begun = time.perf_counter()
-        plan = bp.plan(robot, site.scene, method=settings.method, budget=settings.budget)
+        plan = bp.plan(robot, site.scene, method=settings.method, effort=settings.effort)
         seconds = time.perf_counter() - begun
         least = plan.certificate.min_clearance
         found: dict[str, Any] = {}

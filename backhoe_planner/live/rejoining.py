@@ -9,7 +9,6 @@ stands before.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice, pairwise
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.motion import Problem, SmoothWay, Trajectory, drive_of, time_way
-from backhoe_planner.planning import MotionCheck, Way, blend, sample_way, shorten
+from backhoe_planner.planning import EFFORTS, Brake, MotionCheck, OutOfTime, Way, Work, blend, sample_way, shorten
 from backhoe_planner.proof import TOUCH, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
@@ -28,7 +27,7 @@ __all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_s
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_EFFORTS = (2_000, 8_000, 30_000)  # motions between samples that are looked at, from attempt to attempt
+_EFFORTS = ("quick", "normal")  # of the sampling, at the first attempt and at the further ones
 _EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
 _HARD = (0.003, 0.01)  # further ones in turn
 _ROOMY = 0.01  # m beyond every clearance that a place to rejoin at is to have,
@@ -39,7 +38,7 @@ _PAUSE = 0.02  # s
 _HERE = 0.1  # rad or m within which the machine counts as being at a place
 _PLACES = 6  # of the rest of the motion that are tried
 _WAYS = 3  # of which the shortest is taken, at the first attempt
-_LONGEST = 8.0  # s that one attempt may take
+_LONGEST = 25.0  # s after which an attempt is ended that has not ended by its counts; the follower gives up after 30 s
 _DEPTH = 9  # halvings of a segment
 
 
@@ -102,8 +101,7 @@ class NoRejoining:
 def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
     """A way to the earliest place of the rest of a motion that is clear.
 
-    The same query gives the same answer, unless time cuts the search off, after 8 s. OMPL's
-    global seed is set.
+    The same query gives the same answer. OMPL's global seed is set.
     """
     problem = Problem(
         robot=query.robot,
@@ -115,8 +113,11 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
         goal=None,
         path=None,
     )
-    search = _Search(query, problem, clock.monotonic() + _LONGEST)
-    return search.run()
+    work = Work(EFFORTS[_EFFORTS[min(query.attempt, len(_EFFORTS) - 1)]], Brake(_LONGEST))
+    try:
+        return _Search(query, problem, work).run()
+    except OutOfTime as ended:
+        return NoRejoining(str(ended), searched=True)
 
 
 def is_still_clear(robot: Robot, obstacles: tuple[Obstacle, ...], q: Matrix) -> bool:
@@ -126,8 +127,8 @@ def is_still_clear(robot: Robot, obstacles: tuple[Obstacle, ...], q: Matrix) -> 
 
 
 class _Search:
-    def __init__(self, query: RejoiningQuery, problem: Problem, deadline: float) -> None:
-        self._query, self._problem, self._deadline = query, problem, deadline
+    def __init__(self, query: RejoiningQuery, problem: Problem, work: Work) -> None:
+        self._query, self._problem, self._work = query, problem, work
         self._proximity = Proximity(query.robot, tuple(_standing(obstacle) for obstacle in query.obstacles))
         later = query.motion.time > query.since + 1e-9
         self._time = np.concatenate(([query.since], query.motion.time[later]))
@@ -226,7 +227,7 @@ class _Search:
         attempt = query.attempt
         for spare in _EASY if attempt == 0 else _HARD[(attempt - 1) % len(_HARD) :][:1]:
             ends = [self._start, *(self._q[place] for place in places)]
-            check = MotionCheck(self._problem, self._proximity, ends, spare=spare, deadline=self._deadline)
+            check = MotionCheck(self._problem, self._proximity, ends, spare=spare, brake=self._work.brake)
             ways = self._ways(check, ends[1:])
             if ways:
                 way = min(ways, key=lambda way: way.length(query.limits))
@@ -272,11 +273,10 @@ class _Search:
     def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[Way]:
         """Several, shortened; one where it is straight, or long to find."""
         query = self._query
-        effort = _EFFORTS[min(query.attempt, len(_EFFORTS) - 1)]
         found: list[Way] = []
         for turn in range(_WAYS):
             seed = (query.seed + query.attempt) * _WAYS + turn
-            way = sample_way(check, self._start, targets, seed=seed, deadline=self._deadline, most_motions=effort)
+            way = sample_way(check, self._start, targets, seed=seed, work=self._work)
             if way is None:
                 break
             found.append(shorten(check, way, seed=seed))

@@ -16,16 +16,19 @@ from .result.export import export_plan
 from .result.plan import Plan, Reason
 from .result.plan_file import load_plan, plan_to_dict
 from .search.blending import blend
-from .search.deadline import DEFAULT_BUDGET, OutOfTime
+from .search.effort import DEFAULT_BUDGET, EFFORTS, Brake, Effort, OutOfTime, Work
 from .search.motion_check import MotionCheck
 from .search.sampling import Way, sample_way
 from .search.shortening import shorten
 
 __all__ = [
     "DEFAULT_BUDGET",
+    "EFFORTS",
+    "Brake",
     "Context",
     "Edge",
     "EdgeKind",
+    "Effort",
     "LayeredGraph",
     "MotionCheck",
     "OutOfTime",
@@ -37,6 +40,7 @@ __all__ = [
     "Stepper",
     "Stretch",
     "Way",
+    "Work",
     "approach_goal",
     "as_fast_as_allowed",
     "asked_speed",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import time as clock
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
+from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstacle, Proximity
 
@@ -27,17 +27,17 @@ class Context:
     ----------
     problem: what is to be planned.
     seed: of every random choice.
-    deadline: on `time.monotonic`.
+    work: what may still be done.
     proximity: to all obstacles, over time.
     world: to what is taken to stand still while a way is searched; see `in_world`.
     kinematics: of the machine.
     postures: finds configurations for the tip in `world`.
     """
 
-    def __init__(self, problem: Problem, *, seed: int, deadline: float, watch: Watcher | None) -> None:
+    def __init__(self, problem: Problem, *, seed: int, work: Work, watch: Watcher | None) -> None:
         self.problem = problem
         self.seed = seed
-        self.deadline = deadline
+        self.work = work
         self.proximity = Proximity(problem.robot, problem.obstacles)
         self.kinematics = Kinematics(problem.robot)
         self._watch = watch
@@ -61,11 +61,6 @@ class Context:
         other = copy.copy(self)
         other._look_at(Proximity(self.problem.robot, obstacles))
         return other
-
-    @property
-    def out_of_time(self) -> bool:
-        """Whether the budget is used up."""
-        return clock.monotonic() > self.deadline
 
     def stepper(self, q: Vector) -> Stepper:
         """A motion that begins at `q` (n,), at rest."""

@@ -7,7 +7,7 @@ import numpy as np
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import drive_of, retimed
 from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.law_planning import reach_with_law, stuck
+from backhoe_planner.planning.law_planning import reach_with_law
 from backhoe_planner.planning.law_timing import as_fast_as_allowed, shortest_time
 from backhoe_planner.planning.outcome import Outcome, no_posture
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
@@ -17,15 +17,15 @@ from backhoe_planner.planning.transit import find_transit
 
 __all__ = ["find_goal_postures", "plan_to_goal", "swerve_to_goal"]
 
-_SEARCH = 48  # starting points of the inverse kinematics for a goal
-_LONG_SEARCH = 400  # before a goal is said to be in collision
+_LONG_SEARCH = 8  # times as many starting points, before a goal is said to be in collision
 
 
 def find_goal_postures(context: Context, stepper: Stepper, goal: TipTarget) -> Found | Outcome:
     """Clear configurations on the goal, the nearest first; or why there is none."""
-    found = context.postures.at(goal, near=stepper.q, count=_SEARCH, time=stepper.time)
+    count = context.work.effort.starting_points
+    found = context.postures.at(goal, near=stepper.q, count=count, time=stepper.time)
     if found.reachable and not found.clear:
-        found = context.postures.at(goal, near=stepper.q, count=_LONG_SEARCH, time=stepper.time)
+        found = context.postures.at(goal, near=stepper.q, count=_LONG_SEARCH * count, time=stepper.time)
     return no_posture(context, found, goal, "goal_in_collision", "goal") or found
 
 
@@ -38,14 +38,12 @@ def plan_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome
     found = find_goal_postures(context, stepper, goal)
     if isinstance(found, Outcome):
         return found
-    straight = next(iter(approach_goal(stepper, goal, (), deadline=context.deadline)))
+    straight = next(iter(approach_goal(stepper, goal, (), work=context.work)))
     if straight.arrived:
         return _faster(context, stepper, straight, found)
     transit = find_transit(context, stepper, found.clear)
     if transit.stepper is not None:
         return Outcome(transit.stepper.trajectory(), details={"way": "sampled"})
-    if context.out_of_time:
-        return stuck(context, [straight])
     outcome = reach_with_law(context, stepper, goal, found.clear)
     if outcome.reason == "blocked":
         message = f"{outcome.message}; {transit.told}"
@@ -71,7 +69,7 @@ def _faster(context: Context, stepper: Stepper, straight: Attempt, found: Found)
 
 def swerve_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome | None:
     """On to the goal by the completed law, from a motion that need not be at rest; None where it does not arrive."""
-    attempt = next(iter(approach_goal(stepper, goal, (), deadline=context.deadline)))
+    attempt = next(iter(approach_goal(stepper, goal, (), work=context.work)))
     if not attempt.arrived:
         return None
     return Outcome(attempt.stepper.trajectory(), details={"way": attempt.way})

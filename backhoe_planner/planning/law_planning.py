@@ -16,13 +16,11 @@ from backhoe_planner.planning.outcome import Outcome, no_posture, obstruction_de
 from backhoe_planner.planning.reactive.following import Followed, Follower
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.planning.result.plan import Reason
 
 __all__ = ["follow_with_law", "follow_with_law_from_anywhere", "reach_with_law", "stuck"]
 
 Vector = NDArray[np.float64]
 
-_SEARCH = 40  # starting points of the inverse kinematics
 _MOST_POSTURES = 8
 
 
@@ -34,7 +32,7 @@ def reach_with_law(context: Context, stepper: Stepper, goal: TipTarget, postures
     stepper: a motion that is at rest.
     postures: (n,) clear configurations on the goal, the preferred one first.
     """
-    attempts = list(approach_goal(stepper, goal, postures[:_MOST_POSTURES], deadline=context.deadline))
+    attempts = list(approach_goal(stepper, goal, postures[:_MOST_POSTURES], work=context.work))
     if attempts[-1].arrived:
         arrived = as_fast_as_allowed(context, stepper, attempts[-1].stepper)
         return Outcome(arrived.trajectory(), details=_details(attempts))
@@ -49,9 +47,6 @@ def stuck(context: Context, attempts: Sequence[Attempt]) -> Outcome:
     if nearest.obstruction is not None:
         details |= obstruction_details(nearest.obstruction)
         held = f", where {nearest.obstruction.link} is held back by {nearest.obstruction.name}"
-    if context.out_of_time:
-        message = f"time ran out; the closest attempt came to {nearest.distance:.3f} m of the goal"
-        return Outcome(nearest.stepper.trajectory(), "budget", message, details)
     message = f"of {len(attempts)} attempts the closest came to {nearest.distance:.3f} m of the goal{held}"
     return Outcome(nearest.stepper.trajectory(), "blocked", message, details)
 
@@ -68,14 +63,14 @@ def follow_with_law(context: Context, stepper: Stepper, path: TipPath) -> Outcom
     at, _ = stepper.look()
     if max(target.distances(at)) < 1e-6:
         return _along(context, follower, path, stepper)
-    found = context.postures.at(target, near=stepper.q, count=_SEARCH)
+    found = context.postures.at(target, near=stepper.q, count=context.work.effort.starting_points)
     failure = no_posture(context, found, target, "goal_in_collision", "beginning of the path")
     if failure is not None:
         return failure
     candidates = follower.furthest(stepper, 0.0, found.clear[:_MOST_POSTURES])
     attempts = []
     outcome: Outcome | None = None
-    for attempt in approach_goal(stepper, target, candidates, deadline=context.deadline, all_ways=True):
+    for attempt in approach_goal(stepper, target, candidates, work=context.work, all_ways=True):
         attempts.append(attempt)
         if not attempt.arrived:
             continue
@@ -89,7 +84,7 @@ def follow_with_law(context: Context, stepper: Stepper, path: TipPath) -> Outcom
 def follow_with_law_from_anywhere(context: Context, path: TipPath) -> Outcome:
     """Along the path from the configuration on its beginning from which the law gets furthest."""
     target = path.target(0.0)
-    found = context.postures.at(target, count=_SEARCH)
+    found = context.postures.at(target, count=context.work.effort.starting_points)
     failure = no_posture(context, found, target, "goal_in_collision", "beginning of the path")
     if failure is not None:
         return failure
@@ -97,7 +92,7 @@ def follow_with_law_from_anywhere(context: Context, path: TipPath) -> Outcome:
     starts = follower.furthest(context.stepper(found.clear[0]), 0.0, found.clear[:_MOST_POSTURES])
     outcome = _along(context, follower, path, context.stepper(starts[0]))
     for start in starts[1:3]:
-        if not outcome.reason or context.out_of_time:
+        if not outcome.reason:
             break
         other = _along(context, follower, path, context.stepper(start))
         outcome = outcome if other.reason else other
@@ -122,8 +117,7 @@ def _blocked_on(context: Context, path: TipPath, followed: Followed) -> Outcome:
     )
     if not context.problem.scene.task.path.detour:
         message += ", and detours are not allowed"
-    reason: Reason = "budget" if context.out_of_time else "blocked"
-    return Outcome(followed.stepper.trajectory(), reason, message, details)
+    return Outcome(followed.stepper.trajectory(), "blocked", message, details)
 
 
 def _follower(context: Context, path: TipPath) -> Follower:
@@ -136,7 +130,7 @@ def _follower(context: Context, path: TipPath) -> Follower:
         postures=context.postures,
         proximity=context.proximity,
         kinematics=context.kinematics,
-        deadline=context.deadline,
+        work=context.work,
     )
 
 

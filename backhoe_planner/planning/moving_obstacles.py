@@ -118,8 +118,6 @@ def _among_known(context: Context, asked: Planned, stepper: Stepper) -> Outcome:
         if not outcome.reason and _is_clear(context, known, outcome.trajectory, stepper.time):
             return outcome
         first = first or outcome
-        if context.out_of_time:
-            break
     assert first is not None
     if first.reason:
         return first
@@ -127,8 +125,7 @@ def _among_known(context: Context, asked: Planned, stepper: Stepper) -> Outcome:
     held = context.stepper(stepper.q)
     held.replay(stepper.trajectory(), stepper.time)
     message = f"no motion was found that keeps clear of what moves ({moving})"
-    reason = "budget" if context.out_of_time else "blocked"
-    return Outcome(held.trajectory(), reason, message, {"obstacle": moving})  # type: ignore[arg-type]
+    return Outcome(held.trajectory(), "blocked", message, {"obstacle": moving})
 
 
 def _ways(

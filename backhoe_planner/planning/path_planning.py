@@ -21,8 +21,6 @@ from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.report.comparison import law_motion, timed_alone
-from backhoe_planner.planning.result.plan import Reason
-from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit, find_way_near, play_way
 
@@ -33,7 +31,6 @@ Matrix = NDArray[np.float64]
 
 _MOST_WAYPOINTS = 32  # of a path are tried before it is planned
 _GUESSES = 24  # for each of them
-_SEARCH = 48
 _ROOM = 5e-4  # m of margin below which the samples lie closer
 _FINE_PERIOD = 0.004  # s between them then
 _GRID = np.radians(2.5)  # of the free parameter, where there is one
@@ -77,25 +74,21 @@ def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None,
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
     cost = PathCost(context.problem)
-    try:
-        resolver = PathResolver(
-            context.problem,
-            path,
-            proximity=context.world,
-            since=low,
-            begin=stepper.q if stepper is not None and on_path else None,
-            time=time,
-            deadline=context.deadline,
-            cost=cost.step_costs,
-            **_density(context, path),
-            find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
-        )
-    except OutOfTime:
-        motion = standing(_somewhere(context, path)) if stepper is None else stepper.trajectory()
-        return Outcome(motion, "budget", "time ran out while the configurations along the path were computed")
+    resolver = PathResolver(
+        context.problem,
+        path,
+        proximity=context.world,
+        since=low,
+        begin=stepper.q if stepper is not None and on_path else None,
+        time=time,
+        work=context.work,
+        cost=cost.step_costs,
+        **_density(context, path),
+        find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
+    )
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
-        found = context.postures.at(path.target(0.0), near=near, count=_SEARCH, time=time)
+        found = context.postures.at(path.target(0.0), near=near, count=context.work.effort.starting_points, time=time)
         failure = no_posture(context, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
@@ -103,12 +96,6 @@ def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None,
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
-
-
-def _somewhere(context: Context, path: TipPath) -> Vector:
-    """(n,) joints with the tip on the beginning of the path, clear where that is found at once."""
-    found = context.postures.at(path.target(0.0))
-    return found.clear[0] if found.clear else found.best.q
 
 
 def _density(context: Context, path: TipPath) -> dict[str, float]:
@@ -146,7 +133,7 @@ class _Along:
         off_path: with the joints at `begin` the tip is not on the path.
         """
         resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
-        if not resolved.complete and not resolved.out_of_time:
+        if not resolved.complete:
             # also where detours are not allowed: then to say what one would take
             around = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
             resolved = around if around.complete or self._may_leave else resolved
@@ -187,9 +174,8 @@ class _Along:
         """The same from any configuration at the beginning that the machine can get to."""
         transit = find_transit(self._context, stepper, list(self._resolver.first_layer))
         if transit.stepper is None:
-            reason: Reason = "budget" if self._context.out_of_time else "blocked"
             message = f"no way was found to the beginning of the path: {told}"
-            return Outcome(stepper.trajectory(), reason, message, {"path_from": 0.0, "path_to": 0.0})
+            return Outcome(stepper.trajectory(), "blocked", message, {"path_from": 0.0, "path_to": 0.0})
         arrived = _Along(self._context, self._path, self._resolver, self._cost, transit.stepper)
         return arrived.plan(transit.stepper.q)
 
@@ -214,12 +200,13 @@ class _Along:
             "time": self._time,
             "free_start": free_start,
             "free_end": free_end,
-            "deadline": context.deadline,
         }
         q = piece.q
         if self._cost.objective.is_quadratic:  # close to what these steps lower
-            q = smooth_stretch(context.problem, self._path, piece.stations, q, **setting)
-        q = cheapen_stretch(context.problem, self._path, piece.stations, q, cost=self._cost, **setting)
+            q = smooth_stretch(context.problem, self._path, piece.stations, q, brake=context.work.brake, **setting)
+        q = cheapen_stretch(
+            context.problem, self._path, piece.stations, q, cost=self._cost, work=context.work, **setting
+        )
         return Stretch(piece.stations, q)
 
     def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
@@ -233,7 +220,7 @@ class _Along:
             context.problem, self._path, low, piece.q[0],
             proximity=context.world, kinematics=context.kinematics, time=self._time,
         )  # fmt: skip
-        if not law.complete or context.out_of_time:
+        if not law.complete:
             return piece
         other = self._cheapened(Stretch(law.stations, law.q), free_start=free_start, free_end=True)
         cheap = min((piece, other), key=lambda way: self._cost.of_run(way.stations, way.q))
@@ -246,7 +233,7 @@ class _Along:
         slowing down.
         """
         context, problem, path = self._context, self._context.problem, self._path
-        if path.length > _SHORT or context.out_of_time:
+        if path.length > _SHORT:
             return piece
         proximity, kinematics, objective = context.world, context.kinematics, self._cost.objective
         law = resolve_along(
@@ -293,8 +280,7 @@ class _Along:
     # --- what went wrong ---------------------------------------------------------
 
     def _blocked(self, resolved: Resolved, trajectory: Any) -> Outcome:
-        if resolved.obstruction is None:
-            return Outcome(trajectory, "budget", "time ran out while the path was resolved")
+        assert resolved.obstruction is not None
         details: dict[str, Any] = {
             "path_from": resolved.blocked_from,
             "path_to": resolved.blocked_to,
@@ -309,6 +295,8 @@ class _Along:
             message += ", and detours are not allowed"
         else:
             message += ", and no way round was found"
+        if resolved.routes >= self._context.work.effort.routes:
+            message += f"; none of {resolved.routes:,} routes that were tested leads to its end"
         return Outcome(trajectory, "blocked", message, details)
 
     def _not_allowed(self, detours: Sequence[Detouring], stepper: Stepper) -> Outcome:

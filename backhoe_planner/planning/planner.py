@@ -34,13 +34,13 @@ from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
 from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
 from backhoe_planner.planning.moving_obstacles import Planned, changes, plan_over_time
-from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture
+from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture, standing
 from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
 from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
 from backhoe_planner.planning.report.asked_speed import asked_speed
 from backhoe_planner.planning.report.comparison import compare_with_law
 from backhoe_planner.planning.result.plan import METHODS, Method, Plan, Reason
-from backhoe_planner.planning.search.deadline import DEFAULT_BUDGET
+from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, Brake, Effort, OutOfTime, Work, effort_named
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
 
@@ -50,7 +50,7 @@ Vector = NDArray[np.float64]
 
 _SLOWER = 3  # times that a motion is planned with slower joints
 _TOO_MUCH = 10.0  # times a limit
-_SEARCH = 200  # starting points of the inverse kinematics for a start that is given by the tip
+_SEARCH = 4  # times the usual starting points of the inverse kinematics, for a start that is given by the tip
 
 
 def plan(
@@ -59,6 +59,7 @@ def plan(
     *,
     method: str = "auto",
     seed: int = 0,
+    effort: str = "normal",
     budget: float = DEFAULT_BUDGET,
     watch: Watcher | None = None,
 ) -> Plan:
@@ -69,8 +70,10 @@ def plan(
     method: ``auto``, ``reactive`` (the completed law alone), ``optimal`` (along a path:
         the least of the scene's objective; what ``auto`` does there too), or ``paper``
         (the law as printed, to compare with).
-    seed: of every random choice; the same input and seed give the same plan.
-    budget: time to plan in [s].
+    seed: of every random choice.
+    effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may
+        take. The same input, seed and effort give the same plan, however busy the machine.
+    budget: [s] after which whatever still runs is ended, with the reason ``budget``.
     watch: is shown every step while the planner works.
 
     Returns
@@ -86,7 +89,9 @@ def plan(
         raise InputError("must be a time greater than 0", key="budget", found=budget)
     if seed < 0:
         raise InputError("must not be negative", key="seed", found=seed)
+    counts = effort_named(effort)
     begun = clock.monotonic()
+    brake = Brake(budget)
     problem = build_problem(robot, scene)
     if checked == "paper" and problem.goal is None:
         raise InputError(
@@ -102,7 +107,7 @@ def plan(
             found="optimal",
             allowed="auto, reactive, paper",
         )
-    outcome, certificate = _drivable(problem, checked, seed=seed, deadline=begun + budget, watch=watch)
+    outcome, certificate = _drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     reason, message = outcome.reason, outcome.message
     details = dict(outcome.details)
@@ -150,7 +155,7 @@ def judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
 
 
 def _drivable(
-    problem: Problem, method: Method, *, seed: int, deadline: float, watch: Watcher | None
+    problem: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
 ) -> tuple[Outcome, Certificate]:
     """A motion that the machine can drive, and what is proven of it.
 
@@ -158,10 +163,14 @@ def _drivable(
     """
     asked = problem
     for _ in range(_SLOWER):
-        outcome = _Planning(Context(asked, seed=seed, deadline=deadline, watch=watch), method).run()
+        context = Context(asked, seed=seed, work=Work(effort, brake), watch=watch)
+        try:
+            outcome = _Planning(context, method).run()
+        except OutOfTime as ended:
+            outcome = Outcome(standing(_somewhere(context)), "budget", str(ended))
         outcome, certificate = _driven(problem, outcome)
         loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
-        if not loads or not changes(problem) or outcome.reason or clock.monotonic() > deadline:
+        if not loads or not changes(problem) or outcome.reason:
             break
         over = max(use.ratio for use in loads)
         if any(use.at_rest > 1.0 for use in loads) or over > _TOO_MUCH:
@@ -185,6 +194,19 @@ def _driven(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     if slower is outcome.trajectory or not changes(problem) or certificate.verified:
         return replace(outcome, trajectory=slower), certificate
     return outcome, certify_problem(problem, outcome.trajectory)
+
+
+def _somewhere(context: Context) -> Vector:
+    """(n,) where the motion would begin, clear where that is found at once."""
+    problem = context.problem
+    if problem.start_q is not None:
+        return problem.start_q
+    target = problem.start_target
+    if target is None:
+        assert problem.path is not None
+        target = problem.path.target(0.0)
+    found = context.postures.at(target)
+    return found.clear[0] if found.clear else found.best.q
 
 
 class _Planning:
@@ -240,7 +262,7 @@ class _Planning:
             return self._problem.start_q
         target = self._problem.start_target
         assert target is not None
-        found = self._context.postures.at(target, count=_SEARCH)
+        found = self._context.postures.at(target, count=_SEARCH * self._context.work.effort.starting_points)
         return no_posture(self._context, found, target, "start_in_collision", "start") or found.clear[0]
 
     def _reach(self, stepper: Stepper) -> Outcome:

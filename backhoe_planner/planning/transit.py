@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -24,10 +23,8 @@ Matrix = NDArray[np.float64]
 
 _SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
 _TUBES = (0.25, 0.6, 1.5)  # m, and half of what is left out, that a detour may go off the path
-_TUBE_MOTIONS = 1500  # that are looked at within each
 _DETOURS = 4  # of which the shortest is taken
-_DETOUR_MOTIONS = 6000  # and then without
-_SHARE = 0.6  # of the remaining budget that one search may take
+_TUBE_PART, _FREE_PART = 8, 2  # of the motions of one search that a way in a tube, and one without, gets one in so many
 
 
 @dataclass(frozen=True)
@@ -53,20 +50,20 @@ def find_transit(context: Context, stepper: Stepper, goals: Sequence[Vector], *,
     """
     if not len(goals):
         return Transit(None, "there is nowhere to go")
-    begun = clock.monotonic()
+    work = context.work
+    most = 0 if straight else None
+    motions = work.motions
     for spare in _SPARES:
-        deadline = _deadline(context)
         check = MotionCheck(
-            context.problem, context.world, [stepper.q, *goals], spare=spare, time=stepper.time, deadline=deadline
+            context.problem, context.world, [stepper.q, *goals], spare=spare, time=stepper.time, brake=work.brake
         )
-        most = {"most_motions": 0} if straight else {}
-        way = sample_way(check, stepper.q, goals, seed=context.seed, deadline=deadline, **most)
+        way = sample_way(check, stepper.q, goals, seed=context.seed, work=work, most_motions=most)
         if way is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             smooth = blend(check, shorten(check, way, seed=context.seed))
             branch.play(time_way(smooth, context.problem.limits, drive=drive_of(context.problem)))
             return Transit(branch, "")
-    return Transit(None, f"sampling for {clock.monotonic() - begun:.1f} s found no way")
+    return Transit(None, f"of {motions - work.motions:,} motions that sampling looked at none led there")
 
 
 def find_way_near(
@@ -79,22 +76,22 @@ def find_way_near(
     start, end: (n,) joints with the tip on the path at `low` and `high`.
     time: at which the obstacles are taken to be where they are [s].
     """
+    work = context.work
     for tube in (*_TUBES, np.inf):
-        deadline = _deadline(context)
         check = MotionCheck(
             context.problem,
             context.world,
             [start, end],
             spare=_SPARES[1],
             time=time,
-            deadline=deadline,
+            brake=work.brake,
             keep=_near(context, path, low, high, tube + 0.5 * (high - low)) if np.isfinite(tube) else None,
         )
-        most = _TUBE_MOTIONS if np.isfinite(tube) else _DETOUR_MOTIONS
+        most = work.effort.motions_per_search // (_TUBE_PART if np.isfinite(tube) else _FREE_PART)
         found: list[Way] = []
         for turn in range(_DETOURS):
             seed = context.seed + turn
-            way = sample_way(check, start, [end], seed=seed, deadline=deadline, most_motions=most)
+            way = sample_way(check, start, [end], seed=seed, work=work, most_motions=most)
             if way is None:
                 break
             found.append(shorten(check, way, seed=seed))
@@ -111,12 +108,6 @@ def play_way(context: Context, stepper: Stepper, way: Matrix) -> None:
         context.problem, context.world, [way[0], way[-1]], spare=_SPARES[1], time=stepper.time,
     )  # fmt: skip
     stepper.play(time_way(blend(check, Way(way)), context.problem.limits, drive=drive_of(context.problem)))
-
-
-def _deadline(context: Context) -> float:
-    """Until when one search may go on."""
-    now = clock.monotonic()
-    return now + _SHARE * max(context.deadline - now, 0.0)
 
 
 def _near(context: Context, path: TipPath, low: float, high: float, reach: float) -> Callable[[Vector], bool]:

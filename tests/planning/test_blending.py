@@ -14,7 +14,7 @@ from test_sampling import STRETCHED, TURNED, across_bar, problem_of
 from backhoe_planner.machine import Robot, travel_bounds
 from backhoe_planner.motion import SmoothWay, Trajectory, chord_sagitta, time_way
 from backhoe_planner.motion.timing import timing
-from backhoe_planner.planning import MotionCheck, Way, blend, sample_way, shorten
+from backhoe_planner.planning import MotionCheck, Way, Work, blend, sample_way, shorten
 from backhoe_planner.site import Proximity
 
 Vector = NDArray[np.float64]
@@ -115,7 +115,7 @@ def test_a_corner_next_to_an_obstacle_is_cut_less(planar4: Robot) -> None:
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
     tighter = 0
     for seed in range(4):
-        way = sample_way(check, STRETCHED, [TURNED], seed=seed, deadline=float("inf"))
+        way = sample_way(check, STRETCHED, [TURNED], seed=seed, work=Work())
         assert way is not None
         way = shorten(check, way, seed=seed)
         near, free = blend(check, way), blend(open_field(planar4), way)

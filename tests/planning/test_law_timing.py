@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.motion import Problem, build_problem, limit_usage
-from backhoe_planner.planning import Context, Stepper, approach_goal, as_fast_as_allowed, places_on, shortest_time
+from backhoe_planner.planning import Context, Stepper, Work, approach_goal, as_fast_as_allowed, places_on, shortest_time
 
 Array = NDArray[np.float64]
 
@@ -29,9 +29,9 @@ CAGE = """<robot name="lift">
 def by_law(problem: Problem, q: Array) -> tuple[Context, Stepper, Stepper]:
     """A motion at rest at q, and the law's straight for the goal from there."""
     assert problem.goal is not None
-    context = Context(problem, seed=0, deadline=np.inf, watch=None)
+    context = Context(problem, seed=0, work=Work(), watch=None)
     begun = context.stepper(q)
-    attempt = next(iter(approach_goal(begun, problem.goal, (), deadline=np.inf)))
+    attempt = next(iter(approach_goal(begun, problem.goal, (), work=Work())))
     assert attempt.arrived
     return context, begun, attempt.stepper
 

@@ -26,7 +26,7 @@ def site(task: Data, *obstacles: Data) -> bp.Scene:
 
 def plan(robot: bp.Robot, task: Data, *obstacles: Data) -> bp.Plan:
     """Planned with time enough for a busy machine; what is verified is held against the independent check."""
-    found = bp.plan(robot, site(task, *obstacles), budget=120.0)
+    found = bp.plan(robot, site(task, *obstacles))
     if found.verified:
         assert refutations(found) == []
     return found
@@ -101,6 +101,6 @@ def test_what_appears_upon_the_machine_is_not_called_safe(backhoe: bp.Robot) -> 
 
 def test_same_seed_same_plan_among_what_moves(backhoe: bp.Robot) -> None:
     walker = WORKER | {"from": [2.8, 4.0, 0.0], "to": [2.8, 4.0, 1.8], "velocity": [0.0, -0.5, 0.0]}
-    one, other = (bp.plan(backhoe, site(GOAL, walker), budget=120.0) for _ in range(2))
+    one, other = (bp.plan(backhoe, site(GOAL, walker)) for _ in range(2))
     np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
     np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)

@@ -321,7 +321,7 @@ def test_a_law_that_is_blocked_by_an_obstacle_is_told(planar4: bp.Robot) -> None
     ball = {"name": "ball", "shape": "sphere", "radius": 0.15, "position": [2.1, 0.0, 0.0]}
     task = {"path": {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-1.0, 1.0)], "speed": 0.4}}
     scene = bp.scene_from_dict({"version": 1, "task": task, "clearance": 0.02, "obstacles": [ball]})
-    plan = bp.plan(planar4, scene, budget=30.0)
+    plan = bp.plan(planar4, scene)
     assert plan.verified, plan.message
     assert plan.certificate.detours
     told = plan.metrics["objective"]

@@ -61,7 +61,7 @@ HALF_WIDTH = 0.04  # of planar4's links: boxes that end at the tip
 
 def test_through_the_middle_of_an_obstacle(planar4: bp.Robot) -> None:
     """The tip can follow up to the clearance where the last link points at the ball, a little less where it slants."""
-    found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)]), budget=60.0)
+    found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)]))
     assert found.verified
     near = 0.3 + CLEARANCE
     [detour] = found.details["detours"]
@@ -74,7 +74,7 @@ def test_through_the_middle_of_an_obstacle(planar4: bp.Robot) -> None:
 
 
 def test_where_detours_are_not_allowed_the_same_is_said(planar4: bp.Robot) -> None:
-    found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)], detour=False), budget=60.0)
+    found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)], detour=False))
     near = 0.3 + CLEARANCE
     assert found.reason == "blocked"
     assert 1.0 - near - HALF_WIDTH - 0.02 < found.details["path_from"] < 1.0 - near + 1e-3
@@ -153,7 +153,7 @@ def test_past_the_swing_limit(backhoe: bp.Robot) -> None:
 
 
 def test_an_obstacle_at_the_end_of_the_path(planar4: bp.Robot) -> None:
-    found = bp.plan(planar4, site(LINE, [ball(2.0, 1.0, 0.2)]), budget=60.0)
+    found = bp.plan(planar4, site(LINE, [ball(2.0, 1.0, 0.2)]))
     near = 0.2 + CLEARANCE
     assert found.reason == "blocked"
     assert 2.0 - near - HALF_WIDTH - 0.02 < found.details["path_from"] < 2.0 - near + 1e-3
@@ -176,7 +176,7 @@ def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
 
 def test_a_path_to_and_fro_over_its_own_beginning(planar4: bp.Robot) -> None:
     points = [[2.0, -0.1, 0.0], [2.0, 0.1, 0.0]] * 12
-    found = bp.plan(planar4, site(points), budget=60.0)
+    found = bp.plan(planar4, site(points))
     assert found.verified
     assert found.certificate.tracking.followed == pytest.approx(23 * 0.2, abs=1e-3)
 
@@ -189,7 +189,7 @@ def test_seven_joints_follow_full_poses_among_boxes(index: int) -> None:
     """At most 1 mm and 0.1 degrees off between the waypoints too, without a jump."""
     robot = load_machine("panda")
     place = random_site(robot, SiteKey("panda", "cluttered", "path", index))
-    found = bp.plan(robot, place.scene, budget=60.0)
+    found = bp.plan(robot, place.scene)
     assert found.verified
     assert found.certificate.detours == ()
     path = build_problem(robot, place.scene).path
@@ -284,7 +284,7 @@ def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed
 
 def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot) -> None:
     scene = site(LINE, [ball(2.0, 0.0, 0.3)])
-    one, other = (bp.plan(planar4, scene, seed=4, budget=60.0) for _ in range(2))
+    one, other = (bp.plan(planar4, scene, seed=4) for _ in range(2))
     assert one.verified
     np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
     np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)

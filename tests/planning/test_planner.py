@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import time as clock
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
 def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int) -> None:
     """And a check of distances that shares no code with the planner finds nothing against it."""
     scene = bp.load_scene(SCENES / f"{name}.yaml")
-    plan = bp.plan(bp.load_robot(urdf, tip=scene.tip), scene, method="auto", budget=30.0)
+    plan = bp.plan(bp.load_robot(urdf, tip=scene.tip), scene, method="auto")
     assert plan.verified, plan.message
     assert plan.reason == plan.message == ""
     assert plan.certificate.verified
@@ -82,10 +83,10 @@ def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int)
 @pytest.mark.parametrize("seed", range(10))
 def test_no_verified_plan_of_a_random_scene_is_refuted(planar4: bp.Robot, seed: int) -> None:
     scene = random_planar_scene(planar4, np.random.default_rng(seed))
-    plan = bp.plan(planar4, scene, budget=1.5)
+    plan = bp.plan(planar4, scene, effort="quick")
     assert plan.verified == (plan.reason == "") == plan.certificate.verified
     assert refutations(plan, refine=4) == []
-    if seed in (2, 3, 4, 5, 7):  # each is solved in a small part of the budget
+    if seed in (2, 3, 4, 5, 7):
         assert plan.verified, plan.message
 
 
@@ -117,7 +118,7 @@ def test_the_asked_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
 
 def test_a_detour_around_a_ball(planar4: bp.Robot) -> None:
     scene = site(path(speed=0.4), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
-    plan = bp.plan(planar4, scene, budget=30.0)
+    plan = bp.plan(planar4, scene)
     assert plan.verified, plan.message
     (detour,) = plan.certificate.detours
     # the ball and its clearance cover the path for 0.13 m before and behind y = 0
@@ -217,7 +218,7 @@ def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
         {"name": f"wall {side}", "shape": "box", "size": [0.1, 7.0, 0.5], "position": [0.0, side * 4.2, 0.0]}
         for side in (-1.0, 1.0)
     ]
-    plan = bp.plan(planar4, site(goal(-3.0, 1.0), obstacles=walls), budget=20.0)
+    plan = bp.plan(planar4, site(goal(-3.0, 1.0), obstacles=walls))
     assert (plan.verdict, plan.reason) == ("failed", "blocked")
     assert plan.details["obstacle"].startswith("wall")
     assert "attempts" in plan.message
@@ -227,11 +228,11 @@ def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
 
 def test_without_time_there_is_still_a_plan(planar4: bp.Robot) -> None:
     scene = site(path(speed=0.4), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
-    begun = clock.monotonic()
     plan = bp.plan(planar4, scene, budget=1e-6)
     assert plan.reason == "budget"
-    assert clock.monotonic() - begun < 5.0
+    assert plan.message.startswith("time ran out after 1e-06 s; --budget gives more")
     assert plan.certificate.safe
+    assert len(plan.trajectory) == 1
 
 
 # --- arguments --------------------------------------------------------------------
@@ -247,6 +248,7 @@ def test_the_papers_law_takes_no_path(planar4: bp.Robot) -> None:
     ("keys", "key"),
     [
         ({"method": "reactiv"}, "method"),
+        ({"effort": "quickly"}, "effort"),
         ({"budget": 0.0}, "budget"),
         ({"budget": float("nan")}, "budget"),
         ({"seed": -1}, "seed"),
@@ -256,6 +258,8 @@ def test_bad_arguments(planar4: bp.Robot, keys: Data, key: str) -> None:
     with pytest.raises(bp.InputError) as caught:
         bp.plan(planar4, site(goal(2.0, 2.0)), **keys)
     assert caught.value.key == key
+    if key == "effort":
+        assert "did you mean 'quick'" in str(caught.value)
     if key == "method":
         assert "did you mean 'reactive'" in str(caught.value)
 
@@ -266,6 +270,36 @@ def test_same_seed_same_plan(planar4: bp.Robot) -> None:
     for content in (first, second):
         assert content["metrics"].pop("planning_time") > 0.0
     assert first == second
+
+
+SCENES_TWICE = """
+import sys
+import backhoe_planner as bp
+for name in ("paper_planar", "pole", "truck"):
+    robot = bp.load_robot("example:planar4" if name == "paper_planar" else "example:backhoe")
+    plan = bp.plan(robot, bp.load_scene(f"{sys.argv[1]}/{name}.yaml"), effort="quick")
+    print(name, plan.reason, plan.trajectory.time.tobytes().hex(), plan.trajectory.q.tobytes().hex())
+"""
+
+
+def test_the_same_plan_bit_for_bit_on_a_busy_machine() -> None:
+    """Planned twice, the second time while four other processes keep the cores busy."""
+
+    def planned() -> str:
+        return subprocess.run(
+            [sys.executable, "-c", SCENES_TWICE, str(SCENES)], capture_output=True, text=True, check=True
+        ).stdout
+
+    idle = planned()
+    spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4)]
+    try:
+        busy = planned()
+    finally:
+        for process in spinning:
+            process.kill()
+            process.wait()
+    assert idle == busy
+    assert [line.split()[0] for line in idle.splitlines()] == ["paper_planar", "pole", "truck"]
 
 
 def test_the_watcher_sees_the_steps(planar4: bp.Robot) -> None:

@@ -6,8 +6,8 @@ import itertools
 import signal
 import subprocess
 import sys
-import time as clock
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,18 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Problem, build_problem, drive_of, time_way
-from backhoe_planner.planning import MotionCheck, OutOfTime, Way, blend, sample_way, shorten
+from backhoe_planner.planning import (
+    EFFORTS,
+    Brake,
+    Effort,
+    MotionCheck,
+    OutOfTime,
+    Way,
+    Work,
+    blend,
+    sample_way,
+    shorten,
+)
 from backhoe_planner.proof import certify_problem
 from backhoe_planner.site import Proximity
 
@@ -26,7 +37,6 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Data = dict[str, Any]
 
-NEVER = float("inf")
 STRETCHED = np.zeros(4)
 TURNED = np.array([1.5, 0.0, 0.0, 0.0])
 # a bar across the arc that the stretched arm would sweep
@@ -40,14 +50,15 @@ def find_way(
     goals: list[Vector],
     *,
     seed: int,
-    deadline: float,
+    brake: Brake | None = None,
+    effort: Effort = EFFORTS["normal"],
     spare: float,
     time: float = 0.0,
     keep: Callable[[Vector], bool] | None = None,
 ) -> Way | None:
     ends = [np.array(q, dtype=float) for q in (start, *goals)]
-    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, deadline=deadline)
-    return sample_way(check, ends[0], ends[1:], seed=seed, deadline=deadline)
+    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, brake=brake)
+    return sample_way(check, ends[0], ends[1:], seed=seed, work=Work(effort, brake))
 
 
 def problem_of(robot: Robot, start: Vector, goal: Vector, obstacles: list[Data], **keys: Any) -> Problem:
@@ -83,7 +94,7 @@ def least_margin(proximity: Proximity, q: Matrix, *, time: float = 0.0, pieces: 
 
 def test_the_straight_line_is_taken_where_it_is_clear(planar4: Robot) -> None:
     problem = problem_of(planar4, STRETCHED, TURNED, [])
-    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0)
+    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [TURNED], seed=0, spare=0.0)
     assert way is not None
     np.testing.assert_array_equal(way.q, [STRETCHED, TURNED])
 
@@ -91,7 +102,7 @@ def test_the_straight_line_is_taken_where_it_is_clear(planar4: Robot) -> None:
 def test_the_goal_that_takes_the_slowest_joint_least_is_tried_first(planar4: Robot) -> None:
     problem = problem_of(planar4, STRETCHED, TURNED, [])
     far, near = np.array([1.5, 0.0, 0.0, 0.0]), np.array([0.9, 0.9, 0.9, 0.9])
-    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [far, near], seed=0, deadline=NEVER, spare=0.0)
+    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [far, near], seed=0, spare=0.0)
     assert way is not None
     np.testing.assert_array_equal(way.q[-1], near)  # further in the Euclidean norm, sooner there
 
@@ -99,7 +110,7 @@ def test_the_goal_that_takes_the_slowest_joint_least_is_tried_first(planar4: Rob
 def test_a_way_round_keeps_clearance_and_spare(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
     assert least_margin(proximity, np.array([STRETCHED, TURNED])) < 0.0
-    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.03)
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.03)
     assert way is not None
     assert len(way.q) > 2
     np.testing.assert_array_equal(way.q[0], STRETCHED)
@@ -115,18 +126,18 @@ def test_goals_in_collision_are_left_out(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
     inside = np.array([0.6, 0.0, 0.0, 0.0])
     assert least_margin(proximity, np.array([inside, inside])) < 0.0
-    way = find_way(problem, proximity, STRETCHED, [inside, TURNED], seed=0, deadline=NEVER, spare=0.0)
+    way = find_way(problem, proximity, STRETCHED, [inside, TURNED], seed=0, spare=0.0)
     assert way is not None
     np.testing.assert_array_equal(way.q[-1], TURNED)
-    assert find_way(problem, proximity, STRETCHED, [inside], seed=0, deadline=NEVER, spare=0.0) is None
-    assert find_way(problem, proximity, inside, [TURNED], seed=0, deadline=NEVER, spare=0.0) is None
+    assert find_way(problem, proximity, STRETCHED, [inside], seed=0, spare=0.0) is None
+    assert find_way(problem, proximity, inside, [TURNED], seed=0, spare=0.0) is None
 
 
 def test_an_end_outside_the_limits_is_left_out(planar4: Robot) -> None:
     problem = problem_of(planar4, STRETCHED, TURNED, [])
     outside = problem.limits.upper + 0.1
     assert np.all(np.isfinite(outside))
-    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [outside], seed=0, deadline=NEVER, spare=0.0)
+    way = find_way(problem, Proximity(planar4, ()), STRETCHED, [outside], seed=0, spare=0.0)
     assert way is None
 
 
@@ -137,7 +148,7 @@ def test_a_start_tighter_than_the_spare_can_be_left(planar4: Robot, margin: floa
     problem, proximity = across_bar(planar4, ball)
     found = proximity.distances(STRETCHED) - proximity.clearance
     assert float(found[proximity.owner == 1].min()) == pytest.approx(margin, abs=1e-9)
-    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.02)
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.02)
     assert way is not None
     assert least_margin(proximity, way.q, pieces=400) >= -1e-6  # of which the certificate makes nothing
     away = np.linalg.norm(way.q[1:-1], axis=1) > 0.5
@@ -153,10 +164,10 @@ def test_a_further_condition_is_kept(planar4: Robot) -> None:
     def folded(q: Vector) -> bool:
         return bool(q[1] <= 0.05)
 
-    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0, keep=folded)
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, keep=folded)
     assert way is not None
     assert np.max(way.q[:, 1]) <= 0.05
-    free = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0)
+    free = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0)
     assert free is not None
     assert np.max(free.q[:, 1]) > 0.05
 
@@ -167,7 +178,7 @@ def test_obstacles_stand_where_they_are_at_the_time(planar4: Robot) -> None:
     proximity = Proximity(planar4, problem.obstacles)
 
     def corners(time: float) -> int:
-        way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0, time=time)
+        way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, time=time)
         assert way is not None
         return len(way.q)
 
@@ -176,16 +187,32 @@ def test_obstacles_stand_where_they_are_at_the_time(planar4: Robot) -> None:
     assert corners(12.0) == 2  # it has gone 10 m
 
 
-def test_the_deadline_ends_a_search_without_a_way(planar4: Robot) -> None:
+def cut_off(q: Vector) -> bool:
+    """Nothing gets past this angle of the first joint."""
+    return bool(abs(q[0] - 0.7) > 0.1)
+
+
+def test_a_search_ends_after_the_motions_that_it_may_look_at(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
+    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, keep=cut_off)
+    work = Work(replace(EFFORTS["normal"], motions_per_search=300, motions=500))
+    assert sample_way(check, STRETCHED, [TURNED], seed=0, work=work) is None
+    assert 195 <= work.motions <= 200  # a tree may look at a motion or two more before OMPL asks whether to end
+    assert sample_way(check, STRETCHED, [TURNED], seed=0, work=work) is None
+    assert -5 <= work.motions <= 0  # what the first search left
+    before = work.motions
+    assert sample_way(check, STRETCHED, [TURNED], seed=0, work=work) is None
+    assert work.motions == before
 
-    def cut_off(q: Vector) -> bool:
-        return bool(abs(q[0] - 0.7) > 0.1)
 
-    soon = clock.monotonic() + 0.1
-    assert find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=soon, spare=0.0, keep=cut_off) is None
-    assert clock.monotonic() > soon  # it searched as long as it might
-    assert find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=0.0, spare=0.0) is None
+def test_the_brake_ends_a_search(planar4: Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    with pytest.raises(OutOfTime, match=r"after 1e-09 s; --budget"):
+        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, brake=Brake(1e-9), spare=0.0)
+    brake = Brake(0.05)
+    endless = replace(EFFORTS["normal"], motions_per_search=10**9, motions=10**9)
+    with pytest.raises(OutOfTime):
+        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, brake=brake, effort=endless, spare=0.0, keep=cut_off)
 
 
 def test_an_exception_of_the_condition_comes_through(planar4: Robot) -> None:
@@ -200,7 +227,7 @@ def test_an_exception_of_the_condition_comes_through(planar4: Robot) -> None:
         return bool(abs(q[0] - 0.7) > 0.1)
 
     with pytest.raises(ZeroDivisionError, match="of the condition"):
-        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0, keep=broken)
+        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, keep=broken)
     assert asked == 501
 
 
@@ -216,7 +243,7 @@ def test_a_continuous_joint_may_turn_past_pi(tmp_path: Path) -> None:
     block = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [4 * np.cos(3.6), 4 * np.sin(3.6), 0.0]}
     problem = problem_of(robot, start, goal, [block])
     proximity = Proximity(robot, problem.obstacles)
-    way = find_way(problem, proximity, start, [goal], seed=1, deadline=NEVER, spare=0.0)
+    way = find_way(problem, proximity, start, [goal], seed=1, spare=0.0)
     assert way is not None
     assert len(way.q) > 2
     assert least_margin(proximity, way.q) >= -1e-9
@@ -225,10 +252,12 @@ def test_a_continuous_joint_may_turn_past_pi(tmp_path: Path) -> None:
 # --- the same again, and quietly --------------------------------------------------------
 
 SCRIPT = """
-import os, signal, sys, threading, time
+import os, signal, sys, threading
+from dataclasses import replace
 import numpy as np
 import backhoe_planner as bp
 from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.effort import EFFORTS, Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import sample_way
 from backhoe_planner.planning.search.shortening import shorten
@@ -240,12 +269,14 @@ def cut_off(q):
 
 def run(mode):
     problem, proximity = across_bar(bp.load_robot("example:planar4"))
-    deadline = time.monotonic() + (0.2 if mode == "fail" else 60.0)
+    effort = EFFORTS["quick"]
+    if mode in ("interrupt", "caught"):  # it could go on for hours
+        effort = replace(effort, motions_per_search=10**9, motions=10**9)
     keep = None if mode == "find" else cut_off
-    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01, keep=keep, deadline=deadline)
+    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01, keep=keep)
     if mode == "interrupt":
         threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-    way = sample_way(check, STRETCHED, [TURNED], seed=3, deadline=deadline)
+    way = sample_way(check, STRETCHED, [TURNED], seed=3, work=Work(effort))
     if mode == "fail":
         assert way is None
         return
@@ -275,7 +306,7 @@ def test_the_same_seed_gives_the_same_way_bit_for_bit(planar4: Robot, tmp_path: 
     def plan(seed: int) -> Matrix:
         problem, proximity = across_bar(planar4)
         check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
-        way = sample_way(check, STRETCHED, [TURNED], seed=seed, deadline=NEVER)
+        way = sample_way(check, STRETCHED, [TURNED], seed=seed, work=Work())
         assert way is not None
         return np.vstack((way.q, blend(check, shorten(check, way, seed=seed)).corners))
 
@@ -294,7 +325,6 @@ def test_nothing_is_written_to_the_terminal(tmp_path: Path, mode: str, status: i
 
 
 def test_an_interrupt_ends_the_search_at_once(tmp_path: Path) -> None:
-    """The search could go on for a minute."""
     done = run_script("interrupt", tmp_path / "way.npy")
     assert done.returncode in (-signal.SIGINT, 130)
     assert done.stderr.rstrip().endswith("KeyboardInterrupt")
@@ -371,7 +401,7 @@ def test_shortening_keeps_ends_and_clearance_and_never_lengthens(planar4: Robot)
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
     gains = []
     for seed in range(4):
-        way = sample_way(check, STRETCHED, [TURNED], seed=seed, deadline=NEVER)
+        way = sample_way(check, STRETCHED, [TURNED], seed=seed, work=Work())
         assert way is not None
         short = shorten(check, way, seed=seed)
         np.testing.assert_array_equal(short.q[[0, -1]], way.q[[0, -1]])
@@ -391,15 +421,18 @@ def test_a_straight_way_is_not_changed(planar4: Robot) -> None:
     np.testing.assert_array_equal(shorten(check, needless, seed=0).q, way.q)
 
 
-def test_after_the_deadline_a_way_stays_as_it_is(planar4: Robot) -> None:
+def test_the_brake_ends_shortening_and_blending_too(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
-    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, deadline=NEVER, spare=0.0)
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0)
     assert way is not None
-    late = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, deadline=0.0)
-    assert shorten(late, way, seed=0) is way
-    assert np.all(blend(late, way).cuts == 0.0)
-    with pytest.raises(OutOfTime):
-        late.segment_is_clear(STRETCHED, TURNED)
+    late = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, brake=Brake(1e-9))
+    for ended in (
+        lambda: shorten(late, way, seed=0),
+        lambda: blend(late, way),
+        lambda: late.segment_is_clear(STRETCHED, TURNED),
+    ):
+        with pytest.raises(OutOfTime):
+            ended()
 
 
 # --- all of it --------------------------------------------------------------------------
@@ -441,7 +474,7 @@ def test_what_comes_out_in_the_end_is_verified(name: str, request: pytest.Fixtur
     proximity = Proximity(problem.robot, problem.obstacles)
     check = MotionCheck(problem, proximity, [start, goal], spare=0.01)
     assert not check.segment_is_clear(start, goal)  # the straight line is not the answer
-    way = sample_way(check, start, [goal], seed=0, deadline=clock.monotonic() + 60.0)
+    way = sample_way(check, start, [goal], seed=0, work=Work())
     assert way is not None
     trajectory = time_way(blend(check, shorten(check, way, seed=0)), problem.limits, drive=drive_of(problem))
     certificate = certify_problem(problem, trajectory)

@@ -13,7 +13,7 @@ import backhoe_planner as bp
 from validation import planning_runs as runs
 from validation.sites import SiteKey
 
-SETTINGS = runs.Settings(budget=0.5, refute=True)
+SETTINGS = runs.Settings(effort="quick", refute=True)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_an_exception_while_planning_is_a_row_of_its_own(monkeypatch: pytest.Mon
 
 
 def test_one_site_is_rerun_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
-    assert bench_planning.main(["--only", "planar4/open/goal/0", "--budget", "2"]) == 0
+    assert bench_planning.main(["--only", "planar4/open/goal/0", "--effort", "quick"]) == 0
     printed = capsys.readouterr().out
     assert printed.startswith("planar4/open/goal/0, seed 0")
     with pytest.raises(SystemExit, match="no such site"):

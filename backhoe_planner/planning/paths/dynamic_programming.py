@@ -14,7 +14,6 @@ Only what is cheaper over all samples, clear, and within the limits is taken.
 
 from __future__ import annotations
 
-import time as clock
 from itertools import pairwise
 
 import numpy as np
@@ -25,6 +24,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.planning.paths.corners import SHARP
 from backhoe_planner.planning.paths.smoothing import null_bases, strict_targets
+from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
 
@@ -61,7 +61,7 @@ def cheapen_stretch(
     time: float = 0.0,
     free_start: bool = False,
     free_end: bool = False,
-    deadline: float = np.inf,
+    work: Work | None = None,
 ) -> Matrix:
     """(K, n) joint positions with the same tip positions as `q` whose cost is not higher.
 
@@ -71,8 +71,9 @@ def cheapen_stretch(
     cost: of the motion along the path.
     time: at which the obstacles are taken to be where they are [s].
     free_start, free_end: whether the first and the last sample may move too.
-    deadline: on `time.monotonic`.
+    work: from which every sweep over the knots is taken; without any left, `q` stays as it is.
     """
+    work = work or Work()
     if len(q) < 3:
         return q
     descent = _Descent(problem, path, stations, q, cost=cost, proximity=proximity, time=time)
@@ -83,8 +84,10 @@ def cheapen_stretch(
             before = descent.least
             for direction in directions:
                 for _ in range(_ROUNDS):
-                    if clock.monotonic() > deadline:
+                    work.brake.check()
+                    if work.sweeps <= 0:
                         return descent.q
+                    work.sweeps -= 1
                     if descent.step(delta, direction) <= _ENOUGH * abs(descent.least):
                         break
             if before - descent.least <= 5.0 * _ENOUGH * abs(descent.least):

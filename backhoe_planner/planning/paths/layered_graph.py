@@ -27,7 +27,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.search.deadline import check_deadline
+from backhoe_planner.planning.search.effort import Brake
 
 __all__ = ["Edge", "EdgeKind", "LayeredGraph", "Node", "Route"]
 
@@ -90,7 +90,7 @@ class LayeredGraph:
         the motions; infinite where there is none.
     turning: arc length that a turn is taken to be worth [m].
     detours: whether the path may be left.
-    deadline: on `time.monotonic`, after which every search raises `OutOfTime`.
+    brake: that every search checks; by default none.
     """
 
     def __init__(
@@ -101,14 +101,14 @@ class LayeredGraph:
         cost: StepCost,
         turning: float,
         detours: bool,
-        deadline: float = np.inf,
+        brake: Brake | None = None,
     ) -> None:
         self.stations = np.asarray(stations, dtype=float)
         self.layers = tuple(layers)
         self._cost = cost
         self._turning = turning
         self._detours = detours
-        self._deadline = deadline
+        self._brake = brake or Brake()
         self._steps: dict[int, Matrix] = {}
         self._turns: dict[int, Matrix] = {}
         self._forbidden: dict[tuple[int, int], set[tuple[int, int]]] = {}
@@ -177,7 +177,7 @@ class LayeredGraph:
         # of every layer, the least total that its nodes have, minus the path up to it
         leaving: list[float] = []
         for layer, nodes in enumerate(self.layers):
-            check_deadline(self._deadline)
+            self._brake.check()
             value = np.full(len(nodes), np.inf)
             source = np.zeros((len(nodes), 3), dtype=np.intp)
             if layer == 0:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.planning.search.deadline import check_deadline
+from backhoe_planner.planning.search.effort import Brake
 
 __all__ = ["PathLayers", "redundancy_of"]
 
@@ -47,15 +47,15 @@ class PathLayers:
     ----------
     grid: step of the free parameter, where there is one [rad; m for a slide].
     samples: configurations per layer where the redundancy has several dimensions.
-    deadline: on `time.monotonic`.
+    brake: that ends what runs away; by default none.
     """
 
-    def __init__(self, robot: Robot, *, grid: float, samples: int = _SAMPLES, deadline: float = np.inf) -> None:
+    def __init__(self, robot: Robot, *, grid: float, samples: int = _SAMPLES, brake: Brake | None = None) -> None:
         self._robot = robot
         self._kinematics = BatchKinematics(robot)
         self._grid = grid
         self._samples = samples
-        self._deadline = deadline
+        self._brake = brake or Brake()
         lower = np.where(np.isfinite(robot.limits.lower), robot.limits.lower, -np.pi)
         upper = np.where(np.isfinite(robot.limits.upper), robot.limits.upper, np.pi)
         self._box = (lower, upper)
@@ -77,7 +77,7 @@ class PathLayers:
             found = self._on_curves(stations, batch)
         else:
             found = self._on_grid(stations, batch, pitch=redundancy == 1)
-        check_deadline(self._deadline)
+        self._brake.check()
         if begin is not None:
             found[0] = _distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
         self._carry(batch, found, range(1, len(found)), -1)
@@ -98,7 +98,7 @@ class PathLayers:
         So a branch that was found anywhere is followed as far as it goes.
         """
         for row in rows:
-            check_deadline(self._deadline)
+            self._brake.check()
             before, here = found[row + back], found[row]
             if not len(before) or len(here) >= _MOST:
                 continue
@@ -227,7 +227,7 @@ class PathLayers:
         for number in range(_LONGEST_CURVE):
             if not len(q):
                 break
-            check_deadline(self._deadline)
+            self._brake.check()
             targets = batch.take(rows)
             null = np.linalg.svd(targets.jacobians(self._kinematics.at(q)))[2][:, -1, :]
             null /= np.max(np.abs(null), axis=1, keepdims=True)
@@ -257,10 +257,10 @@ class PathLayers:
         return [_distinct(q[row][reached[row]]) for row in range(len(batch))]
 
     def _solve_all(self, targets: TargetBatch, guesses: Matrix) -> tuple[Matrix, Mask]:
-        """`solve_batch` in portions, which can be ended by the deadline."""
+        """`solve_batch` in portions, between which the brake is checked."""
         ends, reached = [], []
         for first in range(0, len(guesses), _PORTION):
-            check_deadline(self._deadline)
+            self._brake.check()
             rows = np.arange(first, min(first + _PORTION, len(guesses)))
             q, arrived = solve_batch(self._kinematics, targets.take(rows), guesses[rows])
             ends.append(q)

@@ -19,7 +19,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.paths.path_layers import PathLayers
-from backhoe_planner.planning.search.deadline import OutOfTime, check_deadline
+from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
@@ -40,7 +40,6 @@ _FINE_TURN = 0.03  # rad between them
 _WIDEST_STEP = 0.7  # rad or m that one joint may move from layer to layer
 _BENT = 3.0  # times as far as the straight way between two nodes a sample of it may lie from the next
 _EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
-_MOST_DETOURS = 24  # that are tried in vain
 _TRIES = 2  # between two layers
 _FEW = 8  # nodes of a layer that are followed back to where the path is free again
 
@@ -85,8 +84,8 @@ class Resolved:
     pieces: in order; without an end where it is blocked.
     complete: whether they lead to the end of the path.
     blocked_from, blocked_to: the part that could be neither followed nor bypassed [m].
-    obstruction: what is in the way there.
-    out_of_time: whether the search was ended by its deadline.
+    obstruction: what is in the way there; None where it is complete.
+    routes: through the layers, that were tested.
     """
 
     pieces: tuple[Stretch | Detouring, ...]
@@ -94,7 +93,7 @@ class Resolved:
     blocked_from: float = 0.0
     blocked_to: float = 0.0
     obstruction: Obstruction | None = None
-    out_of_time: bool = False
+    routes: int = 0
 
 
 def velocity_norm_cost(a: Matrix, b: Matrix, span: float) -> Matrix:
@@ -113,8 +112,7 @@ class PathResolver:
     since: arc length from which on it is resolved [m].
     begin: (n,) joints with the tip on the path there, from which it is to be followed.
     time: at which the obstacles are taken to be where they are [s].
-    deadline: on `time.monotonic`; where it passes while the configurations along the
-        path are computed, `OutOfTime` is raised.
+    work: how many routes are tested, and how many detours are looked for.
     find_detour: (n,) from, (n,) to, arc lengths there, to the way between them or None.
     """
 
@@ -128,7 +126,7 @@ class PathResolver:
         since: float = 0.0,
         begin: Vector | None = None,
         time: float = 0.0,
-        deadline: float = np.inf,
+        work: Work | None = None,
         cost: StepCost = velocity_norm_cost,
         grid: float = _GRID,
         layer: float = _LAYER,
@@ -138,12 +136,12 @@ class PathResolver:
         self._proximity = proximity
         self._find_detour = find_detour
         self._time = time
-        self._deadline = deadline
+        self._work = work or Work()
         self._cost = cost
         self._kinematics = BatchKinematics(problem.robot)
         self._stations = _layer_stations(path, since, layer)
         self._targets = [path.target(float(s)) for s in self._stations]
-        self._all = PathLayers(problem.robot, grid=grid, deadline=deadline).at(
+        self._all = PathLayers(problem.robot, grid=grid, brake=self._work.brake).at(
             self._stations, self._targets, begin=begin
         )
         screen = ClearanceScreen(proximity)
@@ -151,6 +149,7 @@ class PathResolver:
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Detouring, Stretch]] = {}
         self._off_path = False
+        self._routes = 0
 
     @property
     def first_layer(self) -> Matrix:
@@ -185,22 +184,24 @@ class PathResolver:
         self._motions, self._ways = {}, {}
         turning = float(self._stations[1] - self._stations[0])
         graph = LayeredGraph(
-            stations, layers, cost=self._cost, turning=turning, detours=detours, deadline=self._deadline
+            stations, layers, cost=self._cost, turning=turning, detours=detours, brake=self._work.brake
         )
         self._off_path = off_path
-        try:
-            pieces = self._search(graph, costs)
-            return self._as_far(graph, costs) if pieces is None else Resolved(pieces, True)
-        except OutOfTime:
-            return Resolved((), False, float(stations[0]), self._path.length, out_of_time=True)
+        pieces = self._search(graph, costs)
+        return self._as_far(graph, costs) if pieces is None else Resolved(pieces, True)
 
     def _search(self, graph: LayeredGraph, costs: Vector) -> tuple[Stretch | Detouring, ...] | None:
         """The pieces of the best route that can be driven, None where there is no route."""
         failures: dict[tuple[int, int], int] = {}
-        while sum(failures.values()) < _MOST_DETOURS:
+        effort = self._work.effort
+        self._routes = 0
+        while self._routes < effort.routes:
+            if sum(failures.values()) >= effort.detours:
+                break
+            self._routes += 1
             route = graph.best_route(costs)
             if route is None:
-                return None
+                break
             if self._driven(graph, route) and self._bypassed(graph, route, failures):
                 return self._pieces(graph, route)
         return None
@@ -208,7 +209,7 @@ class PathResolver:
     # --- nodes -------------------------------------------------------------------
 
     def _free(self, screen: ClearanceScreen, nodes: Matrix) -> Matrix:
-        check_deadline(self._deadline)
+        self._work.brake.check()
         return np.asarray(nodes[screen.keeps(nodes, time=self._time, spare=-TOUCH)])
 
     # --- edges ---------------------------------------------------------------------
@@ -216,7 +217,7 @@ class PathResolver:
     def _driven(self, graph: LayeredGraph, route: Route) -> bool:
         """Whether all that follows the path can be driven; what cannot is forbidden."""
         edges = [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR]
-        check_deadline(self._deadline)
+        self._work.brake.check()
         fresh = [edge for edge in edges if edge not in self._motions]
         for edge, motion in zip(fresh, self._interpolate(graph, fresh), strict=True):
             self._motions[edge] = motion if motion is not None and self._is_clear(motion.q) else None
@@ -373,7 +374,10 @@ class PathResolver:
         pieces: tuple[Stretch | Detouring, ...] = ()
         obstruction = None
         left = 0.0
-        while (reached := graph.furthest(costs)) >= 0:
+        for _ in range(self._work.effort.routes):
+            reached = graph.furthest(costs)
+            if reached < 0:
+                break
             route = graph.best_route(costs, end=reached)
             assert route is not None
             if not self._driven(graph, route):
@@ -389,7 +393,7 @@ class PathResolver:
         again = self._free_again(left)
         if obstruction is None:
             obstruction = self._obstruction(self._problem.robot.middle, left)
-        return Resolved(pieces, False, left, again, obstruction)
+        return Resolved(pieces, False, left, again, obstruction, self._routes)
 
 
 def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:

@@ -12,7 +12,6 @@ its own z. Only what is cheaper, clear, and within the limits is taken.
 
 from __future__ import annotations
 
-import time as clock
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +20,7 @@ from scipy.linalg import solveh_banded
 
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
+from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
 
@@ -55,7 +55,7 @@ def smooth_stretch(
     time: float = 0.0,
     free_start: bool = False,
     free_end: bool = False,
-    deadline: float = np.inf,
+    brake: Brake | None = None,
 ) -> Matrix:
     """(K, n) joint positions with the same tip positions as `q` and a cost that is not higher.
 
@@ -64,8 +64,9 @@ def smooth_stretch(
     stations: (K,) arc lengths of the samples [m]; q: (K, n) clear joints there.
     time: at which the obstacles are taken to be where they are [s].
     free_start, free_end: whether the first and the last sample may move too.
-    deadline: on `time.monotonic`.
+    brake: that ends what runs away; by default none.
     """
+    brake = brake or Brake()
     if len(q) < 3:
         return q
     kinematics = BatchKinematics(problem.robot)
@@ -78,8 +79,7 @@ def smooth_stretch(
     floor = np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH
     cost = _cost(weights, q)
     for _ in range(_ROUNDS):
-        if clock.monotonic() > deadline:
-            break
+        brake.check()
         N = null_bases(kinematics, strict, q)
         if N.shape[2] == 0:
             break

@@ -8,7 +8,6 @@ as the local law can.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_
 from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.reactive.reaching import approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstruction, Proximity
 
@@ -62,7 +62,7 @@ class Follower:
     ----------
     speed: of the tip [m/s], None for as fast as the joints allow.
     detour: whether the path may be left.
-    deadline: on `time.monotonic`.
+    work: from which the steps back to the path are taken.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Follower:
         postures: Postures,
         proximity: Proximity,
         kinematics: Kinematics,
-        deadline: float,
+        work: Work,
     ) -> None:
         self._path = path
         self._speed = speed
@@ -82,7 +82,7 @@ class Follower:
         self._postures = postures
         self._proximity = proximity
         self._kinematics = kinematics
-        self._deadline = deadline
+        self._work = work
 
     def furthest(self, stepper: Stepper, s: float, candidates: tuple[Vector, ...]) -> list[Vector]:
         """Configurations at arc length `s`, the one from which the law gets furthest first."""
@@ -130,8 +130,7 @@ class Follower:
         rejoins = 0
         s = left
         while s <= self._path.length and rejoins < _MOST_REJOINS:
-            if clock.monotonic() > self._deadline:
-                break
+            self._work.brake.check()
             target = self._path.target(s)
             found = self._postures.at(target, near=stepper.q, count=12, time=stepper.time)
             # where it stands it has just been stuck
@@ -150,7 +149,8 @@ class Follower:
     def _free_again(self, stepper: Stepper, left: float) -> float:
         """The first point of the path behind `left` that the machine can stand on, else its end [m]."""
         s = left + _RASTER
-        while s < self._path.length and clock.monotonic() < self._deadline:
+        while s < self._path.length:
+            self._work.brake.check()
             if self._postures.at(self._path.target(s), near=stepper.q, count=6, time=stepper.time).clear:
                 return s
             s += _RASTER
@@ -159,6 +159,6 @@ class Follower:
     def _ways(self, stepper: Stepper, s: float, postures: tuple[Vector, ...]) -> Iterator[Stepper]:
         """Motions that arrive on the path at `s`."""
         ordered = self.furthest(stepper, s, postures[:_POSTURES])
-        for attempt in approach_goal(stepper, self._path.target(s), ordered, deadline=self._deadline):
+        for attempt in approach_goal(stepper, self._path.target(s), ordered, work=self._work):
             if attempt.arrived:
                 yield attempt.stepper

@@ -8,7 +8,6 @@ turn. The first attempt that arrives ends the search.
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -20,6 +19,7 @@ from backhoe_planner.law import CompletedLaw
 from backhoe_planner.machine import Configuration, JointLimits, TipTarget, movable_rows
 from backhoe_planner.motion import hand_set_gains
 from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.site import Nearby, Obstruction
 
 __all__ = ["Attempt", "approach_goal"]
@@ -77,7 +77,7 @@ def approach_goal(
     goal: TipTarget,
     configurations: Sequence[Vector],
     *,
-    deadline: float,
+    work: Work,
     all_ways: bool = False,
     null_space: bool = True,
 ) -> Iterator[Attempt]:
@@ -87,7 +87,7 @@ def approach_goal(
     ----------
     stepper: a motion that is at rest; every attempt is a branch of it.
     configurations: (n,) known to put the tip on the goal, the preferred one first.
-    deadline: on `time.monotonic`, after which no further attempt is begun.
+    work: from which every step is taken; without any left, no further attempt is begun.
     all_ways: go on after an attempt that arrives, for whoever wants another one.
     null_space: whether the null-space terms of the law take part; to compare without.
     """
@@ -99,11 +99,11 @@ def approach_goal(
     for number, (name, posture, sense) in enumerate(ways, start=1):
         branch = stepper.branch(attempt=number)
         if posture is None:
-            attempt = _drive_tip(branch, goal, sense, name, deadline, null_space=null_space)
+            attempt = _drive_tip(branch, goal, sense, name, work, null_space=null_space)
         else:
-            attempt = _drive_joints(branch, posture, goal, name, deadline)
+            attempt = _drive_joints(branch, posture, goal, name, work)
         yield attempt
-        if (attempt.arrived and not all_ways) or clock.monotonic() > deadline:
+        if (attempt.arrived and not all_ways) or work.law_steps <= 0:
             return
 
 
@@ -118,7 +118,7 @@ def _senses(at: Configuration) -> list[Sense]:
 
 
 def _drive_tip(
-    stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str, deadline: float, *, null_space: bool
+    stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str, work: Work, *, null_space: bool
 ) -> Attempt:
     problem = stepper.problem
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
@@ -126,7 +126,7 @@ def _drive_tip(
     turning = _Turning(sense)
     arrived = False
     begun = stepper.time
-    while stepper.time < begun + _LONGEST and clock.monotonic() < deadline:
+    while stepper.time < begun + _LONGEST and _may_step(work):
         at, nearby = stepper.look()
         error, J = _task(goal, at)
         left = float(np.linalg.norm(error))
@@ -296,14 +296,14 @@ def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:
 # --- moving the joints --------------------------------------------------------------
 
 
-def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, deadline: float) -> Attempt:
+def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, work: Work) -> Attempt:
     problem = stepper.problem
     limits = problem.limits
     free_tip = np.zeros((3, problem.robot.n))
     progress = _Progress()
     arrived = False
     begun = stepper.time
-    while stepper.time < begun + _LONGEST and clock.monotonic() < deadline:
+    while stepper.time < begun + _LONGEST and _may_step(work):
         _, nearby = stepper.look()
         dq = posture - stepper.q
         left = float(np.max(np.abs(dq)))
@@ -320,6 +320,13 @@ def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, 
         if not stepper.advance(pace * dq, nearby, free_tip) or progress.stuck(left, stepper.time):
             break
     return _attempt(stepper, goal, arrived, way)
+
+
+def _may_step(work: Work) -> bool:
+    """Take a step from the work, if there is one left."""
+    work.brake.check()
+    work.law_steps -= 1
+    return work.law_steps >= 0
 
 
 def _attempt(stepper: Stepper, goal: TipTarget, arrived: bool, way: str) -> Attempt:

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.motion import SmoothWay, chord_sagitta
-from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import Way
 
@@ -25,7 +24,7 @@ def blend(check: MotionCheck, way: Way) -> SmoothWay:
 
     Parameters
     ----------
-    check: that `way` was found with; at its deadline the corners that are left are not cut.
+    check: that `way` was found with.
     """
     q = way.q
     steps = np.linalg.norm(np.diff(q, axis=0) / check.rate, axis=1)
@@ -33,11 +32,8 @@ def blend(check: MotionCheck, way: Way) -> SmoothWay:
     q, steps = np.array(q[keep]), steps[steps > 0.0]
     stations = np.concatenate(([0.0], np.cumsum(steps)))
     cuts = np.zeros(len(q))
-    try:
-        for corner in range(1, len(q) - 1):
-            cuts[corner] = _cut(check, q, steps, corner)
-    except OutOfTime:
-        pass
+    for corner in range(1, len(q) - 1):
+        cuts[corner] = _cut(check, q, steps, corner)
     return SmoothWay(q, stations, cuts)
 
 

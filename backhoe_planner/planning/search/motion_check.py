@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.motion import Problem
-from backhoe_planner.planning.search.deadline import check_deadline
+from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import Proximity
 
 __all__ = ["MotionCheck"]
@@ -63,7 +63,7 @@ class MotionCheck:
     time: at which the obstacles are taken to stand still [s].
     keep: a further condition on configurations. It is looked at closely along a motion
         (every 0.02 s of the slowest joint), not proven.
-    deadline: on `time.monotonic`, after which every question raises `OutOfTime`.
+    brake: that every question checks; by default none.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class MotionCheck:
         spare: float,
         time: float = 0.0,
         keep: Condition | None = None,
-        deadline: float = np.inf,
+        brake: Brake | None = None,
     ) -> None:
         self.problem = problem
         self.proximity = proximity
@@ -88,7 +88,7 @@ class MotionCheck:
         self.measured = 0
         self._time = time
         self._keep = keep
-        self._deadline = deadline
+        self._brake = brake or Brake()
         self._pairs = np.flatnonzero(proximity.appears_at <= time)
         self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
         self._clearance = proximity.clearance[self._pairs]
@@ -109,7 +109,7 @@ class MotionCheck:
 
         Raises
         ------
-        OutOfTime: the deadline has passed.
+        OutOfTime: the brake has ended it.
         """
         dq = q_b - q_a
         if not self._within_limits(q_b) or not self._within_limits(q_a):
@@ -126,7 +126,7 @@ class MotionCheck:
 
         Raises
         ------
-        OutOfTime: the deadline has passed.
+        OutOfTime: the brake has ended it.
         """
         first, second = corner - q_a, q_b - corner
         turn = second - first
@@ -145,7 +145,7 @@ class MotionCheck:
 
     def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
         """Of the curve `point` from `q_a` to `q_b`, whose joints change at `rate` (n,) at most."""
-        check_deadline(self._deadline)
+        self._brake.check()
         if self._keep is not None and not self._kept(point, rate):
             return False
         if not len(self._pairs):

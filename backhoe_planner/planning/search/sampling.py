@@ -8,7 +8,6 @@ are about times.
 from __future__ import annotations
 
 import itertools
-import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.planning.search.deadline import OutOfTime
+from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
 __all__ = ["Way", "sample_way"]
@@ -26,7 +25,6 @@ __all__ = ["Way", "sample_way"]
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_MOST_MOTIONS = 30_000
 _RANGE = 1.0  # s: the longest motion that is added to a tree
 _MOST_OF_BOX = 0.4  # and at most this part of the box's diagonal
 
@@ -56,25 +54,29 @@ def sample_way(
     goals: Sequence[Vector],
     *,
     seed: int,
-    deadline: float,
-    most_motions: int = _MOST_MOTIONS,
+    work: Work,
+    most_motions: int | None = None,
 ) -> Way | None:
     """A way that provably keeps every clearance and joint limit, or None.
 
-    The same input and seed give the same way, unless the deadline cuts the search off.
-    OMPL's global seed is set.
+    The same input and seed give the same way. OMPL's global seed is set.
 
     Parameters
     ----------
     check: made for these ends, in this order.
     start: (n,), goals: (n,) each; those that are not clear themselves are left out.
     seed: of the sampling, not negative.
-    deadline: on `time.monotonic`.
-    most_motions: between samples that are looked at before the search is given up.
+    work: from which every motion is taken that the sampling looks at.
+    most_motions: that it looks at before it is given up, by default those of one search;
+        0 for the straight motions alone.
 
     Returns
     -------
-    The way to the goal that was reached first; None where no end is clear, or time ran out.
+    The way to the goal that was reached first; None where no end is clear, or the work is done.
+
+    Raises
+    ------
+    OutOfTime: the brake of `check` has ended it.
     """
     if not check.ends_clear[0]:
         return None
@@ -83,16 +85,14 @@ def sample_way(
         key=lambda index: float(np.max(np.abs(goals[index] - start) / check.rate)),
     )
     open_goals = [goals[index] for index in order]
-    try:
-        for goal in open_goals:
-            if check.segment_is_clear(start, goal):
-                return Way(np.array([start, goal]))
-    except OutOfTime:
-        return None
-    if not open_goals or most_motions <= 0:
+    for goal in open_goals:
+        if check.segment_is_clear(start, goal):
+            return Way(np.array([start, goal]))
+    most_motions = work.effort.motions_per_search if most_motions is None else most_motions
+    if not open_goals or min(most_motions, work.motions) <= 0:
         return None
     with _quiet():
-        return _Search(check, deadline, most_motions).run(start, open_goals, seed)
+        return _Search(check, work, most_motions).run(start, open_goals, seed)
 
 
 @contextmanager
@@ -115,10 +115,10 @@ class _Search:
     behind it. Nothing that OMPL owns is kept here, or it would never be freed.
     """
 
-    def __init__(self, check: MotionCheck, deadline: float, most_motions: int) -> None:
+    def __init__(self, check: MotionCheck, work: Work, most_motions: int) -> None:
         self._check = check
-        self._deadline = deadline
-        self._motions_left = most_motions
+        self._work = work
+        self._until = max(work.motions - most_motions, 0)  # motions left at which the search ends
         self._rate = check.rate
         self._raised: BaseException | None = None
 
@@ -127,8 +127,6 @@ class _Search:
             found = self._solve(start, goals, seed)
         finally:
             raised, self._raised = self._raised, None
-        if isinstance(raised, OutOfTime):
-            return None
         if raised is not None:
             raise raised
         return found
@@ -170,10 +168,7 @@ class _Search:
 
     def _proven(self, q: Matrix) -> Way | None:
         """The way, if it is still proven where the rounding of the scaling has moved its ends."""
-        try:
-            clear = all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
-        except OutOfTime:
-            return None
+        clear = all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
         return Way(q) if clear else None
 
     def _box(self, ends: list[Vector]) -> tuple[Vector, Vector]:
@@ -191,7 +186,7 @@ class _Search:
 
     def allows(self, a: list[float], b: list[float]) -> bool:
         """Whether OMPL may move from `a` to `b`, in joint times."""
-        self._motions_left -= 1
+        self._work.motions -= 1
         if self._raised is not None:
             return False
         try:
@@ -202,7 +197,7 @@ class _Search:
 
     def ended(self) -> bool:
         """Whether OMPL is to stop."""
-        return self._raised is not None or self._motions_left <= 0 or clock.monotonic() > self._deadline
+        return self._raised is not None or self._work.motions <= self._until
 
 
 def _validator(base: Any, space_information: Any, n: int, allows: Callable[[list[float], list[float]], bool]) -> Any:

@@ -11,7 +11,6 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.planning.search.deadline import OutOfTime
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import Way
 
@@ -34,22 +33,19 @@ def shorten(check: MotionCheck, way: Way, *, seed: int, tries: int = _TRIES) -> 
     ----------
     check: that `way` was found with.
     seed: of the random places, not negative.
-    tries: how many random shortcuts are looked at; at the check's deadline it ends early.
+    tries: how many random shortcuts are looked at.
     """
     rng = np.random.default_rng(seed)
     q = np.array(way.q)
-    try:
-        q = _without_corners(check, q)
-        missed = 0
-        for _ in range(tries):
-            if len(q) < 3 or missed >= _PATIENCE:
-                break
-            shorter = _shortcut(check, q, rng)
-            missed = missed + 1 if shorter is None else 0
-            q = q if shorter is None else shorter
-        q = _without_corners(check, q)
-    except OutOfTime:
-        pass
+    q = _without_corners(check, q)
+    missed = 0
+    for _ in range(tries):
+        if len(q) < 3 or missed >= _PATIENCE:
+            break
+        shorter = _shortcut(check, q, rng)
+        missed = missed + 1 if shorter is None else 0
+        q = q if shorter is None else shorter
+    q = _without_corners(check, q)
     return Way(q) if _length(q, check.rate) < _length(way.q, check.rate) else way
 
 

@@ -1,0 +1,143 @@
+"""How much work a plan may take: counted, so that it does not depend on the machine or its load.
+
+Every search ends by a count, and the same input, seed and effort give the same plan. The
+clock stands here alone: the `Brake` ends what runs away, and nothing else looks at it.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+
+from backhoe_planner.errors import InputError, nearest_name
+
+__all__ = ["DEFAULT_BUDGET", "EFFORTS", "Brake", "Effort", "OutOfTime", "Work", "effort_named"]
+
+DEFAULT_BUDGET = (
+    60.0  # s: several times what `normal` takes on one idle core, so that a busy machine ends by counts too
+)
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Upper bounds of the work of one plan.
+
+    The counts of ``normal`` are about what one idle core does in 10 s to 20 s each; the
+    rates are of the random sites of `scripts/bench_planning.py` on a 2 GHz core.
+
+    Attributes
+    ----------
+    motions_per_search: motions between two configurations that one sampled search looks
+        at (1,000 to 4,000 a second); half of it for a free detour, an eighth for one near the path.
+    motions: the same of all searches of the plan: where the first fails, another has room.
+    starting_points: of the inverse kinematics for one target (1,000 a second); what
+        stands in collision is looked at with eight times as many before that is said.
+    law_steps: steps of the completed law in all attempts of the plan (200 to 3,000 a second).
+    sweeps: of the dynamic programming that makes a path cheaper, of the plan (30 to 80 a
+        second); it converges in 20 to 220.
+    routes: through the layered graph of which the motions are tested, of one resolution
+        of a path (20 to 100 a second).
+    detours: off the path that are looked for in vain, of one resolution.
+    """
+
+    motions_per_search: int
+    motions: int
+    starting_points: int
+    law_steps: int
+    sweeps: int
+    routes: int
+    detours: int
+
+
+_NORMAL = Effort(
+    motions_per_search=12_000,
+    motions=24_000,
+    starting_points=48,
+    law_steps=12_000,
+    sweeps=600,
+    routes=400,
+    detours=24,
+)
+
+
+def _times(factor: float) -> Effort:
+    """The normal effort, `factor` times."""
+    return Effort(**{name: round(factor * count) for name, count in asdict(_NORMAL).items()})
+
+
+EFFORTS: Mapping[str, Effort] = MappingProxyType(
+    {
+        # inverse kinematics costs little and decides much: with a fifth of it goals count as out of reach
+        "quick": replace(_times(0.2), starting_points=_NORMAL.starting_points),
+        "normal": _NORMAL,
+        "thorough": _times(4.0),
+    }
+)
+
+
+def effort_named(name: str) -> Effort:
+    """The effort of that name.
+
+    Raises
+    ------
+    InputError: there is none.
+    """
+    if name not in EFFORTS:
+        near = nearest_name(name, EFFORTS)
+        raise InputError(
+            "no such effort",
+            key="effort",
+            found=name,
+            allowed=", ".join(EFFORTS),
+            hint=f"did you mean {near!r}?" if near else None,
+        )
+    return EFFORTS[name]
+
+
+class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not an error
+    """The emergency brake has ended a search."""
+
+
+class Brake:
+    """Ends what runs away: a time budget, counted from when the brake is made.
+
+    Attributes
+    ----------
+    budget: [s]; by default without end.
+    """
+
+    def __init__(self, budget: float = np.inf) -> None:
+        self.budget = budget
+        self._deadline = clock.monotonic() + budget
+
+    def check(self) -> None:
+        """Go on only while there is time.
+
+        Raises
+        ------
+        OutOfTime: the budget is used up.
+        """
+        if clock.monotonic() > self._deadline:
+            raise OutOfTime(f"time ran out after {self.budget:g} s; --budget gives more, a lower --effort needs less")
+
+
+class Work:
+    """What is left of the effort of one plan; its searches take from it.
+
+    Attributes
+    ----------
+    effort: with which the work began.
+    brake: that every search checks.
+    motions, law_steps, sweeps: that are left; see `Effort`.
+    """
+
+    def __init__(self, effort: Effort = EFFORTS["normal"], brake: Brake | None = None) -> None:
+        self.effort = effort
+        self.brake = brake or Brake()
+        self.motions = effort.motions
+        self.law_steps = effort.law_steps
+        self.sweeps = effort.sweeps
