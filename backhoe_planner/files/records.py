@@ -8,16 +8,16 @@ allowed, with the nearest name for a key that does not exist.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from backhoe_planner.errors import nearest_name
 from backhoe_planner.files.yaml_text import KeyPath
 
-__all__ = ["Record", "explain", "say"]
+__all__ = ["Record", "describe", "explain"]
 
-_NO_VARIANTS: Mapping[str, type[BaseModel]] = {}
+_BRIEF = 80  # characters: a value that is longer is not repeated in a message
 
 
 class Record(BaseModel):
@@ -31,28 +31,33 @@ class Record(BaseModel):
 def explain(
     error: ValidationError,
     content: Mapping[str, Any],
-    lines: Mapping[KeyPath, int],
     *,
     root: type[BaseModel],
-    variants: Mapping[str, type[BaseModel]] = _NO_VARIANTS,
+    lines: Mapping[KeyPath, int] | None = None,
 ) -> str:
     """What is wrong with `content`, one line for each problem.
 
     Parameters
     ----------
+    error: pydantic's complaints about it.
+    content: keys and values as they stand in the file.
+    root: the schema, or one that holds it.
     lines: the line of every key, where it is known.
-    root: the schema.
-    variants: the records between which a tag chooses, by that tag.
     """
+    variants = _variants(root)
     problems = []
     for detail in error.errors(include_url=False):
         place = _place_in_file(detail["loc"], content, missing=detail["type"] == "missing")
-        line = next((lines[place[:k]] for k in range(len(place), 0, -1) if place[:k] in lines), None)
+        above = (place[:k] for k in range(len(place), 0, -1))
+        line = next((lines[part] for part in above if part in lines), None) if lines else None
         where = _spell(place) + (f" (line {line})" if line is not None else "")
         if detail["type"] == "extra_forbidden":
-            what = _unknown_key(str(place[-1]), _keys_at(detail["loc"], root, variants))
+            keys = sorted(_keys_at(detail["loc"], root, variants))
+            what = f"there is no such key{_nearest(str(place[-1]), keys)} Allowed: {', '.join(keys)}"
+        elif detail["type"].startswith("union_tag"):
+            what = _wrong_tag(detail, variants)
         else:
-            what = say(detail, variants)
+            what = describe(detail)
         problems.append(": ".join(part for part in (where, what) if part))
     unique = list(dict.fromkeys(problems))
     if len(unique) == 1:
@@ -60,43 +65,51 @@ def explain(
     return f"{len(unique)} problems\n" + "\n".join(f"  - {problem}" for problem in unique)
 
 
-def say(detail: Any, variants: Mapping[str, type[BaseModel]] = _NO_VARIANTS) -> str:
+def describe(detail: Any) -> str:
     """One of pydantic's complaints in words, without the place."""
     kind, found = detail["type"], detail.get("input")
     if kind == "missing":
         return "is missing"
-    if kind == "union_tag_not_found":
-        return f"{_tag(detail)} is missing; allowed: {', '.join(_choices(detail, variants))}"
-    if kind == "union_tag_invalid":
-        tag = str(found.get(_tag(detail)) if isinstance(found, Mapping) else found)
-        choices = _choices(detail, variants)
-        near = nearest_name(tag, choices)
-        hint = f"; did you mean {near!r}?" if near else "."
-        return f"there is no {_tag(detail)} {tag!r}{hint} Allowed: {', '.join(choices)}"
     if kind == "value_error":
         return str(detail["ctx"]["error"])
+    brief = f"; found {found!r}" if len(str(found)) < _BRIEF else ""
     if kind == "too_long":
-        has, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
-        return f"has {has} entries, allowed: at most {most}" + (f"; found {found!r}" if len(str(found)) < 80 else "")
-    shown = f"; found {found!r}" if not isinstance(found, (Mapping, list)) or len(str(found)) < 80 else ""
+        return f"has {detail['ctx']['actual_length']} entries, allowed: at most {detail['ctx']['max_length']}{brief}"
+    shown = brief if isinstance(found, (Mapping, list)) else f"; found {found!r}"
     if kind == "tuple_type":
         return f"is not a list{shown}"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
 
 
-def _tag(detail: Any) -> str:
-    return str(detail["ctx"]["discriminator"]).strip("'")
+def _wrong_tag(detail: Any, variants: Mapping[str, type[BaseModel]]) -> str:
+    """That the key which chooses between records is missing, or chooses none."""
+    key = str(detail["ctx"]["discriminator"]).strip("'")
+    choices = sorted(tag for tag, record in variants.items() if key in record.model_fields)
+    if detail["type"] == "union_tag_not_found":
+        return f"{key} is missing; allowed: {', '.join(choices)}"
+    tag = str(detail["ctx"]["tag"])
+    return f"there is no {key} {tag!r}{_nearest(tag, choices)} Allowed: {', '.join(choices)}"
 
 
-def _choices(detail: Any, variants: Mapping[str, type[BaseModel]]) -> list[str]:
-    """The tags among which the one that is complained about chooses."""
-    return [name for name, record in variants.items() if _tag(detail) in record.model_fields]
+def _nearest(name: str, names: list[str]) -> str:
+    near = nearest_name(name, names)
+    return f"; did you mean {near!r}?" if near else "."
 
 
-def _unknown_key(key: str, allowed: list[str]) -> str:
-    near = nearest_name(key, allowed)
-    hint = f"; did you mean {near!r}?" if near else "."
-    return f"there is no such key{hint} Allowed: {', '.join(sorted(allowed))}"
+def _variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    """The records between which a tag chooses, anywhere within `root`, by that tag."""
+    found: dict[str, type[BaseModel]] = {}
+    seen, todo = set[type[BaseModel]](), [root]
+    while todo:
+        record = todo.pop()
+        if record in seen:
+            continue
+        seen.add(record)
+        for field in record.model_fields.values():
+            tags = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+            found |= {tag: record for tag in tags[:1] if len(tags) == 1 and isinstance(tag, str)}
+            todo += _models_in(field.annotation)
+    return found
 
 
 def _place_in_file(loc: tuple[str | int, ...], content: Any, *, missing: bool) -> KeyPath:

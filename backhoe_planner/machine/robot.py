@@ -158,6 +158,15 @@ class Robot:
         return np.array([axis_of(self.urdf.joints[name]) for name in self.joint_names])
 
     @cached_property
+    def support(self) -> NDArray[np.float64]:
+        """(n + 1, n) 1 where a joint (column) moves the body of Pinocchio's joint (row); row 0 stands still."""
+        mask = np.zeros((self.n + 1, self.n))
+        for joint in range(1, self.n + 1):  # Pinocchio numbers joints from the root outward
+            mask[joint] = mask[int(self.model.parents[joint])]
+            mask[joint, joint - 1] = 1.0
+        return mask
+
+    @cached_property
     def middle(self) -> Vector:
         """(n,) the middle of each joint's range, 0 where there is no range [rad or m]."""
         finite = np.isfinite(self.limits.lower) & np.isfinite(self.limits.upper)

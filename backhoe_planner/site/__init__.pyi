@@ -1,6 +1,6 @@
 from .clearance_screen import ClearanceScreen
 from .limits import scaled_limits, within_sectors
-from .obstacles import Obstacle, build_obstacle, build_obstacles, read_heights, read_points, swept
+from .obstacles import Obstacle, build_obstacle, build_obstacles, swept
 from .obstruction import Obstruction, ObstructionKind
 from .proximity import Nearby, Pair, Proximity
 from .scene_file import (
@@ -20,6 +20,7 @@ from .scene_file import (
     scene_schema,
 )
 from .soil import LIP, SoilReaction, blade_force, bucket_width, failure_angle, soil_force
+from .survey_files import read_heights, read_points
 from .zones import Level, Transgression, ZoneLog, pace, worst_first, zone_log
 
 __all__ = [

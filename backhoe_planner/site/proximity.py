@@ -25,6 +25,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import Robot, geometry_model, self_pairs, travel_bounds
+from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
 
@@ -33,10 +34,6 @@ __all__ = ["Nearby", "Pair", "Proximity"]
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-_NONSENSE = -1e7  # m: no pair is this deep inside each other
-_CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
-_TOLERANCE = 1e-12  # of coal's iterations [m]
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,7 @@ class Proximity:
             outer, inner = (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
             self._model.addCollisionPair(pin.CollisionPair(outer, inner))
             pairs.append(Pair(robot.pieces[outer].link, "machine", robot.pieces[inner].link, outer, 0.0))
-            shared = np.array(_support(robot, robot.pieces[inner].joint) > 0.0)
+            shared = robot.support[robot.pieces[inner].joint] > 0.0
             travel.append(np.where(shared, 0.0, radii[outer]))
             owner.append(-1)
             other.append(robot.pieces[inner].joint)
@@ -156,12 +153,11 @@ class Proximity:
         self._second = tuple(second)
         self._other_joint = np.array(other, dtype=int)
         self._first_geometry = first_of
-        self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
         joint_of = np.array([robot.pieces[pair.piece].joint for pair in pairs], dtype=int)
-        self._mask_link = self._support[joint_of] if count else np.zeros((0, robot.n))
+        self._mask_link = robot.support[joint_of] if count else np.zeros((0, robot.n))
         self._moves = self._mask_link > 0.0
         self._minus_mask_link = -self._mask_link
-        self._mask_other = self._support[self._other_joint] if count else np.zeros((0, robot.n))
+        self._mask_other = robot.support[self._other_joint] if count else np.zeros((0, robot.n))
         velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
         self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
         self.speed = np.linalg.norm(self._velocity, axis=1)
@@ -171,10 +167,7 @@ class Proximity:
         self._moving = [index for index, obstacle in enumerate(self.obstacles) if obstacle.moves]
         self._geometry = self._model.createData()
         for request in self._geometry.distanceRequests:
-            request.gjk_tolerance = _TOLERANCE
-            request.epa_tolerance = _TOLERANCE
-            request.gjk_max_iterations = 256
-            request.epa_max_iterations = 256
+            shapes.prepare(request)
         self._time = 0.0
         self._bound = np.full(count, -np.inf)
         self._q_bound = np.zeros(robot.n)
@@ -241,8 +234,8 @@ class Proximity:
         self._place(q, time)
         pin.computeDistances(self._model, self._geometry)
         found = np.array([result.min_distance for result in self._geometry.distanceResults])
-        for index in np.flatnonzero(~(found > _NONSENSE) | (np.abs(found) < _CONTACT)):
-            found[index] = self._measure_again(int(index)).min_distance
+        for index in np.flatnonzero(shapes.in_doubt(found)).tolist():
+            found[index] = self._measure_again(index).min_distance
         if self._some_appear:
             found[self.appears_at > time] = np.inf
         return found
@@ -312,30 +305,11 @@ class Proximity:
     def _measure(self, index: int) -> Any:
         """Coal's result for one pair at the present placements."""
         result = pin.computeDistance(self._model, self._geometry, index)
-        distance = result.min_distance
-        if distance > _CONTACT or _NONSENSE < distance < -_CONTACT:
-            return result
-        return self._measure_again(index)
+        return self._measure_again(index) if shapes.in_doubt(result.min_distance) else result
 
     def _measure_again(self, index: int) -> Any:
-        """The same with a looser tolerance, for what is in doubt.
-
-        Where faces are flush to within the tolerance, coal's iterations can end early:
-        without a depth, saying minus infinity, or at a distance of 1e-12 m between
-        boxes that are half a metre inside each other. If a looser tolerance gives no
-        depth either, the pair is in contact to within rounding, and 0 is said.
-        """
         request = self._geometry.distanceRequests[index]
-        try:
-            for tolerance in (1e-10, 1e-9, 1e-6):
-                request.gjk_tolerance = request.epa_tolerance = tolerance
-                result = pin.computeDistance(self._model, self._geometry, index)
-                if result.min_distance > _NONSENSE:
-                    return result
-        finally:
-            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
-        result.min_distance = 0.0
-        return result
+        return shapes.measure_again(request, lambda: pin.computeDistance(self._model, self._geometry, index))
 
     def _place(self, q: Vector, time: float) -> None:
         if self._moving and time != self._time:
@@ -388,12 +362,3 @@ def _age(time: float, appears_at: Vector) -> Vector:
 
 def _counts(obstacle: Obstacle, link: str) -> bool:
     return obstacle.links is None or link in obstacle.links
-
-
-def _support(robot: Robot, joint: int) -> Vector:
-    """(n,) 1 for every joint that moves the body of `joint`."""
-    mask = np.zeros(robot.n)
-    while joint > 0:
-        mask[robot.model.joints[joint].idx_v] = 1.0
-        joint = int(robot.model.parents[joint])
-    return mask

@@ -9,19 +9,43 @@ from __future__ import annotations
 
 import csv
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, PrivateAttr, TypeAdapter, ValidationError, field_validator, model_validator
+from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, field_validator, model_validator
 
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.files.records import Record, explain, say
+from backhoe_planner.files.records import Record, describe, explain
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import shipped
+from backhoe_planner.site.obstacle_shapes import (
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    HeightMap,
+    Mesh,
+    ObstacleSpec,
+    PointCloud,
+    Sphere,
+)
+from backhoe_planner.site.quantities import (
+    AnyLength,
+    Finite,
+    Length,
+    NonNegative,
+    PitchRange,
+    Positive,
+    Quaternion,
+    Vector3,
+    direction,
+    rotation_matrix,
+    unit_quaternion,
+)
 
 __all__ = [
     "Box",
@@ -55,44 +79,6 @@ __all__ = [
     "scene_schema",
 ]
 
-# strict: neither true nor "0.3" is a number
-# and what a machine of metres cannot mean is refused before arithmetic ends
-_LARGEST = 1e5
-Finite = Annotated[float, Field(strict=True, ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST, allow_inf_nan=False)]
-# thinner is rounding to what measures distances
-_SMALLEST = 1e-6
-_FLATTEST = 1e-5
-Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=_LARGEST, allow_inf_nan=False)]
-Vector3 = tuple[Finite, Finite, Finite]
-Quaternion = tuple[Finite, Finite, Finite, Finite]
-PitchRange = tuple[Finite, Finite]
-AnyLength = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-
-_ROUNDING = 1e-14  # a length this near 1 is 1: what was normalised once stays as it is
-
-
-def _unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
-    if quaternion is None:
-        return None
-    norm = math.hypot(*quaternion)
-    if abs(norm - 1.0) > 1e-3:
-        raise ValueError(f"a quaternion [w, x, y, z] has length 1, this one {norm:.4g}")
-    if abs(norm - 1.0) < _ROUNDING:
-        return quaternion
-    w, x, y, z = (part / norm for part in quaternion)
-    return (w, x, y, z)
-
-
-def _rotation(rpy: Vector3 | None, quaternion: Quaternion | None) -> NDArray[np.float64] | None:
-    if quaternion is not None:
-        w, x, y, z = quaternion
-        return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
-    if rpy is not None:
-        return np.asarray(pin.rpy.rpyToMatrix(*rpy))
-    return None
-
 
 class Pose(Record):
     """A pose of the tip, as much of it as is specified."""
@@ -106,7 +92,7 @@ class Pose(Record):
     quaternion: Quaternion | None = None
     """Full orientation [w, x, y, z]."""
 
-    _check_quaternion = field_validator("quaternion")(_unit_quaternion)
+    _check_quaternion = field_validator("quaternion")(unit_quaternion)
 
     @model_validator(mode="after")
     def _one_orientation(self) -> Pose:
@@ -129,7 +115,7 @@ class Pose(Record):
     @property
     def rotation(self) -> NDArray[np.float64] | None:
         """(3, 3) R_world_tip, or None where free."""
-        return _rotation(self.rpy, self.quaternion)
+        return rotation_matrix(self.rpy, self.quaternion)
 
 
 class Goal(Pose):
@@ -208,145 +194,6 @@ class Task(Record):
         return self
 
 
-class _Obstacle(Record):
-    name: Annotated[str, Field(min_length=1)]
-    """Unique; appears in reports and in the viewer."""
-    clearance: NonNegative | None = None
-    """Distance to be kept [m]; the scene's clearance by default."""
-    links: tuple[str, ...] | None = None
-    """The only links for which it is an obstacle; all of them by default."""
-    appears_at: NonNegative = 0.0
-    """Time before which nobody knows of it [s]."""
-    velocity: Vector3 = (0.0, 0.0, 0.0)
-    """Of the obstacle, from its appearance on [m/s], world."""
-
-
-class _Placed(_Obstacle):
-    position: Vector3 = (0.0, 0.0, 0.0)
-    """Of the shape's centre or, for files, their origin [m]."""
-    rpy: Vector3 | None = None
-    """Roll, pitch, yaw about the fixed axes [rad]."""
-    quaternion: Quaternion | None = None
-    """[w, x, y, z]."""
-
-    _check_quaternion = field_validator("quaternion")(_unit_quaternion)
-
-    @model_validator(mode="after")
-    def _one_orientation(self) -> _Placed:
-        if self.rpy is not None and self.quaternion is not None:
-            raise ValueError("only one of rpy, quaternion may be given")
-        return self
-
-    @property
-    def placement(self) -> pin.SE3:
-        """T_world_shape."""
-        rotation = _rotation(self.rpy, self.quaternion)
-        return pin.SE3(np.eye(3) if rotation is None else rotation, np.array(self.position))
-
-
-class Sphere(_Placed):
-    """A ball."""
-
-    shape: Literal["sphere"]
-    radius: Length
-    """[m]"""
-
-
-class Box(_Placed):
-    """A block."""
-
-    shape: Literal["box"]
-    size: tuple[Length, Length, Length]
-    """Edge lengths along x, y, z [m]."""
-
-
-class Cylinder(_Placed):
-    """A cylinder along its z axis."""
-
-    shape: Literal["cylinder"]
-    radius: Length
-    """[m]"""
-    length: Length
-    """[m]; between 1e-5 and 1e5 times the radius."""
-
-    @model_validator(mode="after")
-    def _some_body(self) -> Cylinder:
-        if not _FLATTEST <= self.length / self.radius <= 1.0 / _FLATTEST:
-            raise ValueError(
-                f"a cylinder's length is {_FLATTEST:g} to {1.0 / _FLATTEST:g} times its radius, "
-                f"here {self.length:g} m and {self.radius:g} m ({self.length / self.radius:.3g} times)"
-            )
-        return self
-
-
-class Capsule(_Obstacle):
-    """All points within `radius` of the segment from `from` to `to`."""
-
-    shape: Literal["capsule"]
-    start: Vector3 = Field(alias="from")
-    """One end of the axis [m]."""
-    end: Vector3 = Field(alias="to")
-    """The other end [m]."""
-    radius: Length
-    """[m]"""
-
-
-class HalfSpace(_Obstacle):
-    """Everything behind a plane: solid where (x - point) . normal < 0."""
-
-    shape: Literal["halfspace"]
-    point: Vector3
-    """On the plane [m]."""
-    normal: tuple[AnyLength, AnyLength, AnyLength]
-    """Away from the solid; any length but 0."""
-
-    @field_validator("normal")
-    @classmethod
-    def _unit(cls, normal: Vector3) -> Vector3:
-        norm = math.hypot(*normal)
-        if norm < 1e-12:
-            raise ValueError("a normal of length 0 has no direction")
-        if abs(norm - 1.0) < _ROUNDING:
-            return normal
-        x, y, z = (part / norm for part in normal)
-        return (x, y, z)
-
-
-class Mesh(_Placed):
-    """A triangle mesh from a file, taken as solid."""
-
-    shape: Literal["mesh"]
-    file: str
-    """STL, OBJ, PLY, ...; relative to the scene file."""
-    scale: Positive | tuple[Positive, Positive, Positive] = 1.0
-    """Of the file's units to metres."""
-
-
-class HeightMap(_Placed):
-    """Ground given by heights on a grid; solid below."""
-
-    shape: Literal["heightmap"]
-    file: str
-    """CSV of heights [m] without header; rows along y, columns along x, both ascending."""
-    size: tuple[Length, Length]
-    """Extent in x and y [m], centred on `position`."""
-
-
-class PointCloud(_Placed):
-    """Points from a scan; every voxel that holds one is solid."""
-
-    shape: Literal["pointcloud"]
-    file: str
-    """PLY, or CSV or XYZ with x, y, z in the first three columns."""
-    resolution: Length
-    """Edge of a voxel [m]."""
-
-
-ObstacleSpec = Annotated[
-    Sphere | Box | Cylinder | Capsule | HalfSpace | Mesh | HeightMap | PointCloud, Field(discriminator="shape")
-]
-
-
 class _Zone(Record):
     name: Annotated[str, Field(min_length=1)]
     """Unique among zones and obstacles; appears in reports and in the viewer."""
@@ -381,6 +228,15 @@ class _SolidZone(_Zone):
     links: tuple[str, ...] | None = None
     """The only links for which it holds; all of them by default."""
 
+    @abstractmethod
+    def solid(self) -> HalfSpace | Box:
+        """What the zone forbids, as an obstacle whose clearance is the stop distance."""
+
+    def _beyond(self, point: Vector3, normal: Vector3) -> HalfSpace:
+        return HalfSpace(
+            name=self.name, shape="halfspace", point=point, normal=normal, clearance=self.stop, links=self.links
+        )
+
 
 class Ceiling(_SolidZone):
     """Nothing of the machine above a height."""
@@ -389,6 +245,10 @@ class Ceiling(_SolidZone):
     height: Finite
     """z [m]."""
 
+    def solid(self) -> HalfSpace:
+        """All that lies above the height."""
+        return self._beyond((0.0, 0.0, self.height), (0.0, 0.0, -1.0))
+
 
 class Floor(_SolidZone):
     """Nothing of the machine below a height."""
@@ -396,6 +256,10 @@ class Floor(_SolidZone):
     kind: Literal["floor"]
     height: Finite
     """z [m]."""
+
+    def solid(self) -> HalfSpace:
+        """All that lies below the height."""
+        return self._beyond((0.0, 0.0, self.height), (0.0, 0.0, 1.0))
 
 
 class Wall(_SolidZone):
@@ -427,8 +291,8 @@ class Wall(_SolidZone):
         by_points = [self.start is not None, self.end is not None]
         if not ((all(by_normal) and not any(by_points)) or (all(by_points) and not any(by_normal))):
             raise ValueError("either point and normal, or from and to must be given")
-        if self.normal is not None and math.hypot(*self.normal) < 1e-12:
-            raise ValueError("a normal of length 0 has no direction")
+        if self.normal is not None:
+            direction(self.normal)
         if self.start is not None and self.end is not None:
             (ax, ay), (bx, by) = self.start, self.end
             length = math.hypot(bx - ax, by - ay)
@@ -445,15 +309,17 @@ class Wall(_SolidZone):
     def plane(self) -> tuple[Vector3, Vector3]:
         """A point on it [m], and its unit normal towards the machine's side."""
         if self.point is not None and self.normal is not None:
-            x, y, z = self.normal
-            length = math.hypot(x, y, z)
-            return self.point, (x / length, y / length, z / length)
+            return self.point, direction(self.normal)
         assert self.start is not None
         assert self.end is not None
         (ax, ay), (bx, by) = self.start, self.end
         x, y = by - ay, ax - bx
         length = math.copysign(math.hypot(x, y), -(ax * x + ay * y))
         return (ax, ay, 0.0), (x / length, y / length, 0.0)
+
+    def solid(self) -> HalfSpace:
+        """All that lies beyond the plane."""
+        return self._beyond(*self.plane)
 
 
 class SwingSector(_Zone):
@@ -486,6 +352,13 @@ class Cab(_SolidZone):
     """Of the centre [m]."""
     rpy: Vector3 | None = None
     """Roll, pitch, yaw about the fixed axes [rad]."""
+
+    def solid(self) -> Box:
+        """The block."""
+        return Box(
+            name=self.name, shape="box", size=self.size, position=self.position, rpy=self.rpy,
+            clearance=self.stop, links=self.links,
+        )  # fmt: skip
 
 
 ZoneSpec = Annotated[Ceiling | Floor | Wall | SwingSector | Cab, Field(discriminator="kind")]
@@ -605,7 +478,7 @@ class Scene(Record):
         try:
             PathTask(waypoints=waypoints)
         except ValidationError as error:
-            raise SceneError(say(error.errors()[0]), file=file) from None
+            raise SceneError(describe(error.errors()[0]), file=file) from None
         return waypoints
 
     def to_dict(self) -> dict[str, Any]:
@@ -645,7 +518,7 @@ def scene_from_dict(
     try:
         scene = Scene.model_validate(content)
     except ValidationError as error:
-        raise SceneError(explain(error, content, lines or {}, root=Scene, variants=_TAGGED), file=file) from None
+        raise SceneError(explain(error, content, root=Scene, lines=lines), file=file) from None
     scene._folder = Path(folder)
     scene._file = file
     return scene
@@ -661,7 +534,7 @@ def obstacle_from_dict(content: Mapping[str, Any]) -> ObstacleSpec:
     try:
         spec: ObstacleSpec = _OBSTACLE.validate_python(dict(content))
     except ValidationError as error:
-        what = explain(error, content, {}, root=_Obstacle, variants=_SHAPES)
+        what = explain(error, content, root=Scene)
         raise InputError(f"is not an obstacle: {what}", key=str(content.get("name", "obstacle"))) from None
     return spec
 
@@ -674,24 +547,6 @@ def scene_schema() -> dict[str, Any]:
     return schema
 
 
-_SHAPES: dict[str, type[BaseModel]] = {
-    "box": Box,
-    "capsule": Capsule,
-    "cylinder": Cylinder,
-    "halfspace": HalfSpace,
-    "heightmap": HeightMap,
-    "mesh": Mesh,
-    "pointcloud": PointCloud,
-    "sphere": Sphere,
-}
-_KINDS: dict[str, type[BaseModel]] = {
-    "cab": Cab,
-    "ceiling": Ceiling,
-    "floor": Floor,
-    "swing_sector": SwingSector,
-    "wall": Wall,
-}
-_TAGGED: dict[str, type[BaseModel]] = {**_SHAPES, **_KINDS}
 _OBSTACLE: TypeAdapter[Any] = TypeAdapter(ObstacleSpec)
 
 # --- the path file ------------------------------------------------------------
@@ -711,7 +566,7 @@ def _read_path_file(path: Path) -> Iterator[Waypoint]:
         try:
             yield Waypoint(position=(row["x"], row["y"], row["z"]), **orientation)
         except ValidationError as error:
-            raise SceneError(say(error.errors()[0]), file=path, key=f"line {number}") from None
+            raise SceneError(describe(error.errors()[0]), file=path, key=f"line {number}") from None
 
 
 def read_csv_table(

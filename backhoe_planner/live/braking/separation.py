@@ -81,13 +81,12 @@ class Separation:
             self._corners4[row, :, 3] = 1.0
         self._fat = np.array([piece.piece.radius for piece in robot.pieces])
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
-        self._support = np.array([_support(robot, joint) for joint in range(robot.model.njoints)])
         self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
         radii = travel_bounds(robot)
         pairs = [_outer_first(robot, pair) for pair in self_pairs(robot)] if self_collision else []
         rows = [*radii[self._moving]]
         for outer, inner in pairs:
-            shared = self._support[robot.pieces[inner].joint] > 0.0
+            shared = robot.support[robot.pieces[inner].joint] > 0.0
             rows.append(np.where(shared, 0.0, radii[outer]))
         self.travel, classes = np.unique(np.array(rows).reshape(-1, robot.n), axis=0, return_inverse=True)
         classes = classes.reshape(-1)
@@ -164,7 +163,7 @@ class Separation:
     def _refresh(self) -> None:
         self.joint = self._joint_of[self.piece]
         self.other = np.where(self.other_piece >= 0, self._joint_of[self.other_piece], 0)
-        self.mask = self._support[self.joint] - self._support[self.other]
+        self.mask = self.robot.support[self.joint] - self.robot.support[self.other]
         self.itself = self.owner == MACHINE
         self.some_relative = bool(self.other.any())
         self._corners_of = self._corners4[self.piece]
@@ -350,12 +349,3 @@ def _padded(hull: Matrix, count: int) -> Matrix:
 def _outer_first(robot: Robot, pair: tuple[int, int]) -> tuple[int, int]:
     a, b = pair
     return (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
-
-
-def _support(robot: Robot, joint: int) -> Vector:
-    """(n,) 1 for every joint that moves the body of `joint`."""
-    mask = np.zeros(robot.n)
-    while joint > 0:
-        mask[robot.model.joints[joint].idx_v] = 1.0
-        joint = int(robot.model.parents[joint])
-    return mask

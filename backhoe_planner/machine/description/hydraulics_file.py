@@ -158,7 +158,7 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
     try:
         record = HydraulicsRecord.model_validate(content)
     except ValidationError as error:
-        raise RobotError(explain(error, content, lines, root=HydraulicsRecord), file=file) from None
+        raise RobotError(explain(error, content, root=HydraulicsRecord, lines=lines), file=file) from None
     cylinders = []
     for index, spec in enumerate(record.cylinders):
         place = _Place(file, f"cylinders[{index}]", spec.name)

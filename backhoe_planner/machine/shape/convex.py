@@ -13,17 +13,18 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull
 from vhacdx import compute_vhacd
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.shape.shapes import is_flat, thickened
+from backhoe_planner.machine.shape.shapes import hull, is_flat
 
 __all__ = ["convex_cover", "load_mesh", "terrain_columns", "voxel_boxes"]
 
 Points = NDArray[np.float64]
 
-_RESOLUTION = 60_000
+_RESOLUTION = 60_000  # voxels in which V-HACD looks at a mesh: cells of 2.5 % of a cube's edge
+_CORNERS = 48  # of one piece at most: distances take time by their corners
 _FURTHEST = 1e7  # m from the origin of a mesh: as far as map coordinates go
 
 
@@ -80,43 +81,28 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
             allowed=f"up to {_FURTHEST:.0e} m",
             hint="its scale takes the units of the file to metres",
         )
-    hull = None if is_flat(vertices[used]) else _hull(vertices[used])
-    if hull is None:
-        return [thickened(vertices[used])]
-    if hull.volume <= excess * abs(mesh.volume):
-        return [hull.points[hull.vertices]]
+    around = hull(vertices[used])
+    if is_flat(vertices[used]) or around.volume <= excess * abs(mesh.volume):
+        return [around.points[around.vertices]]
     padded = np.column_stack((np.full(len(faces), 3), faces)).ravel().astype(np.uint32)
-    parts = [
-        np.asarray(points, dtype=float)
-        for points, _ in compute_vhacd(
-            vertices, padded, maxConvexHulls=pieces, resolution=_RESOLUTION, asyncACD=False, maxNumVerticesPerCH=48
-        )
-    ]
-    hulls = [part for part in map(_hull, parts) if part is not None]
-    if not hulls:
-        return [hull.points[hull.vertices]]
+    parts = compute_vhacd(
+        vertices, padded, maxConvexHulls=pieces, resolution=_RESOLUTION, asyncACD=False, maxNumVerticesPerCH=_CORNERS
+    )
+    hulls = [hull(np.asarray(points, dtype=float)) for points, _ in parts] or [around]
     return _grown_over_triangles(hulls, vertices[faces])
-
-
-def _hull(points: Points) -> ConvexHull | None:
-    try:
-        return ConvexHull(points)
-    except QhullError:
-        return None
 
 
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Points) -> list[Points]:
     """Add each triangle that sticks out to the piece that it sticks out of least."""
     outside = np.stack(
-        [np.max(triangles @ hull.equations[:, :3].T + hull.equations[:, 3], axis=(1, 2)) for hull in hulls]
+        [np.max(triangles @ part.equations[:, :3].T + part.equations[:, 3], axis=(1, 2)) for part in hulls]
     )
     owner = np.argmin(outside, axis=0)
     grown = []
-    for index, hull in enumerate(hulls):
+    for index, part in enumerate(hulls):
         missing = triangles[(owner == index) & (outside[index] > 0.0)].reshape(-1, 3)
-        points = np.vstack((hull.points[hull.vertices], missing))
-        larger = _hull(points)
-        grown.append(points if larger is None else larger.points[larger.vertices])
+        larger = hull(np.vstack((part.points[part.vertices], missing)))
+        grown.append(larger.points[larger.vertices])
     return grown
 
 
@@ -197,9 +183,8 @@ def terrain_columns(heights: Points, size: tuple[float, float], *, tolerance: fl
         if single or _rise_of_hull(top) <= tolerance:
             base = top.copy()
             base[:, 2] = floor
-            corners = np.vstack((top, base))
-            hull = _hull(corners)
-            found.append(corners if hull is None else hull.points[hull.vertices])
+            around = hull(np.vstack((top, base)))
+            found.append(around.points[around.vertices])
             continue
         if r1 - r0 >= c1 - c0:
             middle = (r0 + r1) // 2
@@ -212,12 +197,9 @@ def terrain_columns(heights: Points, size: tuple[float, float], *, tolerance: fl
 
 def _rise_of_hull(top: Points) -> float:
     """How far the upper convex hull of surface points rises above any of them [m]."""
-    spread = np.ptp(top[:, 2])
-    if spread == 0.0:
+    if is_flat(top):
         return 0.0
-    hull = _hull(top)
-    if hull is None:  # all in one tilted plane
-        return 0.0
-    upper = hull.equations[hull.equations[:, 2] > 1e-9]
+    equations = hull(top).equations
+    upper = equations[equations[:, 2] > 1e-9]
     ceiling = np.min(-(top[:, :2] @ upper[:, :2].T + upper[:, 3]) / upper[:, 2], axis=1)
     return float(np.max(ceiling - top[:, 2]))

@@ -7,7 +7,9 @@ bound it, so that how far it can travel is computed without asking coal.
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import coal
 import numpy as np
@@ -23,7 +25,11 @@ __all__ = [
     "convex",
     "cylinder",
     "halfspace",
+    "hull",
+    "in_doubt",
     "is_flat",
+    "measure_again",
+    "prepare",
     "sphere",
     "thickened",
     "transform",
@@ -38,7 +44,10 @@ _THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is m
 _FAR = 1e3  # largest extents from the origin: beyond, digits are missing in the shape
 _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
 _CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
-_TOLERANCE = 1e-12  # of coal's iterations [m]
+_TOLERANCE = 1e-12  # m, of coal's iterations: gradients are compared with differences of 1e-6 rad
+_LOOSER = (1e-10, 1e-9, 1e-6)  # m, tried in turn where the first answer is in doubt
+_ITERATIONS = 256  # at most; coal's own 128 end too early for that tolerance
+_Result = TypeVar("_Result", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -103,18 +112,18 @@ def convex(points: Vector, placement: pin.SE3) -> Piece:
     centre = points.mean(axis=0)
     if np.linalg.norm(centre) > _FAR * np.max(np.ptp(points, axis=0)):
         points, placement = points - centre, placement * pin.SE3(np.eye(3), centre)
-    hull = _hull(points)
+    around = hull(points)
     corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for point in hull.points[hull.vertices]:
+    for point in around.points[around.vertices]:
         corners.append(point)
-    numbers = np.full(len(hull.points), -1)
-    numbers[hull.vertices] = np.arange(len(hull.vertices))
-    edges = hull.points[hull.simplices[:, 1:]] - hull.points[hull.simplices[:, :1]]
-    inward = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), hull.equations[:, :3]) < 0.0
-    for a, b, c in numbers[np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)].tolist():
+    numbers = np.full(len(around.points), -1)
+    numbers[around.vertices] = np.arange(len(around.vertices))
+    edges = around.points[around.simplices[:, 1:]] - around.points[around.simplices[:, :1]]
+    inward = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), around.equations[:, :3]) < 0.0
+    for a, b, c in numbers[np.where(inward[:, None], around.simplices[:, ::-1], around.simplices)].tolist():
         triangles.append(coal.Triangle(a, b, c))
     # not by coal's own hull, which ends the process where Qhull has an error
-    return _piece(coal.Convex(corners, triangles), placement, hull.points)
+    return _piece(coal.Convex(corners, triangles), placement, around.points)
 
 
 def is_flat(points: Vector) -> bool:
@@ -161,8 +170,8 @@ def _box_corners(low: Vector, high: Vector) -> Vector:
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
 
 
-def _hull(points: Vector) -> ConvexHull:
-    """The convex hull of points, changed as little as Qhull needs to build one."""
+def hull(points: Vector) -> ConvexHull:
+    """The convex hull of (k, 3) points [m], changed as little as Qhull needs to build one; of flat ones, thickened."""
     if is_flat(points):
         points = thickened(points)
     size = float(np.max(np.ptp(points, axis=0)))
@@ -189,6 +198,37 @@ def transform(rotation: Vector, translation: Vector) -> coal.Transform3s:
     return coal.Transform3s(rotation, translation)
 
 
+def prepare(request: coal.DistanceRequest) -> None:
+    """Have coal iterate until distances are right to 1e-12 m."""
+    request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
+    request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+
+
+def in_doubt(distance: Any) -> Any:
+    """Whether coal's answer, one distance or an array [m], is to be measured again: touching, absurdly deep, or nan."""
+    return (abs(distance) <= _CONTACT) | (distance <= _NONSENSE) | (distance != distance)
+
+
+def measure_again(request: coal.DistanceRequest, measure: Callable[[], _Result]) -> _Result:
+    """The result of `measure`, which calls coal with `request`, at looser tolerances.
+
+    Where faces are flush to within the tolerance, coal's iterations can end early:
+    without a depth, saying minus infinity, or at a distance of 1e-12 m between
+    boxes that are half a metre inside each other. If a looser tolerance gives no
+    depth either, the shapes touch to within rounding, and the distance is 0.
+    """
+    try:
+        for tolerance in _LOOSER:
+            request.gjk_tolerance = request.epa_tolerance = tolerance
+            result = measure()
+            if result.min_distance > _NONSENSE:
+                return result
+    finally:
+        request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+    result.min_distance = 0.0
+    return result
+
+
 class Gauge:
     """Signed distances between single pairs of shapes, without a geometry model around them.
 
@@ -196,10 +236,8 @@ class Gauge:
     """
 
     def __init__(self) -> None:
-        self._request = coal.DistanceRequest()
-        self._request.gjk_max_iterations = self._request.epa_max_iterations = 256
-        self._set_tolerance(_TOLERANCE)
-        self._result = coal.DistanceResult()
+        self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
+        prepare(self._request)
 
     def measure(
         self,
@@ -208,42 +246,26 @@ class Gauge:
         second: coal.CollisionGeometry,
         T_second: coal.Transform3s,
     ) -> tuple[float, Vector, Vector, Vector]:
-        """Signed distance [m], unit normal from the first to the second, and both witness points (3,).
+        """Signed distance [m], unit normal from the first to the second, and both witness points (3,) [m], world.
 
-        Where coal's iterations end without an answer, they are run again with a looser
-        tolerance; if that gives no depth either, the shapes touch to within rounding,
-        and 0 is said.
+        Parameters
+        ----------
+        first, second: coal's shapes.
+        T_first, T_second: T_world_shape of each, from `transform`.
         """
-        result = self._result
-        result.clear()
-        distance = coal.distance(first, T_first, second, T_second, self._request, result)
-        if not (distance > _CONTACT or _NONSENSE < distance < -_CONTACT):
-            distance = self._measure_again(first, T_first, second, T_second)
+
+        def measure() -> coal.DistanceResult:
+            self._result.clear()
+            coal.distance(first, T_first, second, T_second, self._request, self._result)
+            return self._result
+
+        result = measure()
+        if in_doubt(result.min_distance):
+            result = measure_again(self._request, measure)
         # copies: coal's own memory is overwritten by the next measurement
         return (
-            distance,
+            result.min_distance,
             np.array(result.normal),
             np.array(result.getNearestPoint1()),
             np.array(result.getNearestPoint2()),
         )
-
-    def _measure_again(
-        self,
-        first: coal.CollisionGeometry,
-        T_first: coal.Transform3s,
-        second: coal.CollisionGeometry,
-        T_second: coal.Transform3s,
-    ) -> float:
-        try:
-            for tolerance in (1e-10, 1e-9, 1e-6):
-                self._set_tolerance(tolerance)
-                self._result.clear()
-                distance = float(coal.distance(first, T_first, second, T_second, self._request, self._result))
-                if distance > _NONSENSE:
-                    return distance
-        finally:
-            self._set_tolerance(_TOLERANCE)
-        return 0.0
-
-    def _set_tolerance(self, tolerance: float) -> None:
-        self._request.gjk_tolerance = self._request.epa_tolerance = tolerance

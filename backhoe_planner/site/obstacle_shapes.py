@@ -1,0 +1,239 @@
+"""The shapes of obstacles: what the scene file says of each, and the convex pieces that contain it.
+
+A new shape is one more class here, with its keys and its `pieces`, and one more name in
+`ObstacleSpec`. The schema, the messages, distances, proofs and pictures follow from these.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import pinocchio as pin
+from pydantic import Field, field_validator, model_validator
+
+from backhoe_planner.files.records import Record
+from backhoe_planner.machine import convex_cover, load_mesh, terrain_columns, voxel_boxes
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.quantities import (
+    AnyLength,
+    Length,
+    NonNegative,
+    Positive,
+    Quaternion,
+    Vector3,
+    direction,
+    rotation_matrix,
+    unit_quaternion,
+)
+from backhoe_planner.site.survey_files import read_heights, read_points
+
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "HalfSpace",
+    "HeightMap",
+    "Mesh",
+    "ObstacleRecord",
+    "ObstacleSpec",
+    "PointCloud",
+    "Sphere",
+]
+
+_TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up: what a bucket's teeth leave behind
+_TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep
+_FLATTEST = 1e-5  # of the radius: a flatter cylinder's prism is flat to what builds hulls
+_ONE_POINT = 1e-9  # m: a shorter axis has no direction
+
+
+class ObstacleRecord(Record):
+    """What every obstacle has."""
+
+    name: Annotated[str, Field(min_length=1)]
+    """Unique; appears in reports and in the viewer."""
+    clearance: NonNegative | None = None
+    """Distance to be kept [m]; the scene's clearance by default."""
+    links: tuple[str, ...] | None = None
+    """The only links for which it is an obstacle; all of them by default."""
+    appears_at: NonNegative = 0.0
+    """Time before which nobody knows of it [s]."""
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    """Of the obstacle, from its appearance on [m/s], world."""
+
+    @abstractmethod
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """Convex pieces, in world axes at the time of appearance, that contain all of the obstacle.
+
+        Parameters
+        ----------
+        folder: where files that the record names are looked for.
+
+        Raises
+        ------
+        InputError: a file is missing, empty or malformed.
+        """
+
+
+class PlacedRecord(ObstacleRecord):
+    """An obstacle with a position and an orientation."""
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """Of the shape's centre or, for files, their origin [m]."""
+    rpy: Vector3 | None = None
+    """Roll, pitch, yaw about the fixed axes [rad]."""
+    quaternion: Quaternion | None = None
+    """[w, x, y, z]."""
+
+    _check_quaternion = field_validator("quaternion")(unit_quaternion)
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> PlacedRecord:
+        if self.rpy is not None and self.quaternion is not None:
+            raise ValueError("only one of rpy, quaternion may be given")
+        return self
+
+    @property
+    def placement(self) -> pin.SE3:
+        """T_world_shape."""
+        rotation = rotation_matrix(self.rpy, self.quaternion)
+        return pin.SE3(np.eye(3) if rotation is None else rotation, np.array(self.position))
+
+
+class Sphere(PlacedRecord):
+    """A ball."""
+
+    shape: Literal["sphere"]
+    radius: Length
+    """[m]"""
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """The sphere."""
+        return [shapes.sphere(self.radius, self.placement)]
+
+
+class Box(PlacedRecord):
+    """A block."""
+
+    shape: Literal["box"]
+    size: tuple[Length, Length, Length]
+    """Edge lengths along x, y, z [m]."""
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """The box."""
+        return [shapes.box(np.array(self.size), self.placement)]
+
+
+class Cylinder(PlacedRecord):
+    """A cylinder along its z axis."""
+
+    shape: Literal["cylinder"]
+    radius: Length
+    """[m]"""
+    length: Length
+    """[m]; between 1e-5 and 1e5 times the radius."""
+
+    @model_validator(mode="after")
+    def _some_body(self) -> Cylinder:
+        if not _FLATTEST <= self.length / self.radius <= 1.0 / _FLATTEST:
+            raise ValueError(
+                f"a cylinder's length is {_FLATTEST:g} to {1.0 / _FLATTEST:g} times its radius, "
+                f"here {self.length:g} m and {self.radius:g} m ({self.length / self.radius:.3g} times)"
+            )
+        return self
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """The prism around it."""
+        return [shapes.cylinder(self.radius, self.length, self.placement)]
+
+
+class Capsule(ObstacleRecord):
+    """All points within `radius` of the segment from `from` to `to`."""
+
+    shape: Literal["capsule"]
+    start: Vector3 = Field(alias="from")
+    """One end of the axis [m]."""
+    end: Vector3 = Field(alias="to")
+    """The other end [m]."""
+    radius: Length
+    """[m]"""
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """The capsule; a sphere where both ends are one point."""
+        start, end = np.array(self.start), np.array(self.end)
+        length = float(np.linalg.norm(end - start))
+        middle = 0.5 * (start + end)
+        if length < _ONE_POINT:
+            return [shapes.sphere(self.radius, pin.SE3(np.eye(3), middle))]
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
+        return [shapes.capsule(self.radius, length, pin.SE3(turn.toRotationMatrix(), middle))]
+
+
+class HalfSpace(ObstacleRecord):
+    """Everything behind a plane: solid where (x - point) . normal < 0."""
+
+    shape: Literal["halfspace"]
+    point: Vector3
+    """On the plane [m]."""
+    normal: tuple[AnyLength, AnyLength, AnyLength]
+    """Away from the solid; any length but 0."""
+
+    _unit = field_validator("normal")(direction)
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """The half-space."""
+        return [shapes.halfspace(np.array(self.point), np.array(self.normal))]
+
+
+class Mesh(PlacedRecord):
+    """A triangle mesh from a file, taken as solid."""
+
+    shape: Literal["mesh"]
+    file: str
+    """STL, OBJ, PLY, ...; relative to the scene file."""
+    scale: Positive | tuple[Positive, Positive, Positive] = 1.0
+    """Of the file's units to metres."""
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """Hulls that cover every triangle of the mesh."""
+        mesh = load_mesh(folder / self.file)
+        mesh.apply_scale(self.scale)
+        return [shapes.convex(points, self.placement) for points in convex_cover(mesh)]
+
+
+class HeightMap(PlacedRecord):
+    """Ground given by heights on a grid; solid below."""
+
+    shape: Literal["heightmap"]
+    file: str
+    """CSV of heights [m] without header; rows along y, columns along x, both ascending."""
+    size: tuple[Length, Length]
+    """Extent in x and y [m], centred on `position`."""
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """Columns under the ground."""
+        heights = read_heights(folder / self.file)
+        columns = terrain_columns(heights, self.size, tolerance=_TERRAIN_TOLERANCE, depth=_TERRAIN_DEPTH)
+        return [shapes.convex(points, self.placement) for points in columns]
+
+
+class PointCloud(PlacedRecord):
+    """Points from a scan; every voxel that holds one is solid."""
+
+    shape: Literal["pointcloud"]
+    file: str
+    """PLY, or CSV or XYZ with x, y, z in the first three columns."""
+    resolution: Length
+    """Edge of a voxel [m]."""
+
+    def pieces(self, folder: Path) -> list[shapes.Piece]:
+        """Boxes that fill the voxels in which a point lies."""
+        boxes = voxel_boxes(read_points(folder / self.file), self.resolution)
+        return [shapes.box(size, self.placement * pin.SE3(np.eye(3), centre)) for centre, size in boxes]
+
+
+ObstacleSpec = Annotated[
+    Sphere | Box | Cylinder | Capsule | HalfSpace | Mesh | HeightMap | PointCloud, Field(discriminator="shape")
+]

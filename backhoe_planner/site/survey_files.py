@@ -1,0 +1,92 @@
+"""Files of a survey: heights on a grid, and points of a scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from backhoe_planner.errors import InputError
+
+__all__ = ["read_heights", "read_points"]
+
+Vector = NDArray[np.float64]
+
+
+def read_heights(path: Path) -> Vector:
+    """(rows, columns) heights [m] from a CSV without header.
+
+    Raises
+    ------
+    InputError: missing, empty, ragged, fewer than 2 x 2, or not finite.
+    """
+    text = _read_text(path)
+    rows = [line.replace(";", ",").split(",") for line in text.splitlines() if line.strip()]
+    try:
+        values = [[float(cell) for cell in (row if row[-1].strip() else row[:-1])] for row in rows]
+    except ValueError as error:
+        raise InputError(f"is not a table of numbers: {error}", file=path) from None
+    widths = {len(row) for row in values}
+    if len(widths) != 1:
+        raise InputError("the rows have different lengths", file=path, found=sorted(widths))
+    heights = np.array(values)
+    if min(heights.shape) < 2:
+        raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(heights.shape))
+    if not np.all(np.isfinite(heights)):
+        raise InputError("a height is not finite", file=path)
+    return heights
+
+
+def read_points(path: Path) -> Vector:
+    """(n, 3) points [m] from a PLY, or from text with x, y, z in the first columns.
+
+    Raises
+    ------
+    InputError: missing, empty, or without finite points.
+    """
+    if not path.is_file():
+        raise InputError("no such file", file=path)
+    if path.suffix.lower() in (".ply", ".obj", ".stl"):
+        try:
+            loaded = trimesh.load(path, process=False)
+        except Exception as error:  # trimesh raises whatever its format readers run into
+            raise InputError(f"is not a file of points that can be read: {error}", file=path) from error
+        points = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=float)
+    else:
+        points = _points_from_text(path)
+    if len(points) == 0:
+        raise InputError("holds no points", file=path)
+    if not np.all(np.isfinite(points)):
+        raise InputError("holds a point that is not finite", file=path)
+    return points
+
+
+def _points_from_text(path: Path) -> Vector:
+    rows = []
+    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+        cells = line.replace(",", " ").split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        try:
+            rows.append([float(cell) for cell in cells[:3]])
+        except ValueError:
+            if number == 1:
+                continue  # a header
+            raise InputError("is not a number", file=path, key=f"line {number}", found=line.strip()) from None
+        if len(rows[-1]) < 3:
+            raise InputError("has fewer than three numbers", file=path, key=f"line {number}", found=line.strip())
+    return np.array(rows, dtype=float).reshape(-1, 3)
+
+
+def _read_text(path: Path) -> str:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise InputError("no such file", file=path) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read: {error}", file=path) from error
+    if not text.strip():
+        raise InputError("the file is empty", file=path)
+    return text
