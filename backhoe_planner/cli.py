@@ -181,7 +181,7 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     speed = certificate.tip_speed
     if speed is not None:
         _out.print(
-            f"{'tip speed':<13}{100.0 * speed.ratio:5.1f} % of the asked {speed.asked:g} m/s at most "
+            f"{'tip speed':<13}{100.0 * speed.ratio:5.1f} % of the asked {speed.available:g} m/s at most "
             f"({speed.time:.2f} s)"
         )
     _tell_all_zones(loaded)

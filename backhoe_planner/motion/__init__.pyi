@@ -1,12 +1,11 @@
-from .between import between_samples
 from .costs import PathCost, trajectory_costs, trajectory_energy
 from .objectives import OBJECTIVES, Nodes, Objective
 from .path import TipPath, step_lengths
 from .problem import Problem, build_problem, hand_set_gains
 from .smooth_way import SmoothWay
 from .timing.drive import Drive, drive_of
-from .timing.limit_usage import limit_usage
-from .timing.retiming import DRIVEN_WITHIN, retimed, use_of_drive
+from .timing.limit_usage import LimitUsage, limit_usage
+from .timing.retiming import DRIVEN_WITHIN, retimed
 from .timing.time_optimal import Rows, fastest
 from .timing.timing import time_along, time_polyline, time_way
 from .tracking import Detour, Tracking, progress, track_goal, track_path
@@ -18,6 +17,7 @@ __all__ = [
     "SAMPLE_PERIOD",
     "Detour",
     "Drive",
+    "LimitUsage",
     "Nodes",
     "Objective",
     "PathCost",
@@ -27,7 +27,6 @@ __all__ = [
     "TipPath",
     "Tracking",
     "Trajectory",
-    "between_samples",
     "build_problem",
     "chord_sagitta",
     "drive_of",
@@ -44,5 +43,4 @@ __all__ = [
     "track_path",
     "trajectory_costs",
     "trajectory_energy",
-    "use_of_drive",
 ]

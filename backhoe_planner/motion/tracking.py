@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import Kinematics, TipTarget
-from backhoe_planner.motion.between import between_samples
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 
@@ -159,30 +158,22 @@ def _max_speed(
     edges: Vector,
     beside: float,
 ) -> tuple[float, float]:
-    """The tip's greatest speed on the followed segments [m/s] and when [s].
-
-    On long segments it is that between many moments.
-    """
-    time = trajectory.time
+    """The tip's greatest speed on the followed segments [m/s] and when [s]."""
     followed = on[:-1] & on[1:]
     for edge in edges.tolist():
         followed &= ~((station[:-1] < edge + beside) & (station[1:] > edge - beside))
     if not followed.any():
         return 0.0, 0.0
-    speed = np.where(followed, np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(time), 0.0)
+    moments = trajectory.moments()
+    inside = followed[moments.segment[:-1]]
+    at = np.diff(moments.segment, prepend=-1) > 0  # the samples
+    places = np.zeros((len(at), 3))
+    places[at] = tips
+    for row in np.flatnonzero(inside & ~at[:-1]):
+        places[row] = kinematics.at(moments.q[row]).tip_position
+    speed = np.where(inside, np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(moments.time), 0.0)
     worst = int(np.argmax(speed))
-    found = (float(speed[worst]), float(time[worst]))
-    between = between_samples(trajectory)
-    for segment in np.unique(between.segment[followed[between.segment]]).tolist():
-        inside = between.segment == segment
-        moments = np.concatenate((time[segment : segment + 1], between.time[inside], time[segment + 1 : segment + 2]))
-        reached = [kinematics.at(q).tip_position for q in between.q[inside]]
-        places = np.vstack((tips[segment], *reached, tips[segment + 1]))
-        faster = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(moments)
-        worst = int(np.argmax(faster))
-        if faster[worst] > found[0]:
-            found = (float(faster[worst]), float(moments[worst]))
-    return found
+    return float(speed[worst]), float(moments.time[worst])
 
 
 def progress(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:

@@ -10,12 +10,34 @@ from numpy.typing import NDArray
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import JointLimits
 
-__all__ = ["SAMPLE_PERIOD", "Trajectory", "chord_sagitta"]
+__all__ = ["SAMPLE_PERIOD", "Moments", "Trajectory", "chord_sagitta"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 SAMPLE_PERIOD = 0.02  # s between the samples of a planned motion
+# rad or m of a joint between two moments at which limits are looked at: the greatest flow of
+# a rod is met to within 0.1 %
+_LONG = 0.025
+_MOST = 200_000  # moments of one motion, so that one of very few samples ends in seconds
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """M moments of a motion, in order: its samples, and more inside its long segments.
+
+    Attributes
+    ----------
+    time: (M,) [s].
+    q, v, a: (M, n); inside a segment v is constant and a is 0.
+    segment: (M,) index of the segment that begins or goes on there; of the last sample, its own.
+    """
+
+    time: Vector
+    q: Matrix
+    v: Matrix
+    a: Matrix
+    segment: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +104,29 @@ class Trajectory:
     def segment_velocities(self) -> Matrix:
         """(T - 1, n) the constant velocity between neighbouring samples."""
         return np.asarray(np.diff(self.q, axis=0) / np.diff(self.time)[:, None])
+
+    def moments(self, *, longest: float = _LONG) -> Moments:
+        """The samples, and as many moments between them that no joint goes further unseen than `longest` [rad or m].
+
+        What a limit requires must not depend on how few samples there are. Most planned
+        motions have no segment that long.
+        """
+        steps = np.max(np.abs(np.diff(self.q, axis=0)), axis=1, initial=0.0)
+        parts = np.ceil(steps / longest)
+        parts = np.maximum(np.ceil(parts * min(1.0, _MOST / max(float(np.sum(parts)), 1.0))), 1.0).astype(np.int64)
+        last = len(self) - 1
+        segment = np.repeat(np.arange(last), parts)
+        first = np.cumsum(parts) - parts  # rows of the samples that begin a segment
+        part = (np.arange(len(segment)) - first[segment]) / parts[segment]
+        v, a = self.segment_velocities()[segment], np.zeros((len(segment), self.q.shape[1]))
+        v[first], a[first] = self.v[:-1], self.accelerations()[:-1]
+        return Moments(
+            time=np.append(self.time[segment] + part * np.diff(self.time)[segment], self.time[-1]),
+            q=np.vstack((self.q[segment] + part[:, None] * np.diff(self.q, axis=0)[segment], self.q[-1:])),
+            v=np.vstack((v, self.v[-1:])),
+            a=np.vstack((a, self.accelerations()[-1:])),
+            segment=np.append(segment, last),
+        )
 
     def accelerations(self) -> Matrix:
         """(T, n) change of velocity at each sample over the half segments beside it.

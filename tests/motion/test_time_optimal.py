@@ -25,7 +25,6 @@ from backhoe_planner.motion import (
     limit_usage,
     retimed,
     time_along,
-    use_of_drive,
 )
 from backhoe_planner.planning import load_plan, plan
 from backhoe_planner.proof import certify
@@ -122,7 +121,7 @@ def test_a_pendulum_under_a_torque_limit_switches_once(tmp_path: Path, begin: fl
     second, _ = quad(slowness, 1e-9, np.sqrt(abs(end - switch)), args=(end, -sign, braking))
     motion = time_along(*line([begin], [end]), robot.limits, drive=Drive(robot))
     assert motion.duration == pytest.approx(first + second, rel=1e-3)
-    effort_use, _ = use_of_drive(motion, Drive(robot))
+    effort_use = Drive(robot).use_along(motion.moments()).effort
     assert np.max(effort_use) <= 1.001
 
 
@@ -361,11 +360,10 @@ def test_retimed_keeps_every_sample_and_slows_only_where_it_must(backhoe: Robot)
     motion, drive = brisk(robot), Drive(robot)
     slower = retimed(motion, robot.limits, drive=drive)
     assert np.array_equal(slower.q, motion.q)
-    effort, speeds = use_of_drive(slower, drive)
-    assert max(np.max(effort), np.max(speeds)) <= 1.01
-    _, before = use_of_drive(motion, drive)
+    use, before = (drive.use_along(found.moments()) for found in (slower, motion))
+    assert max(np.max(use.effort), np.max(use.speeds)) <= 1.01
     # slowed by one factor throughout, it would take this long
-    assert motion.duration < slower.duration < motion.duration * np.max(before)
+    assert motion.duration < slower.duration < motion.duration * np.max(before.speeds)
     assert retimed(slower, robot.limits, drive=drive) is slower
 
 
@@ -402,6 +400,6 @@ def test_what_is_verified_can_be_driven(backhoe: Robot, method: str, moving: dic
     )
     found = plan(backhoe, scene, method=method)
     assert found.verified, found.message
-    effort, speeds = use_of_drive(found.trajectory, drive_of(build_problem(backhoe, scene)))
-    assert max(np.max(effort), np.max(speeds)) <= 1.01
-    assert np.max(speeds) > 0.9
+    use = drive_of(build_problem(backhoe, scene)).use_along(found.trajectory.moments())
+    assert max(np.max(use.effort), np.max(use.speeds)) <= 1.01
+    assert np.max(use.speeds) > 0.9

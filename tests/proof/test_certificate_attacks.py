@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion import Drive, between_samples, build_problem, limit_usage
-from backhoe_planner.proof import told_part
+from backhoe_planner.motion import Drive, build_problem, limit_usage
+from backhoe_planner.proof import describe_ratio
 
 START = [0.0, 0.4, -1.6, -0.9]
 
@@ -137,12 +137,15 @@ def test_a_load_that_cannot_be_held_between_two_samples_is_found(backhoe: bp.Rob
     assert any(problem.startswith("boom cannot hold the load") for problem in found.problems)
 
 
-def test_what_drives_between_samples_is_told_at_both_ends_of_the_segment(backhoe: bp.Robot) -> None:
+def test_what_drives_between_samples_is_in_the_usage(backhoe: bp.Robot) -> None:
     given, motion = lifted(backhoe, 2)
     problem = build_problem(backhoe, given)
     usage, certificate = limit_usage(problem, motion), bp.certify(backhoe, given, motion)
     assert certificate.effort is not None
-    np.testing.assert_allclose(usage.ratio[:, usage.names.index("torque boom")], certificate.effort.ratio)
+    torque = usage.ratio[:, usage.names.index("torque boom")]
+    assert torque.max() == certificate.effort.ratio
+    assert usage.moments.time[int(np.argmax(torque))] == certificate.effort.time
+    assert max(torque[0], torque[-1]) < 1.0 < torque.max()
 
 
 def test_oil_that_the_pump_does_not_give_between_two_samples_is_found(backhoe: bp.Robot) -> None:
@@ -163,11 +166,15 @@ def test_oil_that_the_pump_does_not_give_between_two_samples_is_found(backhoe: b
 def test_moments_between_samples_by_hand() -> None:
     """0.1 rad in 2 s is four parts of 0.025 rad, the second segment is one part."""
     motion = bp.Trajectory.from_steps(np.array([0.0, 2.0, 3.0]), np.array([[0.0, 1.0], [0.1, 0.95], [0.1, 0.96]]))
-    between = between_samples(motion)
-    np.testing.assert_array_equal(between.segment, [0, 0, 0])
-    np.testing.assert_allclose(between.time, [0.5, 1.0, 1.5])
-    np.testing.assert_allclose(between.q, [[0.025, 0.9875], [0.05, 0.975], [0.075, 0.9625]])
-    np.testing.assert_allclose(between.v, [[0.05, -0.025]] * 3)
+    moments = motion.moments()
+    np.testing.assert_array_equal(moments.segment, [0, 0, 0, 0, 1, 2])
+    np.testing.assert_allclose(moments.time, [0.0, 0.5, 1.0, 1.5, 2.0, 3.0])
+    np.testing.assert_allclose(moments.q[1:4], [[0.025, 0.9875], [0.05, 0.975], [0.075, 0.9625]])
+    np.testing.assert_allclose(moments.v[1:4], [[0.05, -0.025]] * 3)
+    np.testing.assert_array_equal(moments.a[1:4], 0.0)
+    for own, of_samples in ((moments.q, motion.q), (moments.v, motion.v), (moments.a, motion.accelerations())):
+        np.testing.assert_array_equal(own[[0, 4, 5]], of_samples)
+    np.testing.assert_array_equal(motion.moments(longest=np.inf).q, motion.q)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +182,7 @@ def test_moments_between_samples_by_hand() -> None:
     [(1.0123, "101.23 % of"), (1.491, "149 % of"), (12.3, "12 times"), (1e6, "more than 1000 times")],
 )
 def test_how_much_of_a_limit_in_words(ratio: float, said: str) -> None:
-    assert told_part(ratio) == said
+    assert describe_ratio(ratio) == said
 
 
 # --- the asked speed of the tip ---------------------------------------------------------
@@ -202,8 +209,8 @@ def test_speed_of_the_tip_on_a_path(planar4: bp.Robot, asked: float, kept: bool)
     use = certificate.tip_speed
     assert use is not None
     assert certificate.tracking.followed == pytest.approx(0.6 * np.sqrt(2.0), rel=0.01)
-    assert use.greatest == pytest.approx(0.2, rel=1e-6)
-    assert (use.asked, use.kept) == (asked, kept)
+    assert use.needed == pytest.approx(0.2, rel=1e-6)
+    assert (use.available, use.kept) == (asked, kept)
     assert use.ratio == pytest.approx(0.2 / asked, rel=1e-6)
     assert any("the asked" in problem for problem in certificate.problems) == (not kept)
 
@@ -216,8 +223,8 @@ def test_speed_of_the_tip_between_few_samples(planar4: bp.Robot) -> None:
     found = bp.certify(planar4, given, motion)
     assert found.tip_speed is not None
     assert dense.tip_speed is not None
-    assert dense.tip_speed.greatest > 0.201
-    assert found.tip_speed.greatest == pytest.approx(dense.tip_speed.greatest, rel=0.01)
+    assert dense.tip_speed.needed > 0.201
+    assert found.tip_speed.needed == pytest.approx(dense.tip_speed.needed, rel=0.01)
 
 
 def test_only_a_path_with_a_speed_has_one_to_keep(planar4: bp.Robot) -> None:
@@ -235,7 +242,7 @@ def test_a_plan_whose_file_asks_for_less_speed_is_not_verified(backhoe: bp.Robot
     assert 0.99 < whole.certificate.tip_speed.ratio < 1.03
     whole.save(tmp_path / "plan.json")
     content = json.loads((tmp_path / "plan.json").read_text())
-    assert content["certificate"]["limits"]["tip_speed"]["asked"] == 0.5
+    assert content["certificate"]["limits"]["tip_speed"]["available"] == 0.5
     content["scene"]["task"]["path"]["speed"] = 0.4
     (tmp_path / "plan.json").write_text(json.dumps(content))
     again = bp.load_plan(tmp_path / "plan.json")

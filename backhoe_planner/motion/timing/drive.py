@@ -7,22 +7,22 @@ valves, the shared pump and the engine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Robot
-from backhoe_planner.motion.between import Between
 from backhoe_planner.motion.problem import Problem
+from backhoe_planner.motion.trajectory import Moments
 from backhoe_planner.site import Soil, SoilReaction
 
-__all__ = ["Drive", "DriveUse", "drive_of"]
+__all__ = ["MOST", "Drive", "DriveUse", "beside", "drive_of"]
 
 Array = NDArray[np.float64]
 
 _BRISK = 1.0  # 1/s: a speed along a path at which the soil's force is fully there
-MOST = 1e6  # ratios beyond are not told apart
+MOST = 1e6  # a limit exceeded by more counts as this, so that no ratio is infinite
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +42,11 @@ class DriveUse:
     rod_speed: Array
     flow: Array
     power: Array
+
+    @property
+    def speeds(self) -> Array:
+        """(K, n + 2) rod speed of each joint, flow, power; at most `MOST`."""
+        return np.minimum(np.column_stack((self.rod_speed, self.flow, self.power)), MOST)
 
 
 class Drive:
@@ -137,15 +142,23 @@ class Drive:
             power=self.power_use(q, v, torque),
         )
 
-    def use_between(self, between: Between) -> tuple[Array, Array]:
-        """Inside the long segments of a motion, where nothing is accelerated.
+    def use_along(self, moments: Moments) -> DriveUse:
+        """What a sampled motion uses; speeds and flow are also looked at halfway from moment to moment."""
+        use = self.use(moments.q, moments.v, moments.a)
+        if len(moments.time) < 2:
+            return use
+        middle = 0.5 * (moments.q[:-1] + moments.q[1:])
+        v = np.diff(moments.q, axis=0) / np.diff(moments.time)[:, None]
+        return replace(
+            use,
+            rod_speed=np.maximum(use.rod_speed, beside(self.rod_speed_use(middle, v))),
+            flow=np.maximum(use.flow, beside(self.flow_use(middle, v))),
+        )
 
-        Returns
-        -------
-        (K, n) torque over limit; (K, n + 2) rod speed of each joint, flow, power: 1 at the limit.
-        """
-        use = self.use(between.q, between.v, np.zeros_like(between.q))
-        return use.effort, np.minimum(np.column_stack((use.rod_speed, use.flow, use.power)), MOST)
+
+def beside(between: Array) -> Array:
+    """(K + 1, ...) at K + 1 moments the greater of the values (K, ...) before and after each."""
+    return np.maximum(np.concatenate((between[:1], between)), np.concatenate((between, between[-1:])))
 
 
 def drive_of(problem: Problem) -> Drive:

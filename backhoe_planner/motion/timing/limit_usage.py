@@ -1,4 +1,4 @@
-"""Which limit of the machine a motion uses most, moment by moment."""
+"""How much of every limit of the machine a motion uses, moment by moment."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion.between import between_samples
 from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.timing.drive import drive_of
-from backhoe_planner.motion.timing.retiming import use_of_drive
-from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.motion.timing.drive import beside, drive_of
+from backhoe_planner.motion.trajectory import Moments, Trajectory
 
 __all__ = ["LimitUsage", "limit_usage"]
 
@@ -21,80 +19,79 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class LimitUsage:
-    """How much of every limit a motion uses over time.
+    """How much of L limits a motion uses at M moments.
 
     Attributes
     ----------
-    time: (T,) [s].
-    names: of the L limits, a kind and what it belongs to: ``velocity boom``,
-        ``acceleration swing``, ``torque stick``, ``rod speed bucket``, ``pump flow``,
-        ``engine power``, ``tip speed``.
-    ratio: (T, L) 1 at the limit.
+    moments: the samples, and more inside long segments.
+    limits: L kinds with the joint that each belongs to: ``velocity``, ``acceleration``, ``torque`` and
+        ``rod speed`` of every joint; ``pump flow``, ``engine power`` and ``tip speed``, with no joint.
+    ratio: (M, L) 1 at the limit.
     """
 
-    time: Array
-    names: tuple[str, ...]
+    moments: Moments
+    limits: tuple[tuple[str, str], ...]
     ratio: Array
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """L, such as ``velocity boom``."""
+        return tuple(f"{kind} {joint}".strip() for kind, joint in self.limits)
+
+    @property
     def binding(self) -> NDArray[np.int64]:
-        """(T,) index of the limit of which most is used."""
+        """(M,) index of the limit that is used most."""
         return np.asarray(np.argmax(self.ratio, axis=1), dtype=np.int64)
 
     @property
     def greatest(self) -> Array:
-        """(T,) how much is used of that limit."""
+        """(M,) how much of that limit is used."""
         return np.asarray(np.max(self.ratio, axis=1))
+
+    def worst(self, *kinds: str) -> tuple[int, int]:
+        """The moment and the limit, of these kinds, where most is used; there must be one."""
+        columns = [index for index, (kind, _) in enumerate(self.limits) if kind in kinds]
+        row, column = np.unravel_index(int(np.argmax(self.ratio[:, columns])), (len(self.ratio), len(columns)))
+        return int(row), columns[int(column)]
 
 
 def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = True) -> LimitUsage:
-    """What a motion uses of the limits of joints, drive and tip speed at every sample.
+    """What a motion uses of the limits of joints, drive and tip speed.
 
-    Rates are those of the faster of the two segments beside a sample, accelerations and
-    torques those of `Trajectory.accelerations`; what long segments take in between counts
-    at both of their ends. The tip's speed counts where the tip is
-    on the asked path and the scene asks for a speed.
+    Velocities are those of the faster of the two segments beside a sample, accelerations
+    and torques those of `Trajectory.accelerations`. The tip's speed counts where the tip is
+    on the path and the scene limits it.
 
     Parameters
     ----------
     tip_speed: whether it counts at all.
     """
-    limits, joints = problem.limits, problem.robot.joint_names
-    velocity = _beside(np.abs(trajectory.segment_velocities()), len(trajectory)) if len(trajectory) > 1 else None
-    names = [f"velocity {joint}" for joint in joints]
-    columns = [np.zeros_like(trajectory.q) if velocity is None else velocity / limits.velocity]
-    names += [f"acceleration {joint}" for joint in joints]
-    columns.append(np.abs(trajectory.accelerations()) / limits.acceleration)
+    joints, moments = problem.robot.joint_names, trajectory.moments()
+    velocity = np.zeros_like(trajectory.q)
+    if len(trajectory) > 1:
+        velocity = beside(np.abs(trajectory.segment_velocities())[moments.segment[:-1]])
+    kinds = ["velocity", "acceleration"]
+    columns = [velocity / problem.limits.velocity, np.abs(moments.a) / problem.limits.acceleration]
     drive = drive_of(problem)
     if drive.limited:
-        effort, speeds = use_of_drive(trajectory, drive)
-        between = between_samples(trajectory)
-        for values, more in zip((effort, speeds), drive.use_between(between), strict=True):
-            for beside in (between.segment, between.segment + 1):
-                np.maximum.at(values, beside, more)
-        names += [f"torque {joint}" for joint in joints]
-        columns.append(effort)
+        use = drive.use_along(moments)
+        kinds.append("torque")
+        columns.append(use.effort)
         if drive.hydraulics is not None:
-            names += [*(f"rod speed {joint}" for joint in joints), "pump flow", "engine power"]
-            columns.append(speeds)
+            kinds.append("rod speed")
+            columns.append(use.speeds)
+    limits = [(kind, joint) for kind in kinds for joint in joints]
+    if drive.hydraulics is not None:
+        limits += [("pump flow", ""), ("engine power", "")]
     task = problem.scene.task.path
     if tip_speed and task is not None and task.speed is not None and problem.path is not None:
-        names.append("tip speed")
         kinematics = Kinematics(problem.robot)
-        tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
+        tips = np.array([kinematics.at(q).tip_position for q in moments.q])
         near = np.array([problem.path.nearest(tip)[1] <= task.tolerance for tip in tips])
-        speed = np.zeros((len(trajectory), 1))
-        if len(trajectory) > 1:
-            there = (near[1:] & near[:-1])[:, None]
-            moved = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(trajectory.time)
-            speed = _beside(np.where(there, moved[:, None], 0.0), len(trajectory))
-        columns.append(speed / task.speed)
-    return LimitUsage(trajectory.time, tuple(names), np.hstack(columns))
-
-
-def _beside(segment: Array, count: int) -> Array:
-    """(T, k) the greater of the values on the segments beside each sample."""
-    found = np.zeros((count, segment.shape[1]))
-    found[:-1] = segment
-    found[1:] = np.maximum(found[1:], segment)
-    return found
+        speed = np.zeros(1)
+        if len(tips) > 1:
+            moved = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(moments.time)
+            speed = beside(np.where(near[1:] & near[:-1], moved, 0.0))
+        limits.append(("tip speed", ""))
+        columns.append(speed[:, None] / task.speed)
+    return LimitUsage(moments, tuple(limits), np.hstack(columns))

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion.timing.drive import MOST, Drive
+from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import Trajectory
 
-__all__ = ["DRIVEN_WITHIN", "retimed", "use_of_drive"]
+__all__ = ["DRIVEN_WITHIN", "retimed"]
 
 Array = NDArray[np.float64]
 
@@ -23,32 +23,10 @@ _ENOUGH = 0.5 * DRIVEN_WITHIN
 _SLOWEST = 50.0  # times slower than it was
 
 
-def use_of_drive(trajectory: Trajectory, drive: Drive) -> tuple[Array, Array]:
-    """What of effort and of speed, flow and power a sampled motion uses, 1 at the limit.
-
-    Torques belong to the samples, with velocity and acceleration as the certificate
-    counts them. Speeds are those of the segments beside a sample, in their middle.
-
-    Returns
-    -------
-    (T, n) torque over limit; (T, n + 2) rod speed of each joint, flow, power.
-    """
-    q, v = trajectory.q, trajectory.v
-    use = drive.use(q, v, trajectory.accelerations())
-    rods, flow = use.rod_speed.copy(), use.flow.copy()
-    if len(trajectory) > 1:
-        segment, middle = trajectory.segment_velocities(), 0.5 * (q[:-1] + q[1:])
-        rod_speed, own_flow = drive.rod_speed_use(middle, segment), drive.flow_use(middle, segment)
-        for here in (slice(0, -1), slice(1, None)):
-            rods[here] = np.maximum(rods[here], rod_speed)
-            flow[here] = np.maximum(flow[here], own_flow)
-    return use.effort, np.minimum(np.column_stack((rods, flow, use.power)), MOST)
-
-
 def retimed(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) -> Trajectory:
     """The same way, slower where its torques, speeds, flow or power are more than the machine has.
 
-    Where a static load cannot be held, torques are let be: no time makes that less.
+    Where a static load cannot be held, torques are not limited: slowing down does not reduce them.
     """
     if drive is None or not drive.limited or len(trajectory) < 3:
         return trajectory
@@ -69,9 +47,8 @@ def _joints_kept(trajectory: Trajectory, limits: JointLimits) -> bool:
 
 def _over(trajectory: Trajectory, drive: Drive) -> float:
     """The greatest use of the drive; without torque, where a load could not be held at rest either."""
-    effort, speeds = use_of_drive(trajectory, drive)
-    most = float(np.max(speeds))
-    worst = float(np.max(effort))
+    use = drive.use_along(trajectory.moments(longest=np.inf))
+    most, worst = float(np.max(use.speeds)), float(np.max(use.effort))
     if worst <= max(most, 1.0):
         return max(most, worst)
     still = np.zeros_like(trajectory.q)

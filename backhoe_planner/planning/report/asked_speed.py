@@ -93,8 +93,9 @@ def asked_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> As
         if not is_slow:
             continue
         part = list(rows)
-        # the samples of these segments, where it has to slow down among them
-        most = np.max(usage.ratio[part[0] : part[-1] + 2], axis=0)
+        # what of the machine is used on these segments, where it has to slow down among them
+        during = (usage.moments.time >= motion.time[part[0]]) & (usage.moments.time <= motion.time[part[-1] + 1])
+        most = np.max(usage.ratio[during], axis=0)
         slower.append(
             Slower(
                 float(places[part[0]]),

@@ -187,7 +187,7 @@ def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
 
 def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     usage = limit_usage(problem, plan.trajectory)
-    binding, time = usage.binding, usage.time
+    binding, time = usage.binding, usage.moments.time
     used = 100.0 * np.minimum(usage.greatest, 1.5)
     binds = usage.greatest >= _BINDS
     named: dict[str, float] = {}

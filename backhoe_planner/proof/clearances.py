@@ -1,0 +1,140 @@
+"""The least distance to every obstacle over a whole motion, proven.
+
+The bound of `segments` holds between any two samples. A best-first search halves the
+segment with the lowest bound until none can lie below what was measured, to within
+`RESOLUTION` (or 2 % of the margin, where that is more). The result is never above the
+true distance.
+"""
+
+from __future__ import annotations
+
+import heapq
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.motion import Trajectory
+from backhoe_planner.site import Obstruction, Proximity
+
+__all__ = ["KEPT_WITHIN", "RESOLUTION", "find_clearances"]
+
+Vector = NDArray[np.float64]
+
+RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance
+_RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
+KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts as keeping it
+_EFFORT = 200_000  # measurements per obstacle at most, so that a motion along a wall at its clearance ends
+_EFFORT_REFUTED = 2_000  # where the motion is already known not to keep its clearance
+_NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported
+
+
+def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstruction, ...]:
+    """For every obstacle that comes near, and the machine itself, its tightest spot; tightest margin first.
+
+    The distances are proven lower bounds.
+    """
+    if not proximity.pairs:
+        return ()
+    time, q = _with_appearances(trajectory, proximity)
+    owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
+    searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
+    least = np.full(len(searches), _NEVER)
+    before = np.zeros(0)
+    for row in range(len(time)):
+        here = proximity.appears_at <= time[row]
+        floor = np.where(here, least[owners] + proximity.clearance, -np.inf)
+        lower, measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor)
+        margins = np.where(here, lower - proximity.clearance, np.inf)
+        for pair in np.flatnonzero(measured & here):
+            searches[owners[pair]].note(float(margins[pair]), float(time[row]), int(pair))
+            least[owners[pair]] = searches[owners[pair]].least
+        if row:
+            travel = np.abs(q[row] - q[row - 1]) @ proximity.travel.T + (time[row] - time[row - 1]) * proximity.speed
+            bounds = 0.5 * (before + margins - travel)
+            for pair in np.flatnonzero(~(bounds >= _to_prove(least)[owners])):
+                searches[owners[pair]].open(float(bounds[pair]), row - 1, int(pair))
+        before = margins
+    found = [clearance for search in searches if (clearance := search.finish()) is not None]
+    return tuple(sorted(found, key=lambda clearance: clearance.margin))
+
+
+def _to_prove(least: Any) -> Any:
+    """The margins that are to be proven where `least` are the least that were measured [m]."""
+    return least - np.maximum(RESOLUTION, _RESOLUTION_OF_MARGIN * least)
+
+
+class _Search:
+    """Best-first search for the least margin to one obstacle over a whole motion.
+
+    Attributes
+    ----------
+    least: the least margin that was measured [m].
+    """
+
+    def __init__(self, proximity: Proximity, time: Vector, q: NDArray[np.float64]) -> None:
+        self._proximity, self._time, self._q = proximity, time, q
+        self.least = _NEVER
+        self._where = (0.0, 0)  # moment and pair of the least margin
+        # (bound, tie-breaker, segment, pair, from, to): parts 0..1 of a segment
+        self._open: list[tuple[float, int, int, int, float, float]] = []
+        self._measured = 0
+
+    def note(self, margin: float, moment: float, pair: int) -> None:
+        """A margin was measured."""
+        if margin < self.least:
+            self.least, self._where = margin, (moment, pair)
+
+    def open(self, bound: float, segment: int, pair: int) -> None:
+        """On this segment the margin may be as low as `bound`."""
+        heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0))
+
+    def finish(self) -> Obstruction | None:
+        """Halve the lowest until nothing can lie below what is to be proven.
+
+        A motion that is refuted anyway, or too long for the effort, is left with the
+        lower bound that was reached.
+        """
+        tie = len(self._open)
+        while self._open and self._open[0][0] < _to_prove(self.least):
+            if self._measured > (_EFFORT_REFUTED if self.least < -KEPT_WITHIN else _EFFORT):
+                break
+            _, _, segment, pair, a, b = heapq.heappop(self._open)
+            middle = 0.5 * (a + b)
+            m_a, m_m, m_b = (self._measure(segment, pair, part) for part in (a, middle, b))
+            half = 0.5 * (b - a) * self._travel(segment, pair)
+            for start, m_1, m_2 in ((a, m_a, m_m), (middle, m_m, m_b)):
+                tie += 1
+                bound = 0.5 * (m_1 + m_2 - half)
+                heapq.heappush(self._open, (bound, tie, segment, pair, start, start + 0.5 * (b - a)))
+        proven = float(_to_prove(self.least))
+        if self.least >= _NEVER and not (self._open and self._open[0][0] < proven):
+            return None
+        if self._open:
+            proven = min(proven, self._open[0][0])
+        moment, index = self._where
+        pair_record = self._proximity.pairs[index]
+        return pair_record.at(proven + pair_record.clearance, time=moment)
+
+    def _travel(self, segment: int, pair: int) -> float:
+        """How much the distance of a pair can change on a segment [m]."""
+        dq, dt = self._q[segment + 1] - self._q[segment], self._time[segment + 1] - self._time[segment]
+        return float(np.abs(dq) @ self._proximity.travel[pair] + dt * self._proximity.speed[pair])
+
+    def _measure(self, segment: int, pair: int, part: float) -> float:
+        """Margin of a pair at `part` 0..1 of a segment [m]."""
+        q = (1.0 - part) * self._q[segment] + part * self._q[segment + 1]
+        moment = float((1.0 - part) * self._time[segment] + part * self._time[segment + 1])
+        margin = self._proximity.distance_of(pair, q, time=moment) - float(self._proximity.clearance[pair])
+        self._measured += 1
+        self.note(margin, moment, pair)
+        return margin
+
+
+def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vector, NDArray[np.float64]]:
+    """Samples of the motion, and one more at every moment at which an obstacle appears."""
+    moments = {float(t) for t in proximity.appears_at if trajectory.time[0] < t < trajectory.time[-1]}
+    time = np.unique(np.concatenate((trajectory.time, sorted(moments))))
+    if len(time) == len(trajectory.time):
+        return trajectory.time, trajectory.q
+    return time, trajectory.at(time)

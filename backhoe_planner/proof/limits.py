@@ -1,0 +1,150 @@
+"""The limits of the machine over a whole motion: how much of each is used where most is used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.motion import DRIVEN_WITHIN, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
+
+__all__ = ["LimitUse", "describe_ratio", "machine_uses", "position_use", "tip_speed_use"]
+
+_ROUNDING = 1e-6  # of a limit
+# of the asked speed: a motion is timed along the arc of the path, from which the tip may be off by its tolerance
+_TIP_SPEED_WITHIN = 0.03
+_WITHIN = {"position": _ROUNDING, "velocity": _ROUNDING, "acceleration": _ROUNDING, "tip speed": _TIP_SPEED_WITHIN}
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """How much of a limit a motion uses, where it uses most.
+
+    Torques belong to a smooth motion through the samples, whose accelerations are known to
+    the second order of the time between them: of what drives the machine 1 % more is
+    allowed, of the tip's speed 3 %, of joint limits nothing.
+
+    Attributes
+    ----------
+    kind: ``position``, ``velocity``, ``acceleration``, ``torque``, ``rod speed``,
+        ``pump flow``, ``engine power`` or ``tip speed``.
+    joint: name of the joint; empty for the last three.
+    ratio: 1 at the limit. For position: 1 plus the excess [rad or m] where outside.
+    time: when [s].
+    needed, available: in `unit`; `available` is 0 where nothing limits.
+    at_rest: of a torque, what of `ratio` it takes to stand there; 0 for all else.
+    """
+
+    kind: str
+    joint: str
+    ratio: float
+    time: float
+    needed: float
+    available: float
+    unit: str
+    at_rest: float = 0.0
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit holds."""
+        return self.ratio <= 1.0 + _WITHIN.get(self.kind, DRIVEN_WITHIN)
+
+    def describe(self) -> str:
+        """A limit that does not hold, in a sentence."""
+        when, much = f"at {self.time:.2f} s", describe_ratio(self.ratio)
+        if self.kind == "position":
+            return f"{self.joint} exceeds its position limit {when} ({self.ratio - 1.0:.3g} {self.unit} outside)"
+        if self.kind in ("velocity", "acceleration"):
+            return f"{self.joint} exceeds its {self.kind} limit {when} ({much} it)"
+        if self.kind == "torque":
+            what = "cannot hold the load" if self.at_rest > 1.0 else "has too little torque for the motion"
+            figures = f"{abs(self.needed) / 1e3:.3g} kN m of {self.available / 1e3:.3g} kN m ({much} it)"
+            return f"{self.joint} {what} {when}: it takes {figures}"
+        if self.kind == "rod speed":
+            return f"{self.joint} asks its cylinders for {much} their greatest speed {when}"
+        if self.kind == "tip speed":
+            speeds = f"{self.needed:.3g} m/s {when}, {much} the asked {self.available:.3g} m/s"
+            return f"the tip moves along the path at {speeds}"
+        return f"the motion asks for {much} the {self.kind} {when}"
+
+
+def describe_ratio(ratio: float) -> str:
+    """How much of a limit: ``149 % of``, ``12 times``, ``more than 1000 times``."""
+    if ratio < 10.0:
+        return f"{100.0 * ratio:.{2 if ratio < 1.1 else 0}f} % of"
+    return f"{ratio:.0f} times" if ratio < 1000.0 else "more than 1000 times"
+
+
+def position_use(problem: Problem, trajectory: Trajectory) -> LimitUse:
+    """Use of the joints' ranges; exact, for between samples the joints move linearly."""
+    lower, upper = problem.limits.lower, problem.limits.upper
+    with np.errstate(invalid="ignore"):  # continuous joints have infinite limits
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        used = np.where(np.isfinite(half), np.abs(trajectory.q - middle) / half, 0.0)
+    excess = np.maximum(trajectory.q - upper, lower - trajectory.q)
+    used = np.where(excess > 0.0, 1.0 + excess, np.minimum(used, 1.0))
+    row, joint = np.unravel_index(int(np.argmax(used)), used.shape)
+    q = float(trajectory.q[row, joint])
+    nearest = float(lower[joint] if q - lower[joint] < upper[joint] - q else upper[joint])
+    return LimitUse(
+        "position", problem.robot.joint_names[joint], float(used[row, joint]), float(trajectory.time[row]),
+        q, _finite(nearest), "m" if problem.robot.prismatic[joint] else "rad",
+    )  # fmt: skip
+
+
+def machine_uses(
+    problem: Problem, trajectory: Trajectory
+) -> tuple[LimitUse, LimitUse, LimitUse | None, LimitUse | None]:
+    """Use of velocities, accelerations, torques, and what drives the rods, whichever the machine limits."""
+    usage = limit_usage(problem, trajectory, tip_speed=False)
+    kinds = {kind for kind, _ in usage.limits}
+    return (
+        _worst(problem, usage, "velocity"),
+        _worst(problem, usage, "acceleration"),
+        _worst(problem, usage, "torque") if "torque" in kinds else None,
+        _worst(problem, usage, "rod speed", "pump flow", "engine power") if "pump flow" in kinds else None,
+    )
+
+
+def tip_speed_use(problem: Problem, tracking: Tracking) -> LimitUse | None:
+    """Use of the tip's speed on the followed parts of a path; None where the scene limits none."""
+    path = problem.scene.task.path
+    if path is None or path.speed is None:
+        return None
+    ratio = tracking.max_speed / path.speed
+    return LimitUse("tip speed", "", ratio, tracking.max_speed_time, tracking.max_speed, path.speed, "m/s")
+
+
+def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:
+    """Of limits of these kinds, the one that is used most."""
+    row, column = usage.worst(*kinds)
+    (kind, joint), ratio, moments = usage.limits[column], float(usage.ratio[row, column]), usage.moments
+    time, q, v = float(moments.time[row]), moments.q[row : row + 1], moments.v[row : row + 1]
+    index = problem.robot.joint_names.index(joint) if joint else 0
+    turns = "m" if problem.robot.prismatic[index] else "rad"
+    hydraulics = problem.robot.hydraulics
+    if kind == "torque":
+        drive, still = drive_of(problem), np.zeros_like(q)
+        torque = drive.use(q, v, moments.a[row : row + 1]).torque
+        limits = drive.torque_limits(q)
+        available = _finite((limits.positive if torque[0, index] > 0.0 else limits.negative)[0, index])
+        at_rest = float(drive.effort_use(q, drive.rigid_torques(q, still, still))[0, index])
+        unit = "N" if turns == "m" else "N m"
+        return LimitUse(kind, joint, ratio, time, float(torque[0, index]), available, unit, at_rest)
+    if kind in ("velocity", "acceleration"):
+        available, unit = _finite(getattr(problem.limits, kind)[index]), f"{turns}/s" + "^2" * (kind != "velocity")
+    else:
+        assert hydraulics is not None
+        limits = hydraulics.velocity_limits(q)
+        rods = limits.positive if v[0, index] > 0.0 else limits.negative
+        available, unit = {
+            "rod speed": (_finite(rods[0, index]), f"{turns}/s"),
+            "pump flow": (hydraulics.pump_flow, "m^3/s"),
+            "engine power": (hydraulics.power_limit, "W"),
+        }[kind]
+    return LimitUse(kind, joint, ratio, time, ratio * available, available, unit)
+
+
+def _finite(value: float) -> float:
+    """Without a limit, 0: nothing of it is used."""
+    return float(value) if np.isfinite(value) else 0.0
