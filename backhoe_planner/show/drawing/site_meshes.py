@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import load_mesh
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
-from backhoe_planner.show.drawing.solids import Facets, disc, facets, fattened, grid, solid, together
+from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
 from backhoe_planner.site import Obstacle, Scene, read_heights, scene_file
 
 __all__ = ["SiteMesh", "is_ground", "site_mesh"]
@@ -179,9 +179,7 @@ def _terrain(spec: scene_file.HeightMap, scene: Scene) -> trimesh.Trimesh:
     x = np.linspace(-spec.size[0] / 2.0, spec.size[0] / 2.0, columns)
     y = np.linspace(-spec.size[1] / 2.0, spec.size[1] / 2.0, rows)
     xs, ys = np.meshgrid(x, y)
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (part.ravel() for part in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
-    faces = np.vstack((np.column_stack((a, b, c)), np.column_stack((a, c, d))))
+    faces = cells(np.arange(rows * columns).reshape(rows, columns))
     surface = trimesh.Trimesh(np.column_stack((xs.ravel(), ys.ravel(), heights.ravel())), faces, process=False)
     surface.apply_transform(spec.placement.homogeneous)
     return surface

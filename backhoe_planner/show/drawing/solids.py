@@ -8,23 +8,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.spatial import ConvexHull, QhullError
 
 from backhoe_planner.machine import Piece
+from backhoe_planner.show.drawing.palette import Rgba
 
-__all__ = ["Facets", "disc", "facets", "fattened", "grid", "solid", "together", "tube"]
+__all__ = ["Facets", "cells", "disc", "facets", "fattened", "grid", "sheet", "solid", "together", "tube"]
 
 Points = NDArray[np.float64]
 
-_CREASE = np.cos(np.radians(40.0))  # a sharper edge is drawn as an edge
-_LINE = 0.03  # m: width of a line
-_ROUND = 2  # subdivisions of the ball that fattens
-_FLAT = 1e-4  # m given to a hull that has no volume
+_CREASE = np.radians(40.0)  # a sharper edge is drawn as an edge; sides of a 32-sided cylinder meet at 11 degrees
+_LINE = 0.03  # m: width of a line, seen from 10 m a few pixels
+_ROUND = 2  # subdivisions of the ball that fattens: its facets cut off 1 % of its volume
+_FLAT = 1e-4  # m given to a hull that has no volume; too little to be seen
 
 
 @dataclass(frozen=True)
@@ -53,65 +53,33 @@ def fattened(points: Points, radius: float) -> trimesh.Trimesh:
     """The convex hull of (k, 3) points, grown by `radius` [m] to all sides."""
     if radius > 0.0:
         ball = trimesh.creation.icosphere(subdivisions=_ROUND + (len(points) <= 2)).vertices * radius
-        corners = points if len(points) < 5 else _hull_points(points)
+        corners = points if len(points) < 5 else _hull(points).vertices
         points = (corners[:, None, :] + ball[None, :, :]).reshape(-1, 3)
-    return _hull_mesh(points)
+    return _hull(points)
 
 
-def _hull_points(points: Points) -> Points:
-    try:
-        hull = ConvexHull(points)
-    except QhullError:
-        return points
-    return np.asarray(hull.points[hull.vertices])
+def _hull(points: Points) -> trimesh.Trimesh:
+    """The convex hull; a flat one is made a little thick."""
+    if np.linalg.matrix_rank(points - points.mean(axis=0), tol=_FLAT) < 3:
+        points = (points[:, None, :] + trimesh.creation.box(extents=np.full(3, 2.0 * _FLAT)).vertices).reshape(-1, 3)
+    return trimesh.convex.convex_hull(points)
 
 
-def _hull_mesh(points: Points) -> trimesh.Trimesh:
-    try:
-        hull = ConvexHull(points)
-    except QhullError:  # flat
-        hull = ConvexHull(np.vstack((points - _FLAT, points + _FLAT, points + np.array([_FLAT, -_FLAT, _FLAT]))))
-    faces = np.array(hull.simplices)
-    corners = hull.points[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("ij,ij->i", across, hull.equations[:, :3]) < 0.0
-    faces[inward] = faces[inward][:, ::-1]
-    return trimesh.Trimesh(hull.points, faces, process=True)
-
-
-def facets(mesh: trimesh.Trimesh, rgba: Points | None = None) -> Facets:
+def facets(mesh: trimesh.Trimesh) -> Facets:
     """`mesh` ready to be drawn: smooth where it is round, sharp at its edges.
 
-    Parameters
-    ----------
-    rgba: (V, 4) colour of every vertex, if they differ.
+    Faces that meet at less than the crease angle share their normals at a vertex. This is what
+    `trimesh.graph.smooth_shade` does, which is five times slower for thousands of boxes.
     """
-    faces = np.asarray(mesh.faces)
-    corner_vertex = faces.ravel()
-    corner_face = np.repeat(np.arange(len(faces)), 3)
-    flat = np.asarray(mesh.face_normals)
-    weight = np.asarray(mesh.area_faces)
-    incidence = csr_matrix(
-        (np.ones(len(corner_vertex)), (corner_vertex, corner_face)), shape=(len(mesh.vertices), len(faces))
-    )
-    # for every corner the faces that share its vertex
-    shared = incidence[corner_vertex].tocoo()
-    alike = np.einsum("ij,ij->i", flat[corner_face[shared.row]], flat[shared.col]) > _CREASE
-    row, col = shared.row[alike], shared.col[alike]
-    normals = np.zeros((len(corner_vertex), 3))
-    for axis in range(3):
-        normals[:, axis] = np.bincount(row, weight[col] * flat[col, axis], minlength=len(corner_vertex))
-    length = np.linalg.norm(normals, axis=1)
-    lost = length < 1e-12
-    normals[lost] = flat[corner_face[lost]]
-    normals /= np.where(lost, 1.0, length)[:, None]
-    key = np.column_stack((corner_vertex, np.round(normals * 64.0).astype(int)))
-    _, first, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    smooth = mesh.face_adjacency[mesh.face_adjacency_angles < _CREASE]
+    patch = trimesh.graph.connected_component_labels(smooth, node_count=len(mesh.faces))
+    corners = np.column_stack((np.ravel(mesh.faces), np.repeat(patch, 3)))
+    distinct, index = np.unique(corners, axis=0, return_inverse=True)
+    split = trimesh.Trimesh(mesh.vertices[distinct[:, 0]], index.reshape(-1, 3), process=False)
     return Facets(
-        vertices=np.asarray(mesh.vertices)[corner_vertex[first]],
-        normals=normals[first],
-        faces=index.reshape(-1, 3).astype(np.uint32),
-        rgba=None if rgba is None else rgba[corner_vertex[first]],
+        vertices=np.asarray(split.vertices),
+        normals=np.asarray(split.vertex_normals),
+        faces=np.asarray(split.faces, dtype=np.uint32),
     )
 
 
@@ -166,77 +134,70 @@ def _simplified(points: Points, tolerance: float) -> Points:
     return np.asarray(line[distinct])
 
 
-def grid(
-    centre: Points, normal: Points, radius: float, rgba: tuple[float, float, float, float], *, spacing: float = 1.0
-) -> Facets:
+def cells(index: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
+    """Two triangles for every cell of a lattice of vertices, given by their indices (..., rows, columns)."""
+    a, b, c, d = index[..., :-1, :-1], index[..., :-1, 1:], index[..., 1:, 1:], index[..., 1:, :-1]
+    return np.stack((a, b, c, a, c, d), axis=-1).reshape(-1, 3).astype(np.uint32)
+
+
+def sheet(lattice: Points, normal: Points, rgba: Rgba, strength: Points) -> Facets:
+    """A level surface through a lattice of points.
+
+    Parameters
+    ----------
+    lattice: (..., rows, columns, 3) points; every row and column is drawn up to its neighbour [m].
+    normal: (3,) of the surface.
+    strength: (..., rows, columns) by which the opacity of `rgba` is multiplied.
+    """
+    vertices = lattice.reshape(-1, 3)
+    return Facets(
+        vertices=vertices,
+        normals=np.tile(np.asarray(normal, dtype=float), (len(vertices), 1)),
+        faces=cells(np.arange(len(vertices)).reshape(lattice.shape[:-1])),
+        rgba=np.column_stack((np.tile(rgba[:3], (len(vertices), 1)), rgba[3] * strength.ravel())),
+    )
+
+
+def grid(centre: Points, normal: Points, radius: float, rgba: Rgba, *, spacing: float = 1.0) -> Facets:
     """Lines across `normal` every `spacing` [m], level and upright where the plane is upright, fading to the rim."""
     along = np.cross([0.0, 0.0, 1.0], normal) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     along = along / np.linalg.norm(along)
     across = np.cross(normal, along)
     stations = np.linspace(-1.0, 1.0, 33)
-    vertices, strengths = [], []
+    strips, strengths = [], []
     for first, second in ((along, across), (across, along)):
         # on round numbers of the site, so that the lines of parallel planes meet
         middle = float(second @ centre)
         for at in np.arange(np.ceil((middle - radius) / spacing), (middle + radius) / spacing) * spacing - middle:
             half = np.sqrt(max(radius * radius - at * at, 0.0))
             line = centre + at * second + half * stations[:, None] * first
-            vertices.append(np.stack((line - 0.5 * _LINE * second, line + 0.5 * _LINE * second), axis=1).reshape(-1, 3))
+            strips.append(np.stack((line - 0.5 * _LINE * second, line + 0.5 * _LINE * second), axis=1))
             away = np.hypot(at, half * stations) / radius
-            strengths.append(np.repeat((1.0 - np.clip(away, 0.0, 1.0)) ** 0.8, 2))
-    count = 2 * len(stations)
-    a = 2 * np.arange(len(stations) - 1)
-    strip = np.concatenate((np.column_stack((a, a + 1, a + 3)), np.column_stack((a, a + 3, a + 2))))
-    faces = np.concatenate([strip + line * count for line in range(len(vertices))])
-    strength = np.concatenate(strengths)
-    corners = np.concatenate(vertices)
-    return Facets(
-        vertices=corners,
-        normals=np.broadcast_to(np.asarray(normal, dtype=float), corners.shape).copy(),
-        faces=faces.astype(np.uint32),
-        rgba=np.column_stack((np.tile(rgba[:3], (len(strength), 1)), rgba[3] * strength)),
-    )
+            strengths.append(np.repeat((1.0 - np.clip(away, 0.0, 1.0))[:, None] ** 0.8, 2, axis=1))
+    return sheet(np.stack(strips), normal, rgba, np.stack(strengths))
 
 
 def together(*parts: Facets) -> Facets:
     """Several coloured sets of triangles as one."""
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    colours = [part.rgba for part in parts if part.rgba is not None]
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])], dtype=np.uint32)
     return Facets(
         vertices=np.concatenate([part.vertices for part in parts]),
         normals=np.concatenate([part.normals for part in parts]),
-        faces=np.concatenate([part.faces + start for part, start in zip(parts, starts[:-1], strict=True)]).astype(
-            np.uint32
-        ),
-        rgba=np.concatenate(colours),
+        faces=np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=True)]),
+        rgba=np.concatenate([part.rgba for part in parts if part.rgba is not None]),
     )
 
 
-def disc(
-    centre: Points, normal: Points, radius: float, rgba: tuple[float, float, float, float], *, fade_from: float = 0.45
-) -> Facets:
+def disc(centre: Points, normal: Points, radius: float, rgba: Rgba, *, fade_from: float = 0.45) -> Facets:
     """A round sheet across `normal` that fades out towards its rim.
 
     Parameters
     ----------
     fade_from: part of the radius up to which it keeps its full opacity.
     """
-    rings = np.array([0.0, fade_from, 0.6 * fade_from + 0.4, 0.25 * fade_from + 0.75, 1.0])
-    strength = np.array([1.0, 1.0, 0.6, 0.22, 0.0])
-    sides = 72
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    around = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(sides)))
-    local = (rings[:, None, None] * around[None]).reshape(-1, 3) * radius
+    rings = radius * np.array([0.0, fade_from, 0.6 * fade_from + 0.4, 0.25 * fade_from + 0.75, 1.0])
+    angle = np.linspace(2.0 * np.pi, 0.0, 73)  # rows run outward: this way round the faces look along the normal
+    around = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(len(angle))))
     turn = trimesh.geometry.align_vectors([0.0, 0.0, 1.0], normal)[:3, :3]
-    here, right = np.arange(sides), (np.arange(sides) + 1) % sides
-    faces = []
-    for ring in range(len(rings) - 1):
-        a, b = ring * sides, (ring + 1) * sides
-        faces += [np.column_stack((a + here, b + here, b + right)), np.column_stack((a + here, b + right, a + right))]
-    colours = np.repeat(np.array([[*rgba[:3], rgba[3] * s] for s in strength]), sides, axis=0)
-    return Facets(
-        vertices=local @ turn.T + centre,
-        normals=np.broadcast_to(np.asarray(normal, dtype=float), local.shape).copy(),
-        faces=np.vstack(faces).astype(np.uint32),
-        rgba=colours,
-    )
+    strength = np.repeat(np.array([1.0, 1.0, 0.6, 0.22, 0.0])[:, None], len(angle), axis=1)
+    return sheet(centre + rings[:, None, None] * (around @ turn.T), normal, rgba, strength)
