@@ -7,8 +7,8 @@ from .drawing.scene_graph import SceneGraph
 from .drawing.site_meshes import site_mesh
 from .drawing.solids import facets, fattened, grid, solid, together, tube
 from .drawing.timeline import ITSELF, timeline
+from .page.display import Display
 from .page.page import plan_page, write_page
-from .page.recording import Recording
 from .plots.plots import plot_envelope, plot_plan
 from .teleop.joysticks import joint_rates
 from .teleop.messages import LARGEST, Add, Sticks, parse
@@ -26,10 +26,10 @@ __all__ = [
     "LARGEST",
     "TIGHT",
     "Add",
+    "Display",
     "LiveServer",
     "LiveSocket",
     "PlanAnimation",
-    "Recording",
     "SceneGraph",
     "Session",
     "Sticks",

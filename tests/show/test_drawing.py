@@ -18,8 +18,8 @@ from backhoe_planner.show import (
     FIELD_OF_VIEW,
     ITSELF,
     TIGHT,
+    Display,
     PlanAnimation,
-    Recording,
     SceneGraph,
     Track,
     facets,
@@ -113,17 +113,17 @@ def test_every_point_is_in_view(aspect: float, ceiling: float | None) -> None:
 
 
 def test_of_several_messages_about_one_thing_the_last_is_kept() -> None:
-    recording = Recording()
-    node = recording.visualizer()["machine"]["boom"]
+    display = Display()
+    node = display.visualizer()["machine"]["boom"]
     for x in (1.0, 2.0):
         node.set_transform(trimesh.transformations.translation_matrix([x, 0.0, 0.0]))
-    recording.visualizer()["site"].set_property("visible", False)
-    ((_, message), (key, _)) = recording.messages()
+    display.visualizer()["site"].set_property("visible", False)
+    ((_, message), (key, _)) = display.messages().items()
     assert isinstance(message, bytes)
     assert umsgpack.unpackb(message)["matrix"][12:15] == [2.0, 0.0, 0.0]
     assert key == ("set_property", "/site", "visible")
-    recording.visualizer()["machine"].delete()
-    assert [key[1] for key, _ in recording.messages()] == ["/site"]
+    display.visualizer()["machine"].delete()
+    assert [key[1] for key in display.messages()] == ["/site"]
 
 
 def test_a_track_is_packed_as_32_bit_numbers() -> None:
@@ -137,11 +137,11 @@ def test_a_track_is_packed_as_32_bit_numbers() -> None:
 
 def test_the_machine_is_drawn_where_pinocchio_says(backhoe: Robot) -> None:
     scene = scene_from_dict({"version": 1, "start": {"joints": START}, "task": {"goal": {"position": [3.0, 1.0, 0.0]}}})
-    recording = Recording()
-    graph = SceneGraph(recording.visualizer(), build_problem(backhoe, scene))
+    display = Display()
+    graph = SceneGraph(display.visualizer(), build_problem(backhoe, scene))
     q = np.array([0.3, 0.5, -1.2, -0.4])
     graph.move(q)
-    drawn = {key[1]: message for key, message in recording.messages() if key[0] == "set_transform"}
+    drawn = {key[1]: message for key, message in display.messages().items() if key[0] == "set_transform"}
     data = backhoe.model.createData()
     pin.forwardKinematics(backhoe.model, data, q)
     for link in ("swing_post", "boom", "stick", "bucket"):

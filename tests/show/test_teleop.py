@@ -766,7 +766,7 @@ def test_a_page_that_goes_while_it_is_written_to_does_no_harm(
         await hear(first, "you")
         with monkeypatch.context() as patch:
             patch.setattr(LiveSocket, "write_message", gone)
-            server.recording.tell({"type": "news"})
+            server.display.tell("news", {})
             while not tried.is_set():
                 await asyncio.sleep(0.01)
         second = await tornado.websocket.websocket_connect(url)
@@ -877,7 +877,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
         done(session, page, type="take")
 
         def told(kind: str) -> list[Data]:
-            found = [json.loads(m) for _, m in station._server.recording.messages() if isinstance(m, str)]
+            found = [json.loads(m) for m in station._server.display.messages().values() if isinstance(m, str)]
             return [content for content in found if content["type"] == kind]
 
         def broken(*_: object, **__: object) -> None:

@@ -62,13 +62,14 @@ class SceneGraph:
     Attributes
     ----------
     warnings: what could not be drawn as asked.
-    site: what is drawn of the obstacles.
+    problem: what is drawn.
+    anchors: where the name of each obstacle is written, (3,) [m], world.
     has_ground: whether level ground is drawn, as no obstacle is the ground.
     """
 
     def __init__(self, visualizer: Any, problem: Problem, *, q: Vector | None = None) -> None:
         self._tree = visualizer
-        self._problem = problem
+        self.problem = problem
         robot = problem.robot
         self._data = robot.model.createData()
         self._reach = _tip_reach(problem)
@@ -85,9 +86,10 @@ class SceneGraph:
         # what is drawn of a plane or the ground
         self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
         self.has_ground = not any(is_ground(obstacle) for obstacle in problem.obstacles)
-        self.site = tuple(
+        self._site = tuple(
             site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius) for obstacle in problem.obstacles
         )
+        self.anchors = {drawn.name: drawn.anchor for drawn in self._site}
         away = self.view()
         # what looks right on a picture of the whole
         self._width = _LINE_WIDTH * float(np.linalg.norm(away.eye() - away.target))
@@ -118,15 +120,15 @@ class SceneGraph:
     def _below_ground(self) -> tuple[Matrix | None, bool]:
         """Outline (k, 2) of the obstacles that are the ground, and whether anything else is beneath it."""
         outlines, lows = [], []
-        for drawn in self.site:
+        for drawn in self._site:
             if drawn.bounds is None:
                 continue
             if abs(drawn.bounds[1, 2]) <= 0.05:  # its top is level with the ground
                 outlines.append(drawn.facets.vertices[:, :2])
             elif drawn.bounds[1, 2] < 0.0:
                 lows.append(drawn)
-        points = [self._problem.goal.position] if self._problem.goal is not None else []
-        points += [] if self._problem.path is None else list(self._problem.path.points)
+        points = [self.problem.goal.position] if self.problem.goal is not None else []
+        points += [] if self.problem.path is None else list(self.problem.path.points)
         if not outlines:
             return None, bool(lows) or any(point[2] < -0.05 for point in points)
         opening = opening_of(np.vstack(outlines))
@@ -149,7 +151,7 @@ class SceneGraph:
                 set_property(node, "castShadow", False)
 
     def _draw_site(self, centre: Vector) -> None:
-        for order, (obstacle, drawn) in enumerate(zip(self._problem.obstacles, self.site, strict=True)):
+        for order, (obstacle, drawn) in enumerate(zip(self.problem.obstacles, self._site, strict=True)):
             node = self._obstacles[drawn.name]
             if drawn.bounds is None and is_ground(obstacle) and drawn.facets.normals[0, 2] > 0.999:
                 draw_ground(
@@ -175,7 +177,7 @@ class SceneGraph:
         set_property(shell, "renderOrder", 2 + order)
 
     def _draw_task(self) -> None:
-        problem, task = self._problem, self._tree["task"]
+        problem, task = self.problem, self._tree["task"]
         if problem.path is not None:
             width = 1.4 * self._width  # the trace lies on it
             _draw_line(task["path"], problem.path.points, width, (*PATH, 1.0))
@@ -221,7 +223,7 @@ class SceneGraph:
         middle = self._machine_points.mean(axis=0)
         side = 0.0
         ceiling = None
-        for obstacle, drawn in zip(self._problem.obstacles, self.site, strict=True):
+        for obstacle, drawn in zip(self.problem.obstacles, self._site, strict=True):
             if drawn.bounds is None:
                 normal = drawn.facets.normals[0]
                 if normal[2] < -0.7 and drawn.anchor[2] < 2.0 * self._reach:
@@ -239,10 +241,10 @@ class SceneGraph:
             seen.append(corners)
             above = np.maximum(corners[:, 2].max(), 0.0) - np.maximum(corners[:, 2].min(), 0.0)
             side += float(corners[:, 1].mean() * above * np.prod(np.sqrt(np.ptp(corners[:, :2], axis=0) + 1e-9)))
-        if self._problem.goal is not None:
-            seen.append(self._problem.goal.position[None, :])
-        if self._problem.path is not None:
-            seen.append(self._problem.path.points)
+        if self.problem.goal is not None:
+            seen.append(self.problem.goal.position[None, :])
+        if self.problem.path is not None:
+            seen.append(self.problem.path.points)
         # what is large and tall belongs behind the machine
         return frame(np.vstack(seen), side=-1.0 if side >= 0.0 else 1.0, ceiling=ceiling)
 
@@ -264,7 +266,7 @@ class SceneGraph:
 
     def _machine_corners(self, meshes: tuple[LinkMesh, ...], postures: list[Vector]) -> Matrix:
         """Corners of the boxes around every drawn part, in all `postures`, world."""
-        model = self._problem.robot.model
+        model = self.problem.robot.model
         boxes = []
         for drawn in meshes:
             low, high = drawn.facets.vertices.min(axis=0), drawn.facets.vertices.max(axis=0)
@@ -286,10 +288,10 @@ class SceneGraph:
         ----------
         nearest: critical points to be shown, in the order of the obstacles.
         """
-        pin.forwardKinematics(self._problem.robot.model, self._data, q)
+        pin.forwardKinematics(self.problem.robot.model, self._data, q)
         for link, joint in self._joint_of.items():
             self._place("machine", self._links[link], self._data.oMi[joint].homogeneous)
-        for obstacle in self._problem.obstacles:
+        for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
                 transform = np.eye(4)
                 transform[:3, 3] = _offset(obstacle, time)
@@ -298,11 +300,11 @@ class SceneGraph:
                 for group in ("site", "clearance"):
                     self._place(group, self._obstacles[obstacle.name], transform)
         for name, spot in zip(self._obstacles, nearest, strict=False):
-            self._set_critical_point(name, spot)
+            self.point(name, spot)
 
-    def add(self, obstacle: Obstacle) -> Vector:
-        """Draw an obstacle that was not there before; (3,) where its name is written [m]."""
-        drawn = site_mesh(obstacle, self._problem.scene, centre=np.zeros(3), reach=self._radius)
+    def add(self, obstacle: Obstacle) -> None:
+        """Draw an obstacle that was not there before."""
+        drawn = site_mesh(obstacle, self.problem.scene, centre=np.zeros(3), reach=self._radius)
         node = node_name(obstacle.name)
         while node in self._obstacles.values():
             node += "_"
@@ -311,11 +313,12 @@ class SceneGraph:
         self._tree["critical points"][node].set_object(self._rod_mesh())
         set_property(self._tree["critical points"][node], "castShadow", False)
         self.point(obstacle.name, None)
-        return drawn.anchor
+        self.anchors[obstacle.name] = drawn.anchor
 
     def remove(self, name: str) -> None:
         """Take an obstacle out of the picture."""
         node = self._obstacles.pop(name)
+        del self.anchors[name]
         self._shown_colour.pop(name, None)
         for group in ("site", "clearance", "critical points"):
             self._tree[group][node].delete()
@@ -331,10 +334,6 @@ class SceneGraph:
         for group in ("site", "clearance"):
             self._place(group, self._obstacles[name], transform)
 
-    def point(self, name: str, spot: Nearest | None) -> None:
-        """Show the nearest spot to an obstacle, or to the machine itself; None hides it."""
-        self._set_critical_point(name, spot)
-
     def node_of(self, name: str) -> str:
         """Under which name an obstacle stands in the viewer's tree, below ``site``."""
         return self._obstacles[name]
@@ -346,7 +345,8 @@ class SceneGraph:
             self._placed[key] = transform
             self._tree[group][node].set_transform(transform)
 
-    def _set_critical_point(self, name: str, spot: Nearest | None) -> None:
+    def point(self, name: str, spot: Nearest | None) -> None:
+        """Show the nearest spot to an obstacle, or to the machine itself; None hides it."""
         position, quaternion, scale = self._rod(spot)
         x, y, z, w = quaternion
         transform = np.eye(4)
@@ -355,14 +355,14 @@ class SceneGraph:
         self._place("critical points", self._obstacles[name], transform)
         if spot is None or scale[2] == _HIDDEN:
             return
-        colour = tuple(round(part, 1) for part in margin_rgb(spot.margin, self._problem.scene.influence))
+        colour = tuple(round(part, 1) for part in margin_rgb(spot.margin, self.problem.scene.influence))
         if self._shown_colour.get(name) != colour:
             self._shown_colour[name] = colour
             self._tree["critical points"][self._obstacles[name]].set_property("color", [*colour, 1.0])
 
     def _rod(self, spot: Nearest | None) -> tuple[Vector, Vector, Vector]:
         """Position, quaternion (x, y, z, w) and scale that put the unit rod between two points."""
-        if spot is None or spot.margin > self._problem.scene.influence:
+        if spot is None or spot.margin > self.problem.scene.influence:
             return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.full(3, _HIDDEN)
         along = spot.point_obstacle - spot.point_link
         length = max(float(np.linalg.norm(along)), 1e-4)
@@ -382,7 +382,7 @@ class SceneGraph:
                 path = f"{self._prefix}/machine/{self._links[link]}"
                 tracks.append(Track(path, "position", time, timeline.poses[:, joint, :3]))
                 tracks.append(Track(path, "quaternion", time, timeline.poses[:, joint, 3:]))
-        for obstacle in self._problem.obstacles:
+        for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
                 offset = np.array([_offset(obstacle, moment) for moment in timeline.time])
                 size = np.where(timeline.time < obstacle.appears_at, _HIDDEN, 1.0)
@@ -390,7 +390,7 @@ class SceneGraph:
                     path = f"{self._prefix}/{group}/{self._obstacles[obstacle.name]}"
                     tracks.append(Track(path, "position", time, offset))
                     tracks.append(Track(path, "scale", time, np.repeat(size[:, None], 3, axis=1)))
-        influence = self._problem.scene.influence
+        influence = self.problem.scene.influence
         for index, name in enumerate(timeline.obstacles):
             spots = [row[index] for row in timeline.nearest]
             if all(spot is None or spot.margin > influence for spot in spots):

@@ -9,20 +9,16 @@ import base64
 import html
 import json
 import os
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from typing import Any
 
 from backhoe_planner.files.output_file import check_writable, whole_file
-from backhoe_planner.live import shown_problem
 from backhoe_planner.planning import Plan
-from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.timeline import timeline
-from backhoe_planner.show.page.page_content import plan_content, problem_content
-from backhoe_planner.show.page.recording import Recording
+from backhoe_planner.show.page.display import Display
+from backhoe_planner.show.page.page_content import show_plan
 
-__all__ = ["Addition", "live_page", "plan_page", "write_page"]
+__all__ = ["live_page", "plan_page", "read_parts", "write_page"]
 
 # nothing may be fetched from anywhere; meshcat reads its own commands with eval
 _POLICY = (
@@ -51,58 +47,44 @@ def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
     """The page as text, and what could not be drawn as the URDF asks."""
-    problem = shown_problem(plan)
-    frames = timeline(problem, plan.trajectory)
-    recording = Recording()
-    visualizer = recording.visualizer()
-    graph = SceneGraph(visualizer, problem, q=plan.trajectory.q[0])
-    graph.draw_trace(frames.tip)
-    view = graph.look_at_motion(frames)
-    visualizer.set_animation(graph.animation(frames), play=False, repetitions=1)
-    messages = [message for _, message in recording.messages()]
+    display = Display()
+    graph = show_plan(display, plan)
+    messages = display.messages().values()
     content = {
         "draw": [base64.b64encode(message).decode("ascii") for message in messages if isinstance(message, bytes)],
-        "tell": [problem_content(problem, graph, view, frames.obstacles), plan_content(plan, frames, view)],
+        "tell": [json.loads(message) for message in messages if isinstance(message, str)],
     }
     return _page(plan.scene.name or "plan", content, connect="'none'"), graph.warnings
 
 
-@dataclass(frozen=True)
-class Addition:
-    """What a page has beyond the plain live view.
+def live_page(*, css: str = "", body: str = "", script: str = "") -> str:
+    """The page that a live viewer serves; it asks its server for what to show.
 
-    Attributes
+    Parameters
     ----------
-    css, body, script: appended to the page's own.
+    css, body, script: what it has beyond the plain live view.
     """
-
-    css: str
-    body: str
-    script: str
+    return _page("backhoe_planner", None, connect="'self' ws: wss:", css=css, body=body, script=script)
 
 
-def live_page(addition: Addition | None = None) -> str:
-    """The page that a live viewer serves; it asks its server for what to show."""
-    return _page("backhoe_planner", None, connect="'self' ws: wss:", addition=addition)
+def read_parts(package: str, *names: str) -> tuple[str, ...]:
+    """The texts of files in the folder ``parts`` of a package."""
+    parts = resources.files(package).joinpath("parts")
+    return tuple(parts.joinpath(name).read_text(encoding="utf-8") for name in names)
 
 
-def _page(title: str, content: Any, *, connect: str, addition: Addition | None = None) -> str:
-    parts = resources.files("backhoe_planner.show.page").joinpath("parts")
-    names = ("page.css", "body.html", "page.js")
-    css, body, script = (parts.joinpath(name).read_text(encoding="utf-8") for name in names)
-    after = ""
-    if addition is not None:
-        css, body = css + addition.css, body + addition.body
-        after = f"<script>\n{addition.script}</script>\n"
+def _page(title: str, content: Any, *, connect: str, css: str = "", body: str = "", script: str = "") -> str:
+    own_css, own_body, own_script = read_parts("backhoe_planner.show.page", "page.css", "body.html", "page.js")
+    more = f"<script>\n{script}</script>\n" if script else ""
     return "".join(
         (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY.format(connect=connect)}">\n',
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
             f'<title>{html.escape(title)}</title>\n<link rel="icon" href="data:,">\n',
-            f"<style>\n{css}</style>\n</head>\n<body>\n{body}",
+            f"<style>\n{own_css}{css}</style>\n</head>\n<body>\n{own_body}{body}",
             f"<script>\n{_meshcat()}\n</script>\n",
-            f"<script>\n{script}show({_json_in_script(content)});\n</script>\n{after}</body>\n</html>\n",
+            f"<script>\n{own_script}show({_json_in_script(content)});\n</script>\n{more}</body>\n</html>\n",
         )
     )
 

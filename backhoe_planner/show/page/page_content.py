@@ -1,4 +1,4 @@
-"""What the page tells beside the picture, as plain data."""
+"""What the page shows of a problem, a posture and a plan, beside the picture."""
 
 from __future__ import annotations
 
@@ -6,21 +6,56 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.live import is_driven, left_out
+from backhoe_planner.live import is_driven, left_out, shown_problem
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.timeline import Nearest, Timeline
+from backhoe_planner.show.drawing.timeline import Nearest, timeline
+from backhoe_planner.show.page.display import Display
 
-__all__ = ["plan_content", "problem_content", "step_content"]
+__all__ = ["show_plan", "tell_problem", "tell_step"]
 
 
-def problem_content(problem: Problem, graph: SceneGraph, view: View, obstacles: tuple[str, ...]) -> dict[str, Any]:
-    """The site and the machine: names, limits, where names are written."""
+def show_plan(display: Display, plan: Plan) -> SceneGraph:
+    """Draw a plan and its animation, and tell its verdict, numbers and frames."""
+    problem = shown_problem(plan)
+    visualizer = display.visualizer()
+    frames = timeline(problem, plan.trajectory)
+    graph = SceneGraph(visualizer, problem, q=plan.trajectory.q[0])
+    graph.draw_trace(frames.tip)
+    view = graph.look_at_motion(frames)
+    visualizer.set_animation(graph.animation(frames), play=False)
+    tell_problem(display, problem, graph, view, frames.obstacles)
+    rows = list(zip(*frames.nearest, strict=True))  # by obstacle
+    links = {name: index for index, name in enumerate(plan.robot.link_names)}
+    content = {
+        "verdict": plan.verdict,
+        "reason": plan.reason,
+        "message": plan.message,
+        "facts": _facts(plan),
+        "time": frames.time - frames.time[0],
+        "q": frames.q.T,
+        "margins": [_margins(row) for row in rows],
+        "links": [_links(row, links) for row in rows],
+        "view": view,
+    }
+    display.tell("plan", content)
+    return graph
+
+
+def tell_problem(
+    display: Display, problem: Problem, graph: SceneGraph, view: View, obstacles: tuple[str, ...], *, task: str = ""
+) -> None:
+    """Tell what stands on the site and what the machine is: names, limits, where names are written.
+
+    Parameters
+    ----------
+    obstacles: names of what margins are shown for.
+    task: what the machine does, in words; by default what its task says.
+    """
     robot, scene = problem.robot, problem.scene
-    anchors = {drawn.name: drawn.anchor for drawn in graph.site}
     built = {obstacle.name: obstacle for obstacle in problem.obstacles}
     listed = []
     for name in obstacles:
@@ -29,101 +64,77 @@ def problem_content(problem: Problem, graph: SceneGraph, view: View, obstacles: 
             {
                 "name": name,
                 "clearance": 0.0 if obstacle is None else obstacle.clearance,
-                "anchor": None if name not in anchors else _rounded(anchors[name]),
+                "anchor": graph.anchors.get(name),
                 "appears_at": 0.0 if obstacle is None else obstacle.appears_at,
-                "velocity": None if obstacle is None or not obstacle.moves else _rounded(obstacle.velocity),
+                "velocity": None if obstacle is None or not obstacle.moves else obstacle.velocity,
             }
         )
     joints = []
-    for index, name in enumerate(robot.joint_names):
-        low, high = float(problem.limits.lower[index]), float(problem.limits.upper[index])
+    for name, slides, low, high in zip(
+        robot.joint_names, robot.prismatic, problem.limits.lower, problem.limits.upper, strict=True
+    ):
         bounded = np.isfinite(low) and np.isfinite(high) and high > low
-        joints.append(
-            {
-                "name": name,
-                "angular": not bool(robot.prismatic[index]),
-                "lower": low if bounded else None,
-                "upper": high if bounded else None,
-            }
+        lower, upper = (low, high) if bounded else (None, None)
+        joints.append({"name": name, "angular": not slides, "lower": lower, "upper": upper})
+    if not task:
+        task = (
+            "to a goal"
+            if problem.goal is not None
+            else "along a path"
+            if problem.path is not None
+            else "driven by hand"
         )
-    task = "to a goal" if problem.goal is not None else "along a path" if problem.path is not None else "driven by hand"
-    return {
-        "type": "problem",
+    content = {
         "title": scene.name or "untitled scene",
         "subtitle": f"{robot.name}, {task}",
         "obstacles": listed,
         "joints": joints,
-        "links": list(robot.link_names),
+        "links": robot.link_names,
         "influence": scene.influence,
         "far": 2.0 * scene.influence,
-        "colours": [list(TIGHT), list(NEAR), list(FAR)],
+        "colours": [TIGHT, NEAR, FAR],
         "ground": graph.has_ground,
-        "warnings": list(graph.warnings),
-        "view": _view(view),
+        "warnings": graph.warnings,
+        "view": view,
     }
+    display.tell("problem", content)
 
 
-def plan_content(plan: Plan, timeline: Timeline, view: View) -> dict[str, Any]:
-    """The verdict, its numbers, and the frames."""
-    links = {name: index for index, name in enumerate(plan.robot.link_names)}
-    columns = range(len(timeline.obstacles))
-    return {
-        "type": "plan",
-        "verdict": plan.verdict,
-        "reason": plan.reason,
-        "message": plan.message,
-        "facts": _facts(plan),
-        "time": _rounded(timeline.time - timeline.time[0]),
-        "q": [_rounded(column) for column in timeline.q.T],
-        "margins": [[_margin(row[column]) for row in timeline.nearest] for column in columns],
-        "links": [[_link(row[column], links) for row in timeline.nearest] for column in columns],
-        "view": _view(view),
-    }
-
-
-def step_content(time: float, q: Any, nearest: tuple[Nearest | None, ...], links: tuple[str, ...]) -> dict[str, Any]:
-    """One posture while planning goes on."""
+def tell_step(
+    display: Display, q: Any, *, time: float, nearest: tuple[Nearest | None, ...], links: tuple[str, ...]
+) -> None:
+    """Tell the numbers of one posture: joint positions (n,) and margins, as of `time` [s]."""
     index = {name: number for number, name in enumerate(links)}
-    return {
-        "type": "step",
-        "time": time,
-        "q": _rounded(q),
-        "margins": [_margin(spot) for spot in nearest],
-        "links": [_link(spot, index) for spot in nearest],
-    }
+    display.tell("step", {"time": time, "q": q, "margins": _margins(nearest), "links": _links(nearest, index)})
 
 
-def _facts(plan: Plan) -> list[list[str]]:
+def _facts(plan: Plan) -> list[tuple[str, str, str]]:
+    """Name, value and remark of what is told of a plan."""
     certificate, metrics = plan.certificate, plan.metrics
-    facts: list[list[str]] = []
+    facts = []
     tightest = certificate.min_clearance
     if tightest is not None:
-        asked = tightest.distance - tightest.margin
-        facts.append(
-            [
-                "Tightest margin",
-                f"{_metres(tightest.margin)} m",
-                f"{tightest.link} to {tightest.name} at {tightest.time:.1f} s; "
-                f"{_metres(tightest.distance)} m apart" + (f", {asked:.2f} m asked" if asked > 1e-9 else ""),
-            ]
-        )
+        required = tightest.distance - tightest.margin
+        remark = f"{tightest.link} to {tightest.name} at {tightest.time:.1f} s; {_metres(tightest.distance)} m apart"
+        remark += f", {required:.2f} m required" if required > 1e-9 else ""
+        facts.append(("Tightest margin", f"{_metres(tightest.margin)} m", remark))
     tracking = certificate.tracking
     mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
     if not is_driven(plan):
-        facts.append(["Tip error", _length(tracking.max_error), mean])
+        facts.append(("Tip error", _length(tracking.max_error), mean))
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)
-        facts.append(["Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"])
-    facts.append(["Duration", f"{plan.trajectory.duration:.1f} s", ""])
+        facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
+    facts.append(("Duration", f"{plan.trajectory.duration:.1f} s", ""))
     energy = metrics.get("energy")
     work = energy.get("work") if isinstance(energy, dict) else None
     if isinstance(work, (int, float)):
-        facts.append(["Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", ""])
+        facts.append(("Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", ""))
     taken = metrics.get("planning_time")
     if is_driven(plan):
-        facts.append(["Recording", "driven by hand", "; ".join(left_out(plan))])
+        facts.append(("Recording", "driven by hand", "; ".join(left_out(plan))))
     elif isinstance(taken, (int, float)):
-        facts.append(["Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"])
+        facts.append(("Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"))
     return facts
 
 
@@ -135,21 +146,9 @@ def _length(value: float) -> str:
     return f"{1000.0 * value:.1f} mm" if value < 0.1 else f"{value:.2f} m"
 
 
-def _margin(spot: Nearest | None) -> float | None:
-    return None if spot is None else round(spot.margin, 3)
+def _margins(spots: tuple[Nearest | None, ...]) -> list[float | None]:
+    return [None if spot is None else round(spot.margin, 3) for spot in spots]
 
 
-def _link(spot: Nearest | None, links: dict[str, int]) -> int:
-    return -1 if spot is None else links[spot.link]
-
-
-def _view(view: View) -> dict[str, Any]:
-    return {
-        "target": _rounded(view.target),
-        "direction": _rounded(view.direction),
-        "distances": [_rounded(pair) for pair in view.distances],
-    }
-
-
-def _rounded(values: Any) -> list[float]:
-    return [round(float(value), 4) for value in values]
+def _links(spots: tuple[Nearest | None, ...], index: dict[str, int]) -> list[int]:
+    return [-1 if spot is None else index[spot.link] for spot in spots]

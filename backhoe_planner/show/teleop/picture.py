@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -15,8 +14,8 @@ from backhoe_planner.motion import build_problem
 from backhoe_planner.show.drawing.drawing import mesh, set_property
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
 from backhoe_planner.show.drawing.solids import facets
-from backhoe_planner.show.page.page_content import problem_content, step_content
-from backhoe_planner.show.page.recording import Recording
+from backhoe_planner.show.page.display import Display
+from backhoe_planner.show.page.page_content import tell_problem, tell_step
 from backhoe_planner.show.teleop.session import LARGEST_FORCE, Session, Snapshot
 from backhoe_planner.show.teleop.wording import Wording
 from backhoe_planner.site import Obstacle
@@ -39,7 +38,7 @@ class Picture:
     Parameters
     ----------
     session: of which the first snapshot is drawn at once.
-    recording: to draw and tell through.
+    display: to draw and tell through.
 
     Attributes
     ----------
@@ -48,9 +47,9 @@ class Picture:
     An obstacle that cannot be drawn is left out of the picture, and the pages are told.
     """
 
-    def __init__(self, session: Session, recording: Recording) -> None:
-        self._recording = recording
-        self._tree = recording.visualizer()
+    def __init__(self, session: Session, display: Display) -> None:
+        self._display = display
+        self._tree = display.visualizer()
         problem = build_problem(session.robot, session.scene)
         self._problem = replace(problem, goal=None, path=None)
         first = session.snapshot()
@@ -59,8 +58,7 @@ class Picture:
         rng = np.random.default_rng(0)
         around = [first.state.q + 0.5 * (session.robot.random_q(rng) - first.state.q) for _ in range(_POSTURES)]
         self._view = self._graph.look_at_postures([first.state.q, *around])
-        self._anchors = {drawn.name: np.array(drawn.anchor) for drawn in self._graph.site}
-        self._taken_up = tuple(obstacle.name for obstacle in self._problem.obstacles)
+        self._known = tuple(obstacle.name for obstacle in self._problem.obstacles)
         self._undrawn: frozenset[str] = frozenset()
         self._wording = Wording()
         self._draw_arrow()
@@ -70,81 +68,70 @@ class Picture:
     def show(self, snapshot: Snapshot) -> None:
         """Bring the picture and its numbers up to date."""
         names = tuple(obstacle.name for obstacle in snapshot.obstacles)
-        if names != self._taken_up:
+        if names != self._known:
             self._take_up(snapshot.obstacles)
             self._tell_problem(snapshot)
-        self._graph.move(snapshot.state.q)
-        for name in names:
-            if name not in self._undrawn:
-                self._graph.place(name, snapshot.shifts[name])
-        for name, spot in snapshot.nearest.items():
-            if name not in self._undrawn:
-                self._graph.point(name, spot)
-        self._place_arrow(snapshot)
         state = snapshot.state
-        self._recording.tell(
-            step_content(state.time, state.q, tuple(snapshot.nearest.values()), self._problem.robot.link_names)
-        )
-        self._recording.tell(self._content(snapshot))
+        self._graph.move(state.q)
+        for name in set(names) - self._undrawn:
+            self._graph.place(name, snapshot.shifts[name])
+        for name in snapshot.nearest.keys() - self._undrawn:
+            self._graph.point(name, snapshot.nearest[name])
+        self._place_arrow(snapshot)
+        tell_step(
+            self._display, state.q, time=state.time, nearest=tuple(snapshot.nearest.values()),
+            links=self._problem.robot.link_names,
+        )  # fmt: skip
+        self._display.tell("teleop", self._content(snapshot))
 
     def _take_up(self, obstacles: tuple[Obstacle, ...]) -> None:
         there = {obstacle.name: obstacle for obstacle in obstacles}
-        for name in [name for name in self._anchors if name not in there]:
-            del self._anchors[name]
+        drawn = set(self._known) - self._undrawn
+        for name in drawn - there.keys():
             self._graph.remove(name)
         self._undrawn &= there.keys()
-        for name in [name for name in there if name not in self._anchors and name not in self._undrawn]:
+        for name in [name for name in there if name not in drawn and name not in self._undrawn]:
             try:
-                self._anchors[name] = np.array(self._graph.add(there[name]))
+                self._graph.add(there[name])
             except Exception as error:  # noqa: BLE001  it is there all the same, and the rest is still to be seen
                 self._undrawn |= {name}
-                self._recording.tell({"type": "trouble", "text": f"{name} cannot be drawn: {type(error).__name__}"})
-        self._taken_up = tuple(there)
+                self._display.tell("trouble", {"text": f"{name} cannot be drawn: {type(error).__name__}"})
+        self._known = tuple(there)
 
     def _tell_problem(self, snapshot: Snapshot) -> None:
-        problem = replace(self._problem, obstacles=snapshot.obstacles)
-        content = problem_content(problem, self._graph, self._view, tuple(snapshot.nearest))
-        content["subtitle"] = f"{problem.robot.name}, driven live"
-        for listed in content["obstacles"]:
-            anchor = self._anchors.get(listed["name"])
-            listed["anchor"] = None if anchor is None else [round(float(x), 4) for x in anchor]
-            listed["velocity"], listed["appears_at"] = None, 0.0  # where it is, is told step by step
-        self._recording.tell(content)
+        # where an obstacle is, is told step by step
+        still = tuple(replace(o, velocity=np.zeros(3), appears_at=0.0) for o in snapshot.obstacles)
+        problem = replace(self._problem, obstacles=still)
+        tell_problem(self._display, problem, self._graph, self._view, tuple(snapshot.nearest), task="driven live")
 
     def _content(self, snapshot: Snapshot) -> dict[str, Any]:
-        state = snapshot.state
-        anchors = {}
-        for name, shift in snapshot.shifts.items():
-            if shift is not None and name in self._anchors:
-                anchors[name] = [round(float(x), 3) for x in self._anchors[name] + shift]
-        speed = float(np.linalg.norm(state.tip_velocity))
-        told = self._wording.next(state, asked=snapshot.asked)
+        state, anchors = snapshot.state, self._graph.anchors
+        shifts = {name: shift for name, shift in snapshot.shifts.items() if shift is not None}
         return {
-            "type": "teleop",
-            "time": round(state.time, 3),
+            "time": state.time,
             "status": state.status.value,
             "asked": snapshot.asked,
-            "told": {"kind": told.kind, "word": told.word, "more": told.more},
-            "pace": round(state.pace, 3),
-            "margin": round(state.margin, 4) if math.isfinite(state.margin) else None,
+            "told": self._wording.next(state, asked=snapshot.asked)._asdict(),
+            "pace": state.pace,
+            "margin": state.margin,
             "link": state.link,
             "obstacle": state.obstacle,
-            "tip": [round(float(x), 4) for x in state.tip_position],
-            "speed": round(speed, 3),
-            "force": round(float(np.linalg.norm(state.feedback_force)), 2),
+            "tip": state.tip_position,
+            "speed": np.linalg.norm(state.tip_velocity),
+            "force": np.linalg.norm(state.feedback_force),
             "largest_force": LARGEST_FORCE,
             "has_pitch": self._problem.robot.has_pitch,
-            "zones": dict(snapshot.zones),
-            "anchors": anchors,
-            "shifts": {n: [round(float(x), 4) for x in s] for n, s in snapshot.shifts.items() if s is not None},
-            "nodes": {n: self._graph.node_of(n) for n in sorted(snapshot.movable - self._undrawn)},
-            "movable": sorted(snapshot.movable),
-            "taken": list(snapshot.taken),
+            "zones": snapshot.zones,
+            "anchors": {name: anchors[name] + shift for name, shift in shifts.items() if name in anchors},
+            "shifts": shifts,
+            "nodes": {name: self._graph.node_of(name) for name in sorted(snapshot.movable - self._undrawn)},
+            "movable": snapshot.movable,
+            "taken": snapshot.taken,
             "driver": snapshot.driver,
-            "pages": list(snapshot.pages),
-            "asking": list(snapshot.asking),
+            "pages": snapshot.pages,
+            "asking": snapshot.asking,
             "recording": snapshot.recording,
-            "recorded": round(snapshot.recorded, 2),
+            "recorded": snapshot.recorded,
             "circulate": snapshot.circulate,
             "failure": snapshot.failure,
         }

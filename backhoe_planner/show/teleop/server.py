@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from backhoe_planner.show.teleop.driving_page import teleop_page
+from backhoe_planner.show.page.page import live_page, read_parts
 from backhoe_planner.show.teleop.session import Session
 from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 
@@ -45,7 +45,9 @@ class TeleopServer(LiveServer):
 
     def routes(self) -> list[Any]:
         """What is served; tornado's rules."""
+        css, body, script = read_parts("backhoe_planner.show.teleop", "teleop.css", "teleop.html", "teleop.js")
+        page = live_page(css=css, body=body, script=script)
         return [
-            ("/", LivePage, {"page": teleop_page(), "server": self}),
+            ("/", LivePage, {"page": page, "server": self}),
             ("/socket", _Socket, {"server": self}),
         ]

@@ -63,7 +63,7 @@ class TeleopStation:
         self.session = Session(robot, scene, dt=dt)
         self._server = TeleopServer(self.session, host=host, port=port)
         try:
-            self._picture = Picture(self.session, self._server.recording)
+            self._picture = Picture(self.session, self._server.display)
         except Exception:
             self._server.close()
             raise
@@ -135,14 +135,14 @@ class TeleopStation:
         """Show what is; a picture that fails is told once, and the machine is driven on."""
         if self.session.failure and not self._told_failure:
             self._told_failure = True
-            self._server.recording.tell({"type": "trouble", "text": self.session.failure})
+            self._server.display.tell("trouble", {"text": self.session.failure})
         try:
             self._picture.show(self.session.snapshot())
         except Exception as error:  # noqa: BLE001  whatever it was, the machine must be stepped on
             if not self._told_unshown:
                 self._told_unshown = True
                 text = f"the picture cannot be drawn ({type(error).__name__}) and may be out of date"
-                self._server.recording.tell({"type": "trouble", "text": text})
+                self._server.display.tell("trouble", {"text": text})
 
     def _write(self) -> None:
         while (recording := self._recordings.get()) is not None:
@@ -162,12 +162,12 @@ class TeleopStation:
                 continue
             visits = len(plan.details.get("zones", ()))
             self._tell(
-                file=str(file), verdict=plan.verdict, seconds=round(recording.duration, 2), zones=visits,
-                left_out=list(recording.notes),
+                file=str(file), verdict=plan.verdict, seconds=recording.duration, zones=visits,
+                left_out=recording.notes,
             )  # fmt: skip
 
     def _tell(self, **content: object) -> None:
-        self._server.recording.tell({"type": "recorded", **content})
+        self._server.display.tell("recorded", content)
 
 
 def free_name(path: Path) -> Path:

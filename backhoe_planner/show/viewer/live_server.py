@@ -21,17 +21,17 @@ import tornado.web
 import tornado.websocket
 
 from backhoe_planner.errors import OutputError
+from backhoe_planner.show.page.display import Display, Key, Message, Messages
 from backhoe_planner.show.page.page import live_page
-from backhoe_planner.show.page.recording import Key, Message, Recording
 
 __all__ = ["LivePage", "LiveServer", "LiveSocket"]
 
-_FIRST_PORT, _PORTS = 7000, 100
-_FLUSH_EVERY = 0.02  # s
-_LARGEST_MESSAGE = 4 << 20  # bytes; what is sent beyond that ends the connection
-_MOST_PAGES = 64
+_FIRST_PORT, _PORTS = 7000, 100  # where meshcat's own server begins, too
+_FLUSH_EVERY = 0.02  # s between deliveries: less than a frame at 30 a second
+_LARGEST_MESSAGE = 4 << 20  # bytes; a page that sends more is cut off. A driving one sends some hundred
+_MOST_PAGES = 64  # each costs memory for what waits for it
 _MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; a driving one needs some 60
-_MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread
+_MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread: thousands of answers
 _FAREWELL = 0.5  # s within which a page that is shut out may still read why
 
 
@@ -79,7 +79,7 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
     def initialize(self, server: LiveServer) -> None:
         """Take what the route gives."""
         self.server = server
-        self.waiting: dict[Key, Message] = {}
+        self.waiting = Messages()
         self._shut_out = False
         self._unread = 0
         self._may_send, self._counted_at = _MESSAGES_AT_ONCE, time.monotonic()
@@ -106,7 +106,7 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
         connection = self.ws_connection
         if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
             return
-        messages, self.waiting = self.waiting, {}
+        messages, self.waiting = self.waiting, Messages()
         for message in messages.values():
             if not self.hand_out(message):
                 return
@@ -170,7 +170,7 @@ class LiveServer:
 
     Attributes
     ----------
-    recording: draw and tell through it.
+    display: draw and tell through it.
     url: where the page is.
     somebody_watches: set while at least one page is open that has drawn the picture.
     left_at: when the last page was closed, by `time.monotonic` [s]; None before that.
@@ -181,7 +181,7 @@ class LiveServer:
     """
 
     def __init__(self, *, host: str = "127.0.0.1", port: int | None = None) -> None:
-        self.recording = Recording(self._post)
+        self.display = Display(self._post)
         self.somebody_watches = threading.Event()
         self.left_at: float | None = None
         self._pages: set[LiveSocket] = set()
@@ -204,7 +204,7 @@ class LiveServer:
 
     def add(self, page: LiveSocket) -> None:
         """A page has connected; it is brought up to date."""
-        page.waiting = dict(self.recording.messages())
+        page.waiting = self.display.messages()
         self._pages.add(page)
         self.left_at = None
 
@@ -286,17 +286,8 @@ class LiveServer:
             fresh, self._fresh = self._fresh, []
         for page in list(self._pages):
             for key, message in fresh:
-                _await(page.waiting, key, message)
+                page.waiting.put(key, message)
             page.bring()
-
-
-def _await(waiting: dict[Key, Message], key: Key, message: Message) -> None:
-    if key[0] == "delete":
-        below = key[1].rstrip("/") + "/"
-        for other in [k for k in waiting if k[1] == key[1] or k[1].startswith(below)]:
-            del waiting[other]
-    waiting.pop(key, None)
-    waiting[key] = message
 
 
 def _listen(host: str, port: int | None) -> socket.socket:

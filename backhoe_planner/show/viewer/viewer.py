@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError
-from backhoe_planner.live import shown_problem
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan
-from backhoe_planner.show.drawing.scene_graph import GROUPS, SceneGraph
-from backhoe_planner.show.drawing.timeline import nearest_spots, obstacle_names, sight, timeline
-from backhoe_planner.show.page.page_content import plan_content, problem_content, step_content
+from backhoe_planner.show.drawing.scene_graph import SceneGraph
+from backhoe_planner.show.drawing.timeline import nearest_spots, obstacle_names, sight
+from backhoe_planner.show.page.page_content import show_plan, tell_problem, tell_step
 from backhoe_planner.show.viewer.live_server import LiveServer
 from backhoe_planner.site import Proximity
 
@@ -23,9 +22,9 @@ __all__ = ["Viewer"]
 
 Vector = NDArray[np.float64]
 
-_FRAME = 1.0 / 30.0  # s between drawn steps
-_GRACE = 4.0  # s within which a page may be loaded again
-_SHARE = 0.04  # of the caller's time that drawing may take
+_FRAME = 1.0 / 30.0  # s between drawn steps: fluent for the eye
+_GRACE = 4.0  # s within which a page may be loaded again; a slow browser takes one or two
+_SHARE = 0.04  # of the caller's time that drawing may take, so that planning is not noticeably slower
 
 
 class Viewer:
@@ -54,8 +53,6 @@ class Viewer:
     def __init__(self, *, host: str = "127.0.0.1", port: int | None = None) -> None:
         self._thread = threading.get_ident()
         self._server = LiveServer(host=host, port=port)
-        self._visualizer = self._server.recording.visualizer()
-        self._problem: Problem | None = None
         self._graph: SceneGraph | None = None
         self._proximity: Proximity | None = None
         self._obstacles: tuple[str, ...] = ()
@@ -100,11 +97,11 @@ class Viewer:
         What could not be drawn as the URDF asks, in words.
         """
         self._check_thread()
-        recording = self._server.recording
-        for kind in ("problem", "plan", "step"):
-            recording.forget(kind)
-        graph = self._draw(problem, None)
-        recording.tell(problem_content(problem, graph, graph.view(), self._obstacles))
+        display = self._server.display
+        display.forget("problem", "plan", "step")
+        graph = SceneGraph(display.visualizer(), problem)
+        self._take_up(graph)
+        tell_problem(display, problem, graph, graph.view(), self._obstacles)
         return graph.warnings
 
     def show_step(self, q: Vector, time: float = 0.0) -> bool:
@@ -125,12 +122,13 @@ class Viewer:
         if begun < self._next_frame:
             return False
         self._check_thread()
-        if self._problem is None or self._graph is None or self._proximity is None:
+        if self._graph is None or self._proximity is None:
             raise InputError("show a problem first", key="show_step")
-        posture = self._problem.robot.check_q(q)
-        spots = nearest_spots(self._proximity, self._obstacles, posture, time=time, within=sight(self._problem))
+        problem = self._graph.problem
+        posture = problem.robot.check_q(q)
+        spots = nearest_spots(self._proximity, self._obstacles, posture, time=time, within=sight(problem))
         self._graph.move(posture, time=time, nearest=spots)
-        self._server.recording.tell(step_content(time, posture, spots, self._problem.robot.link_names))
+        tell_step(self._server.display, posture, time=time, nearest=spots, links=problem.robot.link_names)
         ended = clock.perf_counter()
         self._next_frame = ended + max(_FRAME, (ended - begun) / _SHARE)
         return True
@@ -143,17 +141,10 @@ class Viewer:
         What could not be drawn as the URDF asks, in words.
         """
         self._check_thread()
-        recording = self._server.recording
-        problem = shown_problem(plan)
-        for kind in ("problem", "plan", "step"):
-            recording.forget(kind)
-        graph = self._draw(problem, plan.trajectory.q[0])
-        frames = timeline(problem, plan.trajectory)
-        graph.draw_trace(frames.tip)
-        view = graph.look_at_motion(frames)
-        self._visualizer.set_animation(graph.animation(frames), play=False)
-        recording.tell(problem_content(problem, graph, view, frames.obstacles))
-        recording.tell(plan_content(plan, frames, view))
+        display = self._server.display
+        display.forget("problem", "plan", "step")
+        graph = show_plan(display, plan)
+        self._take_up(graph)
         return graph.warnings
 
     def close(self) -> None:
@@ -168,15 +159,12 @@ class Viewer:
     ) -> None:
         self.close()
 
-    def _draw(self, problem: Problem, q: Vector | None) -> SceneGraph:
-        for group in GROUPS:
-            self._visualizer[group].delete()
-        self._problem = problem
-        self._graph = SceneGraph(self._visualizer, problem, q=q)
+    def _take_up(self, graph: SceneGraph) -> None:
+        problem = graph.problem
+        self._graph = graph
         self._proximity = Proximity(problem.robot, problem.obstacles)
         self._obstacles = obstacle_names(problem, self._proximity)
         self._next_frame = 0.0
-        return self._graph
 
     def _check_thread(self) -> None:
         if threading.get_ident() != self._thread:

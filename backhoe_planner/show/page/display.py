@@ -1,0 +1,109 @@
+"""What has been drawn and told, as messages for the page in the browser.
+
+A `Display` stands where ``meshcat.Visualizer`` expects its window, so that drawing needs
+no server: the messages go into a page, or to browsers that are connected.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import meshcat
+import numpy as np
+import umsgpack
+
+__all__ = ["Display", "Key", "Message", "Messages"]
+
+Key = tuple[str, str, str]  # kind, path or what is told, property
+Message = bytes | str
+
+_DIGITS = 4  # after the point: 0.1 mm, 0.1 ms and 0.006 degrees are finer than a page shows
+
+
+class Messages(dict[Key, Message]):
+    """Of several messages about the same thing only the newest, in the order in which they came."""
+
+    def put(self, key: Key, message: Message) -> None:
+        """Keep a message; one that deletes a node replaces all that were about it or below it."""
+        kind, path, _ = key
+        if kind == "delete":
+            below = path.rstrip("/") + "/"
+            for other in [k for k in self if k[1] == path or k[1].startswith(below)]:
+                del self[other]
+        self.pop(key, None)  # the newest one also comes last
+        self[key] = message
+
+
+class Display:
+    """Keeps the messages that lead to the present picture.
+
+    Drawing commands are bytes, for meshcat's viewer; what is told is JSON, for the
+    page around it. One thread may write while others read.
+
+    Parameters
+    ----------
+    listener: is handed every message as it comes.
+    """
+
+    def __init__(self, listener: Callable[[Key, Message], None] | None = None) -> None:
+        self._messages = Messages()
+        self._listener = listener
+        self._lock = threading.Lock()
+
+    def messages(self) -> Messages:
+        """All that a browser needs to show the present picture."""
+        with self._lock:
+            return Messages(self._messages)
+
+    def visualizer(self) -> Any:
+        """A ``meshcat.Visualizer`` that draws on this display, at the root of the tree."""
+        return meshcat.Visualizer(window=self)["/"]
+
+    def send(self, command: Any) -> None:
+        """Take a meshcat command."""
+        content = command.lower()
+        key = (str(content["type"]), str(content["path"]), str(content.get("property", "")))
+        self._post(key, umsgpack.packb(content))
+
+    def tell(self, kind: str, content: Mapping[str, Any]) -> None:
+        """Tell the page something of a `kind`: names and values as `plain` takes them."""
+        told = plain({"type": kind, **content})
+        self._post(("tell", kind, ""), json.dumps(told, allow_nan=False, separators=(",", ":")))
+
+    def forget(self, *kinds: str) -> None:
+        """No longer tell what was told under these kinds."""
+        with self._lock:
+            for kind in kinds:
+                self._messages.pop(("tell", kind, ""), None)
+
+    def _post(self, key: Key, message: Message) -> None:
+        with self._lock:
+            self._messages.put(key, message)
+            if key[0] == "delete":
+                del self._messages[key]  # a browser that comes later has nothing to delete
+        if self._listener is not None:
+            self._listener(key, message)
+
+
+def plain(value: Any) -> Any:
+    """`value` as JSON has it.
+
+    Numbers are rounded, those that are not finite become null. Arrays, tuples and sets become
+    lists, sets in order. A record becomes an object with its fields.
+    """
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    if isinstance(value, float):
+        return round(value, _DIGITS) if math.isfinite(value) else None
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(part) for key, part in value.items()}
+    if isinstance(value, (set, frozenset)):
+        return [plain(part) for part in sorted(value)]
+    return [plain(part) for part in value] if isinstance(value, (list, tuple)) else value
