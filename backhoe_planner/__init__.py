@@ -15,3 +15,5 @@ SI units and radians everywhere; x away from the machine, y left, z up.
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+__version__ = "0.1.0"

@@ -1,4 +1,4 @@
-from .completed import CompletedLaw, activation, push_factor
+from .completed import CompletedLaw, Wish, activation, push_factor
 from .directionality import (
     LinkChain,
     Magnification,
@@ -10,10 +10,10 @@ from .directionality import (
     link_velocities,
 )
 from .law import general_solution, joint_velocity, null_space_term, projector
-from .null_space import pseudo_inverse, resolve
+from .null_space import Resolved, pseudo_inverse, resolve
 from .on_path import step_on_path
 from .paper_iteration import ITERATIONS, Push, paper_gains, paper_step, run_iteration
-from .qp import PRICE, UNBOUNDED, Kind, QuadraticProgram, Rows, Solution, solve_program
+from .qp import PRICE, UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
 from .shield import Shield, Shielded
 
 __all__ = [
@@ -27,10 +27,11 @@ __all__ = [
     "Push",
     "QuadraticProgram",
     "Reference",
+    "Resolved",
     "Rows",
     "Shield",
     "Shielded",
-    "Solution",
+    "Wish",
     "activation",
     "all_link_jacobians",
     "all_link_velocities",

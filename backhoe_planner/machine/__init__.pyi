@@ -5,6 +5,7 @@ from .collision_model import geometry_model, self_pairs
 from .description.hydraulics_file import HydraulicsRecord
 from .description.urdf import example_names, read_urdf, shipped
 from .dynamics import GRAVITY, Dynamics, MotionEnergy, motion_energy
+from .hydraulics.cylinder import Cylinder
 from .hydraulics.hydraulics import BothWays, Hydraulics
 from .hydraulics.linkage import FourBar, Triangle
 from .kinematics.inverse_kinematics import InverseKinematics, solve_batch, solve_inverse_kinematics
@@ -21,6 +22,7 @@ __all__ = [
     "BothWays",
     "Configuration",
     "ConfigurationBatch",
+    "Cylinder",
     "DiggingForces",
     "Dynamics",
     "Envelope",

@@ -1,5 +1,5 @@
 from .costs import PathCost, trajectory_costs, trajectory_energy
-from .objectives import OBJECTIVES, Nodes, Objective
+from .objectives import OBJECTIVES, Nodes
 from .path import TipPath, step_lengths
 from .problem import Problem, build_problem, hand_set_gains
 from .smooth_way import SmoothWay
@@ -9,7 +9,7 @@ from .timing.retiming import DRIVEN_WITHIN, retimed
 from .timing.time_optimal import Rows, fastest
 from .timing.timing import time_along, time_polyline, time_way
 from .tracking import Detour, Tracking, progress, track_goal, track_path
-from .trajectory import SAMPLE_PERIOD, Trajectory, chord_sagitta
+from .trajectory import SAMPLE_PERIOD, Moments, Trajectory, chord_sagitta
 
 __all__ = [
     "DRIVEN_WITHIN",
@@ -18,8 +18,8 @@ __all__ = [
     "Detour",
     "Drive",
     "LimitUsage",
+    "Moments",
     "Nodes",
-    "Objective",
     "PathCost",
     "Problem",
     "Rows",

@@ -1,7 +1,7 @@
 from .clearance_screen import ClearanceScreen
 from .limits import scaled_limits, within_sectors
 from .obstacles import Obstacle, build_obstacle, build_obstacles, swept
-from .obstruction import Obstruction, ObstructionKind
+from .obstruction import Obstruction
 from .proximity import Nearby, Pair, Proximity
 from .scene_file import (
     Box,
@@ -35,7 +35,6 @@ __all__ = [
     "Nearby",
     "Obstacle",
     "Obstruction",
-    "ObstructionKind",
     "Pair",
     "Pose",
     "Proximity",

@@ -1,0 +1,108 @@
+"""What is public is listed once, whole and in use."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import pydoc
+import re
+import typing
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import backhoe_planner
+
+ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
+PACKAGE = ROOT / "backhoe_planner"
+ROOMS = sorted(door.parent.name for door in PACKAGE.glob("*/__init__.pyi"))
+PUBLIC = {name: getattr(backhoe_planner, name) for name in backhoe_planner.__all__}
+# what a scene file holds is described by `scene_schema`, a machine by its URDF
+FILE_ENTRIES = tuple(
+    f"backhoe_planner.{part}"
+    for part in ("site.scene_file", "site.obstacle_shapes", "machine.description", "machine.robot")
+)
+
+
+def listed(door: Path) -> list[str]:
+    """The names in `__all__` of a stub."""
+    for node in ast.parse(door.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return list(ast.literal_eval(node.value))
+    raise AssertionError(f"{door} has no __all__")
+
+
+def test_the_list_is_what_can_be_imported() -> None:
+    assert sorted(listed(PACKAGE / "__init__.pyi")) == sorted(backhoe_planner.__all__)
+    assert all(inspect.isclass(thing) or inspect.isfunction(thing) for thing in PUBLIC.values())
+
+
+def test_the_version_is_that_of_the_installed_package() -> None:
+    assert backhoe_planner.__version__ == metadata.version("backhoe_planner")
+
+
+def test_help_shows_every_public_name() -> None:
+    shown = re.sub(".\x08", "", pydoc.render_doc(backhoe_planner))  # bold is a letter struck over itself
+    for name in PUBLIC:
+        assert f"class {name}" in shown or f"\n    {name}(" in shown, name
+
+
+def parts(hint: Any) -> Iterator[type]:
+    """All classes in an annotation."""
+    arguments = typing.get_args(hint)
+    if not arguments and inspect.isclass(hint):
+        yield hint
+    for argument in arguments:
+        for part in argument if isinstance(argument, (list, tuple)) else [argument]:
+            yield from parts(part)
+
+
+def annotated(thing: Any) -> Iterator[Any]:
+    """A function, or a class with its public methods and properties."""
+    yield thing
+    if not inspect.isclass(thing):
+        return
+    for name, member in vars(thing).items():
+        if name.startswith("_") and name != "__init__":
+            continue
+        inner = member.fget if isinstance(member, property) else getattr(member, "__func__", member)
+        if inspect.isfunction(inner) and inner.__module__ == thing.__module__:
+            yield inner
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_what_a_public_name_takes_and_returns_is_public(name: str) -> None:
+    for thing in annotated(PUBLIC[name]):
+        for field, hint in typing.get_type_hints(thing).items():
+            for part in () if field.startswith("_") else parts(hint):
+                own = part.__module__.startswith("backhoe_planner.") and not part.__module__.startswith(FILE_ENTRIES)
+                if own and not getattr(part, "_is_protocol", False):
+                    assert part in PUBLIC.values(), f"{name}: {field} is a {part.__module__}.{part.__name__}"
+
+
+def names_taken(file: Path) -> Iterator[tuple[str, str]]:
+    """(room, name) of everything that a file imports by a door."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            room = node.module if node.level == 1 else node.module.removeprefix("backhoe_planner.")
+            if room in ROOMS:
+                yield from ((room, alias.name) for alias in node.names)
+            elif node.module == "backhoe_planner":
+                whole = {alias.asname or alias.name: alias.name for alias in node.names if alias.name in ROOMS}
+                for used in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if whole else ():
+                    if isinstance(used, ast.Attribute) and isinstance(used.value, ast.Name) and used.value.id in whole:
+                        yield whole[used.value.id], used.attr
+
+
+def test_nothing_in_a_door_is_unused() -> None:
+    taken = set()
+    for folder in (PACKAGE, ROOT / "tests", ROOT / "validation", ROOT / "scripts"):
+        for file in folder.rglob("*.py"):
+            own = file.relative_to(PACKAGE).parts[0] if file.is_relative_to(PACKAGE) else ""
+            taken |= {(room, name) for room, name in names_taken(file) if room != own}
+    taken |= set(names_taken(PACKAGE / "__init__.pyi"))
+    unused = {(room, name) for room in ROOMS for name in listed(PACKAGE / room / "__init__.pyi")} - taken
+    assert not unused
