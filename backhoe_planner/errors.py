@@ -15,6 +15,10 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = [
     "InputError",
@@ -68,6 +72,16 @@ class InputError(PlannerError, ValueError):
         if hint is not None:
             text += f" ({hint})"
         super().__init__(text)
+
+    @classmethod
+    def unknown_name(
+        cls, problem: str, name: str, *, names: Iterable[str], file: str | Path | None = None, key: str | None = None
+    ) -> Self:
+        """That `name` is none of `names`; the message lists them and says which looks most like it."""
+        known = list(names)
+        near = nearest_name(name, known)
+        hint = f"did you mean {near!r}?" if near else None
+        return cls(problem, file=file, key=key, found=name, allowed=", ".join(known), hint=hint)
 
 
 class RobotError(InputError):

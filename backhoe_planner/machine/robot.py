@@ -18,7 +18,7 @@ import yourdfpy
 from lxml import etree
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import InputError, RobotError, nearest_name
+from backhoe_planner.errors import InputError, RobotError
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
@@ -339,22 +339,15 @@ def _checked_tip(urdf: Urdf, tip: str | None) -> str:
             hint="`tip:` in the scene file, --tip for inspect, tip= in the library",
         )
     if tip not in links:
-        near = nearest_name(tip, links)
-        raise RobotError(
-            "the URDF has no such link",
-            file=urdf.path,
-            key="tip",
-            found=tip,
-            allowed=", ".join(links),
-            hint=f"did you mean {near!r}?" if near else None,
-        )
+        raise RobotError.unknown_name("the URDF has no such link", tip, names=links, file=urdf.path, key="tip")
     return tip
 
 
 def _chain_model(urdf: Urdf, moving: set[str]) -> pin.Model:
     """Pinocchio's model in which only the joints named in `moving` move.
 
-    The others are made fixed where they are held: at 0, or the limit nearest to it.
+    The others are made fixed where they are held: at 0, or the limit nearest to it. Pinocchio's own
+    `buildReducedModel` refuses a machine whose links are named as its joints.
     """
     root = etree.fromstring(urdf.xml)
     for element in root.findall("link"):

@@ -68,13 +68,13 @@ class ClearanceScreen:
                 if proximity.appears_at[index] > time:
                     found[:, index] = np.inf
                     continue
-                here = (owner, proximity.part_of(index))
+                here = (owner, proximity.second[index])
                 if here != last:
                     off = self._off_box(centres, owner, here[1], time)
                     last = here
                 found[:, index] = np.min(off[:, own] - self._radii[own], axis=1)
             else:
-                other = proximity.other_piece(index)
+                other = proximity.second[index]
                 across = slice(self._first[other], self._first[other + 1])
                 apart = np.linalg.norm(centres[:, own, None, :] - centres[:, None, across, :], axis=3)
                 reach = self._radii[own, None] + self._radii[None, across]

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import InputError, SceneError, nearest_name
+from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import scene_file
@@ -79,14 +79,8 @@ def build_obstacles(scene: scene_file.Scene, robot: Robot) -> tuple[Obstacle, ..
     for key, spec, record in solids:
         for link in spec.links or ():
             if link not in robot.all_link_names:
-                near = nearest_name(link, robot.all_link_names)
-                raise SceneError(
-                    "the machine has no such link",
-                    file=scene.file,
-                    key=f"{key}.links",
-                    found=link,
-                    allowed=", ".join(robot.link_names),
-                    hint=f"did you mean {near!r}?" if near else None,
+                raise SceneError.unknown_name(
+                    "the machine has no such link", link, names=robot.link_names, file=scene.file, key=f"{key}.links"
                 )
         try:
             found = build_obstacle(spec, folder=scene.folder, clearance=scene.clearance)

@@ -106,6 +106,7 @@ class Proximity:
     travel: (P, n) r of every pair: |dq| @ travel bounds how much the distance changes.
     speed: (P,) of the obstacle [m/s].
     owner: (P,) index of the obstacle, -1 for the machine itself.
+    second: (P,) index of the other body's piece: of the obstacle's, or of the machine's own.
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle] = (), *, self_collision: bool = True) -> None:
@@ -150,7 +151,7 @@ class Proximity:
         self.travel = np.array(travel).reshape(count, robot.n)
         self.clearance = np.array([pair.clearance for pair in pairs])
         self.owner = np.array(owner, dtype=int)
-        self._second = tuple(second)
+        self.second = tuple(second)
         self._other_joint = np.array(other, dtype=int)
         self._first_geometry = first_of
         joint_of = np.array([robot.pieces[pair.piece].joint for pair in pairs], dtype=int)
@@ -288,14 +289,6 @@ class Proximity:
             self._measure(pair).min_distance >= bound
             for pair, bound in zip(pairs.tolist(), least.tolist(), strict=True)
         )
-
-    def part_of(self, pair: int) -> int:
-        """Which piece of its obstacle a pair is about."""
-        return self._second[pair]
-
-    def other_piece(self, pair: int) -> int:
-        """The machine's own piece that must not be touched, of a pair with ``owner`` -1."""
-        return self._second[pair]
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""

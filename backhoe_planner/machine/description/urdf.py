@@ -7,6 +7,7 @@ exist on disk.
 
 from __future__ import annotations
 
+import graphlib
 import hashlib
 import logging
 import math
@@ -388,14 +389,8 @@ def _check_tree(robot: yourdfpy.Robot, path: Path) -> None:
     for joint in robot.joints:
         for end, link in (("parent", joint.parent), ("child", joint.child)):
             if link not in links:
-                near = nearest_name(link, links)
-                raise RobotError(
-                    f"{end} link does not exist",
-                    file=path,
-                    key=f"joint {joint.name!r}",
-                    found=link,
-                    hint=f"did you mean {near!r}?" if near else None,
-                )
+                key = f"joint {joint.name!r}"
+                raise RobotError.unknown_name(f"{end} link does not exist", link, names=links, file=path, key=key)
         if joint.child in children:
             raise RobotError(
                 f"link {joint.child!r} hangs on two joints: {children[joint.child]!r} and {joint.name!r}", file=path
@@ -406,14 +401,11 @@ def _check_tree(robot: yourdfpy.Robot, path: Path) -> None:
         raise RobotError(
             "the links do not form one tree", file=path, found=f"roots: {', '.join(roots) or 'none (a loop)'}"
         )
-    reached = {roots[0]}
-    grown = True
-    while grown:
-        new = {joint.child for joint in robot.joints if joint.parent in reached} - reached
-        reached |= new
-        grown = bool(new)
-    if len(reached) != len(links):
-        raise RobotError("joints form a loop", file=path, found=", ".join(sorted(set(links) - reached)))
+    try:
+        graphlib.TopologicalSorter({joint.child: [joint.parent] for joint in robot.joints}).prepare()
+    except graphlib.CycleError as error:
+        loop = ", ".join(sorted(set(error.args[1])))
+        raise RobotError("joints form a loop", file=path, found=loop) from error
 
 
 def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:

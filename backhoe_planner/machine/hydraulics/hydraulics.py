@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import InputError, nearest_name
+from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.cylinder import Cylinder
 
 __all__ = ["BothWays", "Hydraulics"]
@@ -87,11 +87,6 @@ class Hydraulics:
     def force_limits(self) -> BothWays:
         """(m,) push (positive) and pull (negative) at relief pressure [N]."""
         return BothWays(self.pressure * self._cap, self.pressure * self._annulus)
-
-    @cached_property
-    def stroke_limits(self) -> Array:
-        """(m, 2) closed and open length [m]."""
-        return np.array([(c.closed, c.open) for c in self.cylinders]).reshape(-1, 2)
 
     @property
     def power_limit(self) -> float:
@@ -165,14 +160,7 @@ class Hydraulics:
             if cylinder.joint == joint:
                 return float(lower), float(upper)
         driven = list(dict.fromkeys(cylinder.joint for cylinder in self.cylinders))
-        near = nearest_name(joint, driven)
-        raise InputError(
-            "no cylinder moves this joint",
-            key="joint",
-            found=joint,
-            allowed=", ".join(driven),
-            hint=f"did you mean {near!r}?" if near else None,
-        )
+        raise InputError.unknown_name("no cylinder moves this joint", joint, names=driven, key="joint")
 
     # --- speed and flow ---------------------------------------------------------
 

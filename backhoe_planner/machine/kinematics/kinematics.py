@@ -31,6 +31,7 @@ def wrap_angle(angle: _Angle) -> _Angle:
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
+@dataclass(eq=False, slots=True)
 class Configuration:
     """Joint positions and what follows from them; read-only.
 
@@ -46,17 +47,12 @@ class Configuration:
         [m], world.
     """
 
-    __slots__ = ("J_world", "T_world_tip", "jacobian", "points", "q", "robot")
-
-    def __init__(
-        self, robot: Robot, q: Vector, T_world_tip: pin.SE3, jacobian: Matrix, J_world: Matrix, points: Matrix
-    ) -> None:
-        self.robot = robot
-        self.q = q
-        self.T_world_tip = T_world_tip
-        self.jacobian = jacobian
-        self.J_world = J_world
-        self.points = points
+    robot: Robot
+    q: Vector
+    T_world_tip: pin.SE3
+    jacobian: Matrix
+    J_world: Matrix
+    points: Matrix
 
     @property
     def tip_position(self) -> Vector:

@@ -22,6 +22,7 @@ from backhoe_planner.machine.shape.shapes import hull, is_flat
 __all__ = ["convex_cover", "load_mesh", "terrain_columns", "voxel_boxes"]
 
 Points = NDArray[np.float64]
+Cells = NDArray[np.int64]
 
 _RESOLUTION = 60_000  # voxels in which V-HACD looks at a mesh: cells of 2.5 % of a cube's edge
 _CORNERS = 48  # of one piece at most: distances take time by their corners
@@ -120,39 +121,24 @@ def voxel_boxes(points: Points, resolution: float) -> list[tuple[Points, Points]
     -------
     (centre (3,), size (3,)) of each box [m].
     """
-    cells = np.unique(np.floor(points / resolution).astype(int), axis=0)
-    boxes: list[_Box] = [(tuple(int(c) for c in cell), (1, 1, 1)) for cell in cells]
+    corner = np.unique(np.floor(points / resolution).astype(np.int64), axis=0)
+    extent = np.ones_like(corner)
     for axis in range(3):
-        boxes = _merged_along(boxes, axis)
-    return [
-        (
-            resolution * (np.array(corner, dtype=float) + 0.5 * np.array(extent, dtype=float)),
-            resolution * np.array(extent, dtype=float),
-        )
-        for corner, extent in boxes
-    ]
+        corner, extent = _merged_along(corner, extent, axis)
+    return list(zip(resolution * (corner + 0.5 * extent), resolution * extent, strict=True))
 
 
-_Box = tuple[tuple[int, ...], tuple[int, ...]]
-
-
-def _merged_along(boxes: list[_Box], axis: int) -> list[_Box]:
-    def line(box: _Box) -> tuple[tuple[int, ...], tuple[int, ...], int]:
-        corner, extent = box
-        rest = tuple(c for i, c in enumerate(corner) if i != axis)
-        across = tuple(e for i, e in enumerate(extent) if i != axis)
-        return rest, across, corner[axis]
-
-    merged: list[_Box] = []
-    for box in sorted(boxes, key=line):
-        if merged:
-            corner, extent = merged[-1]
-            if line(box)[:2] == line(merged[-1])[:2] and corner[axis] + extent[axis] == box[0][axis]:
-                longer = tuple(e + box[1][axis] if i == axis else e for i, e in enumerate(extent))
-                merged[-1] = (corner, longer)
-                continue
-        merged.append(box)
-    return merged
+def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells]:
+    """Boxes of cells (N, 3), with those that continue each other along an axis made one."""
+    across = np.column_stack([values[:, i] for values in (corner, extent) for i in range(3) if i != axis])
+    order = np.lexsort((corner[:, axis], *across.T))
+    corner, extent, across = corner[order], extent[order], across[order]
+    ends = corner[:-1, axis] + extent[:-1, axis]
+    continues = (across[1:] == across[:-1]).all(axis=1) & (corner[1:, axis] == ends)
+    first = np.flatnonzero(np.concatenate(([True], ~continues)))
+    merged = extent[first]
+    merged[:, axis] = np.add.reduceat(extent[:, axis], first)
+    return corner[first], merged
 
 
 def terrain_columns(heights: Points, size: tuple[float, float], *, tolerance: float, depth: float) -> list[Points]:
