@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from backhoe_planner.errors import nearest_name
 from backhoe_planner.files.yaml_text import KeyPath
 
-__all__ = ["Record", "describe", "explain"]
+__all__ = ["Record", "describe", "exactly_one", "explain"]
 
 _BRIEF = 80  # characters: a value that is longer is not repeated in a message
 
@@ -26,6 +26,17 @@ class Record(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True
     )
+
+
+def exactly_one(*keys: str) -> Any:
+    """A check for a `Record`: exactly one of the keys is given."""
+
+    def check(record: Any) -> Any:
+        if sum(getattr(record, key) is not None for key in keys) != 1:
+            raise ValueError(f"exactly one of {', '.join(keys)} must be given")
+        return record
+
+    return model_validator(mode="after")(check)
 
 
 def explain(
@@ -143,23 +154,10 @@ def _keys_at(loc: tuple[str | int, ...], root: type[BaseModel], variants: Mappin
     """The keys that may stand where `loc` points, from the schema itself."""
     node = root
     for part in loc[:-1]:
-        if isinstance(part, int):
-            continue
-        if part in variants and not _field(node, part):
-            node = variants[part]
-            continue
-        field = _field(node, part)
-        if field is not None:
-            models = list(_models_in(field.annotation))
-            node = models[0] if models else node
+        fields = [field for name, field in node.model_fields.items() if part in (name, field.alias)]
+        below = [record for field in fields for record in _models_in(field.annotation)]
+        node = below[0] if below else variants.get(str(part), node)
     return [field.alias or name for name, field in node.model_fields.items()]
-
-
-def _field(model: type[BaseModel], key: str) -> Any:
-    for name, field in model.model_fields.items():
-        if key in (name, field.alias):
-            return field
-    return None
 
 
 def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:

@@ -2,6 +2,9 @@
 
 PyYAML's own loader keeps the last of two equal keys, reads ``1e-3`` as text and
 ``no`` as false; this one does not, and it knows the line on which each key stands.
+ruamel.yaml was tried instead: a key that stands twice is reported there without its path
+and its first line, and lists as keys are accepted. With both put right by hand the code was
+as long as this, and a scene of 20 lines took two to three times as long to read.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ such pairs say nothing and are left out. All others count.
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import lru_cache
 
 import numpy as np
@@ -63,14 +64,9 @@ def _touch_rates(robot: Robot, pairs: list[tuple[int, int]]) -> dict[tuple[str, 
         model.addCollisionPair(pin.CollisionPair(a, b))
     data, geometry = robot.model.createData(), model.createData()
     rng = np.random.default_rng(0)
-    hits: dict[tuple[str, str], int] = {_links(robot, pair): 0 for pair in pairs}
+    hits: Counter[tuple[str, str]] = Counter()
     for _ in range(_SAMPLES):
         pin.computeCollisions(robot.model, data, model, geometry, robot.random_q(rng), False)
-        touching = {
-            _links(robot, pair)
-            for pair, result in zip(pairs, geometry.collisionResults, strict=True)
-            if result.isCollision()
-        }
-        for links in touching:
-            hits[links] += 1
-    return {links: count / _SAMPLES for links, count in hits.items()}
+        results = zip(pairs, geometry.collisionResults, strict=True)
+        hits.update({_links(robot, pair) for pair, result in results if result.isCollision()})
+    return {links: hits[links] / _SAMPLES for links in {_links(robot, pair) for pair in pairs}}

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, field_validator, model_validator
 
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.files.records import Record, describe, explain
+from backhoe_planner.files.records import Record, describe, exactly_one, explain
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import shipped
 from backhoe_planner.site.obstacle_shapes import (
@@ -134,11 +134,7 @@ class Start(Record):
     tip: Pose | None = None
     """Pose of the tip; the joints are found by inverse kinematics."""
 
-    @model_validator(mode="after")
-    def _one_of_two(self) -> Start:
-        if (self.joints is None) == (self.tip is None):
-            raise ValueError("exactly one of joints, tip must be given")
-        return self
+    _one = exactly_one("joints", "tip")
 
 
 class PathTask(Record):
@@ -155,10 +151,10 @@ class PathTask(Record):
     detour: bool = True
     """May the tip leave the path to get around an obstacle?"""
 
+    _one = exactly_one("waypoints", "file")
+
     @model_validator(mode="after")
-    def _waypoints_or_file(self) -> PathTask:
-        if (self.waypoints is None) == (self.file is None):
-            raise ValueError("exactly one of waypoints, file must be given")
+    def _some_length(self) -> PathTask:
         if self.speed is not None and self.speed < 1e-4:
             raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
         if self.waypoints is not None:
@@ -187,11 +183,7 @@ class Task(Record):
     goal: Goal | None = None
     path: PathTask | None = None
 
-    @model_validator(mode="after")
-    def _one_of_two(self) -> Task:
-        if (self.goal is None) == (self.path is None):
-            raise ValueError("exactly one of goal, path must be given")
-        return self
+    _one = exactly_one("goal", "path")
 
 
 class _Zone(Record):

@@ -160,8 +160,8 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
     except ValidationError as error:
         raise RobotError(explain(error, content, root=HydraulicsRecord, lines=lines), file=file) from None
     cylinders = []
-    for index, spec in enumerate(record.cylinders):
-        place = _Place(file, f"cylinders[{index}]", spec.name)
+    places = [_Place(file, f"cylinders[{index}]", spec.name) for index, spec in enumerate(record.cylinders)]
+    for spec, place in zip(record.cylinders, places, strict=True):
         joint = _turning_joint(spec.joint, urdf.joints, place)
         linkage = _linkage(spec, joint, place)
         cylinders.append(
@@ -176,7 +176,6 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
                 flow=record.pump.flow if spec.flow is None else min(spec.flow, record.pump.flow),
             )
         )
-    places = [_Place(file, f"cylinders[{index}]", spec.name) for index, spec in enumerate(record.cylinders)]
     ranges = {}
     for name in dict.fromkeys(cylinder.joint for cylinder in cylinders):
         mine = [(c, place) for c, place in zip(cylinders, places, strict=True) if c.joint == name]

@@ -171,7 +171,7 @@ def read_urdf(source: str | os.PathLike[str]) -> Urdf:
         xml=etree.tostring(root),
         sha256=hashlib.sha256(data).hexdigest(),
         robot=parsed.robot,
-        acceleration=_acceleration_limits(root, path),
+        acceleration=_acceleration_limits(root),
     )
     _check_meshes(urdf)
     return urdf
@@ -312,11 +312,11 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
             if len(numbers) not in wanted:
                 allowed = " or ".join(map(str, wanted))
                 raise RobotError(f"has {len(numbers)} numbers", file=path, key=key, found=repr(text), allowed=allowed)
-            if attribute in ("radius", "length", "size") and min(numbers) <= 0.0:
+            if attribute in ("radius", "length", "size", "acceleration") and min(numbers) <= 0.0:
                 raise RobotError("must be greater than 0", file=path, key=key, found=repr(text))
             if attribute == "scale" and 0.0 in numbers:
                 raise RobotError("must not be 0", file=path, key=key, found=repr(text))
-            if (attribute == "effort" or element.tag == "mass") and min(numbers) < 0.0:
+            if (attribute in ("effort", "velocity") or element.tag == "mass") and min(numbers) < 0.0:
                 raise RobotError("is negative", file=path, key=key, found=repr(text))
 
 
@@ -410,14 +410,9 @@ def _check_tree(robot: yourdfpy.Robot, path: Path) -> None:
 
 def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
     key = f"joint {joint.name!r}"
-    if joint.type in _REFUSED:
-        raise RobotError(
-            f"{_REFUSED[joint.type]}", file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING)
-        )
     if joint.type not in (*_MOVING, "fixed"):
-        raise RobotError(
-            "unknown joint type", file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING)
-        )
+        problem = _REFUSED.get(joint.type, "unknown joint type")
+        raise RobotError(problem, file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING))
     if joint.type == "fixed":
         return
     if joint.axis is not None and float(np.linalg.norm(joint.axis)) < 1e-9:
@@ -435,26 +430,12 @@ def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
     if limit is not None and (limit.velocity is None or limit.effort is None):
         missing = [name for name in ("velocity", "effort") if getattr(limit, name) is None]
         raise RobotError(f"the <limit> has no {' and no '.join(missing)}", file=path, key=key)
-    if limit is not None and limit.velocity < 0.0:
-        raise RobotError("velocity limit is negative", file=path, key=key, found=limit.velocity)
 
 
-def _acceleration_limits(root: etree._Element, path: Path) -> dict[str, float]:
-    limits = {}
-    for joint in root.iter("joint"):
-        limit = joint.find("limit")
-        if limit is None or limit.get("acceleration") is None:
-            continue
-        value = float(limit.get("acceleration"))
-        if value <= 0.0:
-            raise RobotError(
-                "must be greater than 0",
-                file=path,
-                key=f"joint {joint.get('name')!r} > limit @acceleration",
-                found=value,
-            )
-        limits[str(joint.get("name"))] = value
-    return limits
+def _acceleration_limits(root: etree._Element) -> dict[str, float]:
+    limits = {joint.get("name"): joint.find("limit") for joint in root.iter("joint")}
+    given = {name: None if limit is None else limit.get("acceleration") for name, limit in limits.items()}
+    return {name: float(value) for name, value in given.items() if value is not None}
 
 
 def _check_meshes(urdf: Urdf) -> None:
