@@ -1,4 +1,4 @@
-from .completed import CompletedLaw, Wish, activation, push_factor
+from .completed import CompletedLaw, CriticalRows, Wish, activation, push_factor
 from .directionality import (
     LinkChain,
     Magnification,
@@ -10,7 +10,7 @@ from .directionality import (
     link_velocities,
 )
 from .law import general_solution, joint_velocity, null_space_term, projector
-from .null_space import Resolved, pseudo_inverse, resolve
+from .null_space import TaskInverse, pseudo_inverse, resolve
 from .on_path import step_on_path
 from .paper_iteration import ITERATIONS, Push, paper_gains, paper_step, run_iteration
 from .qp import PRICE, UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
@@ -21,16 +21,17 @@ __all__ = [
     "PRICE",
     "UNBOUNDED",
     "CompletedLaw",
+    "CriticalRows",
     "Kind",
     "LinkChain",
     "Magnification",
     "Push",
     "QuadraticProgram",
     "Reference",
-    "Resolved",
     "Rows",
     "Shield",
     "Shielded",
+    "TaskInverse",
     "Wish",
     "activation",
     "all_link_jacobians",

@@ -27,18 +27,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.law.directionality import all_link_jacobians, all_link_velocities
-from backhoe_planner.law.null_space import Resolved, resolve
-from backhoe_planner.law.single_redundancy import one_spare
+from backhoe_planner.law.null_line import resolve_on_null_line
+from backhoe_planner.law.null_space import TaskInverse, resolve
 from backhoe_planner.machine import Configuration, Robot
 from backhoe_planner.site import Gains, Nearby
 
-__all__ = ["CompletedLaw", "Wish", "activation", "push_factor"]
+__all__ = ["CompletedLaw", "CriticalRows", "Wish", "activation", "push_factor"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -59,13 +60,28 @@ class Wish:
     v: (n,) joint velocity.
     primary: (n,) J_e^+ xdot_e.
     null: (n,) H, the obstacle and directionality terms; J_e @ null is 0.
-    resolved: the tip Jacobian taken apart.
+    task: the tip Jacobian taken apart.
     """
 
     v: Vector
     primary: Vector
     null: Vector
-    resolved: Resolved
+    task: TaskInverse
+
+
+class CriticalRows(NamedTuple):
+    """One row per critical point: what the law takes of a `Nearby`.
+
+    Attributes
+    ----------
+    margin: (K,) distance minus clearance [m].
+    gradient: (K, n) derivative of the distance by the joints [m/rad].
+    drift: (K,) rate at which the obstacle's own motion changes the distance [m/s].
+    """
+
+    margin: Vector
+    gradient: Matrix
+    drift: Vector
 
 
 def activation(distance: Vector, unity: float, influence: float) -> Vector:
@@ -117,7 +133,7 @@ class CompletedLaw:
         self._ranges = list(zip(*(column.tolist() for column in columns), strict=True))
         self._epsilon = _EPSILON * np.eye(robot.n)
 
-    def wish(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby) -> Wish:
+    def wish(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows) -> Wish:
         """The joint velocity that serves the tip first, and the rest in the null space.
 
         Parameters
@@ -126,26 +142,26 @@ class CompletedLaw:
         xdot_e: (m,) task velocity, [m/s] and [rad/s].
         nearby: critical points within clearance + influence.
         """
-        resolved = resolve(J_e, threshold=_UNDAMPED)
-        primary = self._s_e * (resolved.inverse @ xdot_e)
-        N = resolved.projector
+        task = resolve(J_e, threshold=_UNDAMPED)
+        primary = self._s_e * (task.inverse @ xdot_e)
+        N = task.projector
         A = self._epsilon.copy()
         b = np.zeros(self.robot.n)
-        busy = False
-        if self._s_o > 0.0 and len(nearby):
-            busy = self._add_obstacles(primary, nearby, N, A, b)
+        acts = False
+        if self._s_o > 0.0 and len(nearby.margin):
+            acts = self._add_obstacles(primary, nearby, N, A, b)
         if self.directionality and self.robot.n > len(xdot_e):
-            busy |= self._add_holds(at, primary, N, A, b)
+            acts |= self._add_holds(at, primary, N, A, b)
             if self._turns:
                 self._add_turns(at, primary, N, A, b)
-                busy = True
-        if not busy:
-            return Wish(v=primary, primary=primary, null=b, resolved=resolved)
+                acts = True
+        if not acts:
+            return Wish(v=primary, primary=primary, null=b, task=task)
         null = N @ eigenpy.LDLT(A).solve(b).reshape(-1)  # of a 1 x 1 system it gives a matrix
-        return Wish(v=primary + null, primary=primary, null=null, resolved=resolved)
+        return Wish(v=primary + null, primary=primary, null=null, task=task)
 
-    def wish_with_one_spare(
-        self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby
+    def wish_on_null_line(
+        self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector] | None:
         """(4,), (4,) the same v and H as `wish`, several times faster, where the null space is one line.
 
@@ -158,14 +174,14 @@ class CompletedLaw:
         """
         if J_e.shape != (3, 4) or self._turns:
             return None
-        found = one_spare(J_e, xdot_e, threshold=_UNDAMPED)
+        found = resolve_on_null_line(J_e, xdot_e, threshold=_UNDAMPED)
         if found is None:
             return None
         primary, z = found
         if self._s_e != 1.0:
             primary = [self._s_e * rate for rate in primary]
         above, below = 0.0, _EPSILON
-        if self._s_o > 0.0 and len(nearby):
+        if self._s_o > 0.0 and len(nearby.margin):
             along = (nearby.gradient @ np.array((z, primary)).T).tolist()
             for margin, drift, (by_z, rate) in zip(nearby.margin.tolist(), nearby.drift.tolist(), along, strict=True):
                 if margin >= self.influence:
@@ -203,7 +219,7 @@ class CompletedLaw:
             near.append(min(max(1.0 - ahead / zone, 0.0), 1.0))
         return np.array(near)
 
-    def _add_obstacles(self, primary: Vector, nearby: Nearby, N: Matrix, A: Matrix, b: Vector) -> bool:
+    def _add_obstacles(self, primary: Vector, nearby: Nearby | CriticalRows, N: Matrix, A: Matrix, b: Vector) -> bool:
         """Add the rows w_i (g_i (v_e + H) - c_i)^2, where they would come nearer than c_i."""
         margin, gradient = nearby.margin, nearby.gradient
         acts = margin < self.influence
@@ -212,7 +228,7 @@ class CompletedLaw:
                 return False
             margin, gradient = margin[acts], gradient[acts]
         weight = np.array([self._s_o * self._activation(near) for near in margin.tolist()])
-        away = -nearby.drift if len(margin) == len(nearby) else -nearby.drift[acts]
+        away = -nearby.drift if len(margin) == len(nearby.margin) else -nearby.drift[acts]
         if margin.min() < self.unity:
             away = away + self.nominal * push_factor(margin, self.unity)
         missing = np.maximum(away - gradient @ primary, 0.0)

@@ -16,7 +16,7 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Resolved", "pseudo_inverse", "resolve"]
+__all__ = ["TaskInverse", "pseudo_inverse", "resolve"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -26,7 +26,7 @@ _ROUNDING = 1e-10  # of the scale of a matrix: singular values below are roundin
 
 
 @dataclass(frozen=True)
-class Resolved:
+class TaskInverse:
     """A task Jacobian taken apart.
 
     Attributes
@@ -58,7 +58,7 @@ def pseudo_inverse(J: Matrix, *, scale: float | None = None) -> Matrix:
     return np.asarray((Vt[kept].T / s[kept]) @ U[:, kept].T)
 
 
-def resolve(J: Matrix, *, threshold: float = 0.08, largest_damping: float = 0.08) -> Resolved:
+def resolve(J: Matrix, *, threshold: float = 0.08, largest_damping: float = 0.08) -> TaskInverse:
     """J^+ and N of a task Jacobian (m, n), m <= n or not.
 
     Parameters
@@ -82,10 +82,10 @@ def resolve(J: Matrix, *, threshold: float = 0.08, largest_damping: float = 0.08
     V = J.T @ scaled  # right singular vectors, so that J^+ = V scaled^T
     projector = _eye(J.shape[1]) - V @ V.T
     if smallest >= threshold:
-        return Resolved(inverse=V @ scaled.T, projector=projector, singular_values=s, damping=0.0)
+        return TaskInverse(inverse=V @ scaled.T, projector=projector, singular_values=s, damping=0.0)
     damping = largest_damping * math.sqrt(1.0 - (smallest / threshold) ** 2)
     inverse = J.T @ ((U / (s * s + damping * damping)) @ U.T)
-    return Resolved(inverse=inverse, projector=projector, singular_values=s, damping=damping)
+    return TaskInverse(inverse=inverse, projector=projector, singular_values=s, damping=damping)
 
 
 @lru_cache(maxsize=32)

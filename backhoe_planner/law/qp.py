@@ -57,7 +57,7 @@ class Rows(NamedTuple):
 
     def are_kept_by(self, x: Vector, tolerance: float = 0.0) -> bool:
         """Whether G x <= h + tolerance at x (n,)."""
-        return not np.count_nonzero(self.G @ x > self.h + tolerance)
+        return len(self.h) == 0 or not np.count_nonzero(self.G @ x > self.h + tolerance)
 
 
 class QuadraticProgram(NamedTuple):

@@ -3,7 +3,7 @@ from .braking.separation import Separation
 from .driven import is_driven, left_out, shown_problem
 from .follower import Followed, Following, PlanFollower
 from .recordings import recorded_plan
-from .recovery.escape import MOST_LOOKS, Route, WayOut
+from .recovery.escape import MOST_LOOKS, EscapeRoute, EscapeSearch, RouteSearch
 from .recovery.violation_descent import way_back
 from .rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
 from .servo.feedback import Feedback
@@ -14,6 +14,8 @@ __all__ = [
     "MOST_LOOKS",
     "BrakingPath",
     "Command",
+    "EscapeRoute",
+    "EscapeSearch",
     "Feedback",
     "Followed",
     "Following",
@@ -22,12 +24,11 @@ __all__ = [
     "PlanFollower",
     "Rejoining",
     "RejoiningQuery",
-    "Route",
+    "RouteSearch",
     "Separation",
     "Servo",
     "ServoState",
     "Status",
-    "WayOut",
     "bend",
     "find_rejoining",
     "is_driven",

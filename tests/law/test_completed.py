@@ -147,7 +147,7 @@ def test_obstacle_term_increases_the_distance(planar4: Robot) -> None:
             continue
         nearby = nearby.only(np.arange(len(nearby)) == np.argmin(nearby.margin))
         wish = law.wish(at, at.jacobian[:2], np.zeros(2), nearby)
-        served = float(np.linalg.norm(nearby.gradient[0] @ wish.resolved.projector))
+        served = float(np.linalg.norm(nearby.gradient[0] @ wish.task.projector))
         if nearby.margin[0] > 0.9 * law.unity or nearby.margin[0] < 1e-3 or served < 0.2:
             continue
         rate = float(nearby.gradient[0] @ wish.null)

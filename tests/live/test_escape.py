@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.live import MOST_LOOKS, Route, Servo, WayOut
-from backhoe_planner.live.recovery.escape import Search
+from backhoe_planner.live import MOST_LOOKS, EscapeRoute, EscapeSearch, RouteSearch, Servo
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Proximity, build_obstacles
 
@@ -48,16 +47,16 @@ class Violation:
         return float(np.max(self._proximity.clearance - self._proximity.distances(q)))
 
 
-def search_from(servo: Servo) -> WayOut:
+def search_from(servo: Servo) -> EscapeSearch:
     separation, inside = servo._separation, servo._bounds.inside
     ceiling = np.full(len(separation), np.max(separation.clearance[inside] - servo._bounds._distance[inside]))
-    return WayOut(
+    return EscapeSearch(
         servo.robot, servo.limits, separation, servo.q,
         watched=np.arange(len(separation)), inside=inside, ceiling=ceiling, rng=np.random.default_rng(1),
     )  # fmt: skip
 
 
-def ended(search: Search) -> tuple[Route | None, int]:
+def ended(search: RouteSearch) -> tuple[EscapeRoute | None, int]:
     """What a search finds, and after how many looks."""
     looks = 0
     while True:
@@ -68,7 +67,7 @@ def ended(search: Search) -> tuple[Route | None, int]:
         looks += 1
 
 
-def along(route: Route, step: float = 0.002) -> list[Vector]:
+def along(route: EscapeRoute, step: float = 0.002) -> list[Vector]:
     """Postures on the way, one joint moving no more than a step from one to the next."""
     found = [route.nodes[0]]
     for a, b in zip(route.nodes[:-1], route.nodes[1:], strict=True):
@@ -84,10 +83,10 @@ def test_a_falling_way_falls_from_posture_to_posture(backhoe: Robot) -> None:
     """From where the descent that is steepest is pinched."""
     scene = site(backhoe, [IN_THE_STICK], PINCHED_BY_THE_STICK)
     servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
-    way_out = search_from(servo)
-    route, looks = ended(way_out.descent(servo.q))
+    search = search_from(servo)
+    route, looks = ended(search.descent(servo.q))
     assert route is None
-    route, more = ended(way_out.falling(servo.q))
+    route, more = ended(search.falling(servo.q))
     assert route is not None
     assert route.falling
     depths = [violation(q) for q in route.nodes]
@@ -116,8 +115,8 @@ def test_where_no_posture_is_clear_no_way_is_said_to_be_found(backhoe: Robot) ->
     servo, violation = Servo(backhoe, scene), Violation(backhoe, scene)
     swings = np.linspace(backhoe.limits.lower[0], backhoe.limits.upper[0], 200)
     assert min(violation(np.array([swing, 1.2, -0.5, 0.0])) for swing in swings) > 0.1
-    way_out = search_from(servo)
-    for search in (way_out.descent(servo.q), way_out.falling(servo.q), way_out.below(servo.q)):
+    escape = search_from(servo)
+    for search in (escape.descent(servo.q), escape.falling(servo.q), escape.below(servo.q)):
         route, looks = ended(search)
         assert route is None
         assert looks <= MOST_LOOKS
@@ -254,11 +253,11 @@ def test_the_same_start_goes_the_same_way(backhoe: Robot) -> None:
 def test_where_the_search_fails_nothing_is_raised_and_descent_goes_on(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fails(*_: object) -> Search:
+    def fails(*_: object) -> RouteSearch:
         yield
         raise ZeroDivisionError
 
-    monkeypatch.setattr(WayOut, "descent", fails)
+    monkeypatch.setattr(EscapeSearch, "descent", fails)
     tip = bp.Kinematics(backhoe).at(np.array([0.0, 0.3, -0.9, -0.5])).tip_position
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": (tip + np.array([0.0, 0.0, -0.1])).tolist()}
     scene = site(backhoe, [ball], [0.0, 0.3, -0.9, -0.5])

@@ -579,7 +579,7 @@ def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
     def fails(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(servo._tip.law, "wish_with_one_spare", fails)
+    monkeypatch.setattr(servo._tip.law, "wish_on_null_line", fails)
     states = pushed(servo, {"tip_velocity": [0.0, 0.6, 0.2]}, 1500)
     keeps_limits(servo, states, moving.v)
     assert not any(state.proven for state in states)
@@ -610,10 +610,10 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
             gradient=rng.normal(size=(count, 4)), drift=rng.normal(size=count) * 0.1,
             moves=np.zeros((count, count), dtype=bool),
         )  # fmt: skip
-        plain, found = law.wish(at, J, xdot, nearby), law.wish_with_one_spare(at.q, J, xdot, nearby)
+        plain, found = law.wish(at, J, xdot, nearby), law.wish_on_null_line(at.q, J, xdot, nearby)
         if found is None:
             continue
-        assert plain.resolved.damping == 0.0
+        assert plain.task.damping == 0.0
         np.testing.assert_allclose(found[0], plain.v, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(found[1], plain.null, rtol=1e-8, atol=1e-8)
         faster += 1
@@ -623,8 +623,8 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
     stretched = kinematics.at(np.array([0.0, 0.3, -0.2, 0.0]))
     flat = stretched.jacobian[:3].copy()
     flat[1] = 0.0
-    assert law.wish_with_one_spare(stretched.q, flat, np.ones(3), nearby) is None
-    assert law.wish_with_one_spare(stretched.q, flat[:2], np.ones(2), nearby) is None
+    assert law.wish_on_null_line(stretched.q, flat, np.ones(3), nearby) is None
+    assert law.wish_on_null_line(stretched.q, flat[:2], np.ones(2), nearby) is None
 
 
 def test_a_tip_that_is_wished_somewhere_goes_there(backhoe: Robot) -> None:

@@ -118,7 +118,7 @@ def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch:
 
     servo.add({**BALL, "position": [4.7, 0.7, -0.6]})
     near = servo.step([0.0, 0.1, 0.0])
-    monkeypatch.setattr(servo._tip, "wished", fails)
+    monkeypatch.setattr(servo._tip, "wish", fails)
     state = servo.step([0.0, 0.1, 0.0])
     assert isinstance(servo.last_error, ZeroDivisionError)
     assert not state.proven

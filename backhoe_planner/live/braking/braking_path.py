@@ -13,6 +13,7 @@ anything: braking is an answer that was proven before it is needed.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,13 +21,48 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import Robot
 
-__all__ = ["BrakingPath", "Placements", "bend"]
+__all__ = ["MOST_PARTS", "BrakingPath", "JointState", "PathClearance", "Placements", "bend"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-MOST_PARTS = 8
-_BEND = 0.002  # m that a point may deviate from the chord of a part, where parts are left
+MOST_PARTS = 8  # of a braking path: the work of a step is bounded
+_BEND = 0.002  # m that a point may deviate from the chord of a part, as much as is kept on top of a clearance
+
+
+class JointState(NamedTuple):
+    """The joints at the beginning of a step.
+
+    Attributes
+    ----------
+    q, v: (n,) positions [rad or m], and velocities of the last step [rad/s or m/s].
+    end: (n,) where the braking path that was proven ends [rad or m].
+    """
+
+    q: Vector
+    v: Vector
+    end: Vector
+
+
+class PathClearance(NamedTuple):
+    """What is known of a braking path before it is taken.
+
+    Attributes
+    ----------
+    free: whether every pair that was looked at keeps the buffer too.
+    clear: whether every pair that was looked at keeps what is required.
+    stands_clear: the same for the pairs whose obstacle stands still.
+    bound: (K,) proven distance [m].
+    gaps: (S, K, V) of the corners [m].
+    closely: (K,) which were measured at every part of the path.
+    """
+
+    free: bool
+    clear: bool
+    stands_clear: bool
+    bound: Vector
+    gaps: NDArray[np.float64]
+    closely: NDArray[np.bool_]
 
 
 def bend(travel: Matrix, delta: Vector, turning: Vector) -> Vector:

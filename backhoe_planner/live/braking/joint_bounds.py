@@ -4,23 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits
 
-__all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds", "Load"]
+__all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds", "Load", "VelocityRange"]
 
 Vector = NDArray[np.float64]
 
-BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest corrects
+BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest is left for corrections
 RECOVERY = 1.0  # 1/s: speed of the way back by what is missing
-SLOWEST_RECOVERY, FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s
-_TOLERANCE = 1e-9  # rad or m
-
+SLOWEST_RECOVERY, FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s, so that the way back ends, and begins gently
+_TOLERANCE = 1e-9  # rad, m, or of them a second: rounding
 
 Load = Callable[[Vector, Vector], float]
+
+
+class VelocityRange(NamedTuple):
+    """The joint velocities from which braking in proportion ends within the joint limits.
+
+    Attributes
+    ----------
+    low, high: (n,) of those within reach of this step [rad/s or m/s].
+    least, most: (n,) of all, however long it takes to get there [rad/s or m/s].
+    look: the time that the longest braking path which the step could begin is worth at its
+        first velocity [s].
+    cuts_wish: whether the wish lies outside.
+    """
+
+    low: Vector
+    high: Vector
+    least: Vector
+    most: Vector
+    look: float
+    cuts_wish: bool
 
 
 class JointBounds:
@@ -36,10 +56,6 @@ class JointBounds:
     ----------
     acceleration: (n,) that braking is planned with [rad/s^2 or m/s^2]; `braking` the same as a list.
     change: (n,) of the velocity in a step at most.
-    least, most: (n,) of the last call of `within`: the velocities from which braking ends
-        within the limits, however soon they can be had.
-    look: of the last call: the time that the longest braking path which a step could begin
-        is worth at its first velocity [s].
     """
 
     def __init__(self, limits: JointLimits, dt: float, load: Load | None = None) -> None:
@@ -50,8 +66,6 @@ class JointBounds:
         self.changes: list[float] = self.change.tolist()
         self._per_acceleration: list[float] = (1.0 / self.acceleration).tolist()
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
-        self.least, self.most = -limits.velocity, limits.velocity
-        self.look = dt
 
     def brake(self, v: Vector) -> Vector:
         """(n,) the next velocity while braking in proportion."""
@@ -68,15 +82,12 @@ class JointBounds:
                 part = largest / abs(amount)
         return np.array([rate + part * amount for rate, amount in zip(rates, change, strict=True)])
 
-    def within(self, q: Vector, v: Vector, wish: Vector) -> tuple[Vector, Vector, bool]:
-        """(n,), (n,) the velocities from which braking in proportion ends within the joint limits.
-
-        Also whether they cut the wish. Beyond a limit a joint must come back.
-        """
+    def velocity_range(self, q: Vector, v: Vector, wish: Vector) -> VelocityRange:
+        """The velocities that the step from q, v (n,) may take. Beyond a limit a joint must come back."""
         dt = self._dt
         rates = v.tolist()
         time = max(abs(rate) * per for rate, per in zip(rates, self._per_acceleration, strict=True))
-        look = self.look = dt + 0.5 * (time + dt / BRAKING)
+        look = dt + 0.5 * (time + dt / BRAKING)
         lows, highs = [], []
         tight = cut = False
         for position, rate, wished, change, (lower, upper, fastest) in zip(
@@ -92,7 +103,7 @@ class JointBounds:
                 high = max(low, high)
             else:
                 tight |= high < rate - change or low > rate + change
-            cut |= wished > high + 1e-9 or wished < low - 1e-9
+            cut |= wished > high + _TOLERANCE or wished < low - _TOLERANCE
             highs.append(high)
             lows.append(low)
         if tight:
@@ -100,11 +111,12 @@ class JointBounds:
             caps = (self.acceleration * max(time - dt, 0.0)).tolist()
             highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
             lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
-        self.least, self.most = np.array(lows), np.array(highs)
         reach = [(rate - change, rate + change) for rate, change in zip(rates, self.changes, strict=True)]
         low_bounds = [min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]
         high_bounds = [min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]
-        return np.array(low_bounds), np.array(high_bounds), cut
+        return VelocityRange(
+            np.array(low_bounds), np.array(high_bounds), np.array(lows), np.array(highs), look, cuts_wish=cut
+        )
 
     def over_rates(self, q: Vector, v: Vector) -> float:
         """By how much joint velocities (n,) at q (n,) go beyond the joints' rates and the load, 1 where they do not."""

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
-from backhoe_planner.live.braking.proof import Proof
+from backhoe_planner.live.braking.braking_path import BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.site import pace
 
@@ -118,33 +117,25 @@ class PairBounds:
     def measure(self, pairs: Indices, path: BrakingPath, at: Placements, step: int) -> None:
         """Measure pairs that are new or were moved, and note what the braking path leaves of them."""
         separation = self._separation
-        self.is_at(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
+        self.set_distance(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
         self._renewed_at[pairs] = step
-        bound = self.bounds_on(pairs, path, at, path.time)
-        self.is_proven(pairs, bound)
+        bound = separation.proven_on(pairs, path, at, path.time)
+        self.set_proven(pairs, bound)
         self.required[pairs] = np.minimum(separation.clearance[pairs], bound)
         self.find_inside()
-
-    def bounds_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
-        """(K,) proven lower bound over the whole path [m], looked at closely where that is below the clearance."""
-        separation = self._separation
-        bound, _ = separation.least_on(pairs, path, at, drift_time)
-        for row in (bound < separation.clearance[pairs]).nonzero()[0].tolist():
-            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, at, drift_time))
-        return bound
 
     def find_inside(self) -> None:
         """Find the pairs of what stands that are closer than allowed."""
         short = self.required < self._separation.clearance - TOLERANCE
         self.inside = (self.stands & short).nonzero()[0]
 
-    def is_at(self, pairs: Indices, distance: Vector) -> None:
-        """The distances (K,) at the beginning of this step were found [m]."""
+    def set_distance(self, pairs: Indices, distance: Vector) -> None:
+        """Note the distances (K,) at the beginning of this step [m]."""
         self._distance[pairs] = distance
         self._distance_at[pairs] = self._start_odometer[self._separation.classes[pairs]]
 
-    def is_proven(self, pairs: Indices, bound: Vector) -> None:
-        """Distances (K,) were proven over the present braking path [m]."""
+    def set_proven(self, pairs: Indices, bound: Vector) -> None:
+        """Note the distances (K,) that are proven over the present braking path [m]."""
         self._proven[pairs] = bound
         self._proven_at[pairs] = self._path_odometer[self._separation.classes[pairs]]
 
@@ -175,7 +166,7 @@ class PairBounds:
         return min((pace(left, room) for left, room in rooms), default=1.0)
 
     def awake(self, change: Vector) -> tuple[Indices, Vector]:
-        """Pairs that could come into question if the braking path's end moves by up to `change` (n,) [rad or m].
+        """(K,) pairs that matter if the braking path's end moves by up to `change` (n,) [rad or m].
 
         Also by how much points may move by that (C,) [m].
         """
@@ -188,14 +179,14 @@ class PairBounds:
             awake[self.inside] = False
         return awake.nonzero()[0], budget
 
-    def accept(self, awake: Indices, proof: Proof) -> None:
+    def accept(self, awake: Indices, clearance: PathClearance) -> None:
         """A braking path is about to be taken, of which this was proven."""
         if len(awake) == 0:
             self._accepted = None
             return
         separation = self._separation
-        self._accepted = (awake, proof.bound, separation.classes[awake])
-        lowest = np.where(self.stands[awake], np.maximum(self.required[awake], proof.bound), proof.bound)
+        self._accepted = (awake, clearance.bound, separation.classes[awake])
+        lowest = np.where(self.stands[awake], np.maximum(self.required[awake], clearance.bound), clearance.bound)
         self.required[awake] = np.minimum(separation.clearance[awake], lowest)
 
     def advance(self, moved: Vector, end_moved: Vector | None) -> None:

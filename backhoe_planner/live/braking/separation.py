@@ -251,6 +251,13 @@ class Separation:
         off = path.off_chord(self.travel).take(self.classes.take(pairs))
         return gaps.min(axis=(0, 2)) - off, gaps
 
+    def proven_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
+        """(K,) the same bound, looked at closely where it is below the clearance [m]."""
+        bound, _ = self.least_on(pairs, path, at, drift_time)
+        for row in (bound < self.clearance[pairs]).nonzero()[0].tolist():
+            bound[row] = max(bound[row], self.closer_look(int(pairs[row]), path, at, drift_time))
+        return bound
+
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
         """Lower bound of one pair's distance over the path, with a plane of its own for each part [m].
 

@@ -39,7 +39,7 @@ from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 
-__all__ = ["MOST_LOOKS", "Route", "WayOut"]
+__all__ = ["MOST_LOOKS", "EscapeRoute", "EscapeSearch", "RouteSearch"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -70,11 +70,11 @@ MOST_LOOKS = (
 )
 _PARTS = (0.02, 0.1, 0.3, 0.0)  # of a step's length, by which the violation is to fall [m/rad]
 
-Search = Generator[None, None, "Route | None"]
+RouteSearch = Generator[None, None, "EscapeRoute | None"]
 
 
 @dataclass(frozen=True)
-class Route:
+class EscapeRoute:
     """A way out.
 
     Attributes
@@ -87,7 +87,7 @@ class Route:
     falling: bool
 
 
-class WayOut:
+class EscapeSearch:
     """The search from one posture in one site.
 
     Parameters
@@ -132,21 +132,21 @@ class WayOut:
         count = len(watched)
         self._distance, self._seen_at = np.full(count, -np.inf), np.zeros((count, robot.n))
 
-    def descent(self, q: Vector) -> Search:
+    def descent(self, q: Vector) -> RouteSearch:
         """The falling way on which the violations fall fastest from q (n,), or None where that leads nowhere."""
         nodes = yield from self._descend(q, None, 1.0)
-        return None if nodes is None else Route(np.array(nodes), True)
+        return None if nodes is None else EscapeRoute(np.array(nodes), True)
 
-    def falling(self, q: Vector) -> Search:
+    def falling(self, q: Vector) -> RouteSearch:
         """A falling way from q (n,), or None."""
         for number in range(_DESCENTS):
             aim = self._rng.uniform(self._from, self._to)
             nodes = yield from self._descend(q, aim, _PARTS[number % len(_PARTS)])
             if nodes is not None:
-                return Route(np.array(nodes), True)
+                return EscapeRoute(np.array(nodes), True)
         return None
 
-    def below(self, q: Vector) -> Search:
+    def below(self, q: Vector) -> RouteSearch:
         """A way below from q (n,), or None."""
         goals = yield from self._clear_postures(q)
         if not goals:
@@ -158,12 +158,12 @@ class WayOut:
                 break
             free = yield from self._line_is_allowed(q, goal)
             if free:
-                return Route(np.array([q, goal]), False)
+                return EscapeRoute(np.array([q, goal]), False)
         nodes = yield from self._connect(q, goals)
         if nodes is None:
             return None
         nodes = yield from self._shorter(nodes)
-        return Route(np.array(nodes), False)
+        return EscapeRoute(np.array(nodes), False)
 
     def returns(self, q: Vector) -> Generator[None, None, bool]:
         """Whether the joints can come straight back within their limits from q (n,) where nothing is violated."""

@@ -5,9 +5,9 @@ What is measured. Of every obstacle (and of the machine with itself) the deepest
     V = max over its violated pairs of (clearance - distance)
 
 falls at every step, at the end of the step and at every look at the braking path that
-follows from it (`descent` says which velocity does that fastest). The fastest descent
+follows from it (`violation_descent` says which velocity does that fastest). The fastest descent
 can lead into a local minimum, where no joint rate makes V smaller. So as soon as the
-machine is inside something a way out is searched, spread over the steps (`way_out`):
+machine is inside something a way out is searched, spread over the steps (`escape`):
 
 1. the chain of postures down which the fastest descent leads, if it leads out;
 2. another chain of postures along which V falls;
@@ -37,21 +37,27 @@ looks at `_LOOKS_PER_STEP` postures and pairs, or at one posture where that has 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.law import Rows
-from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, Placements
-from backhoe_planner.live.braking.proof import Proof
+from backhoe_planner.live.braking.braking_path import (
+    MOST_PARTS,
+    BrakingPath,
+    JointState,
+    PathClearance,
+    Placements,
+)
+from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
+from backhoe_planner.live.braking.path_check import Awake, PathCheck
 from backhoe_planner.live.braking.separation import Separation
-from backhoe_planner.live.recovery.escape import Route, Search, WayOut
+from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, RouteSearch
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 
-__all__ = ["Recovery", "Step", "Way"]
+__all__ = ["Recovery", "RecoveryPath", "RecoveryStep"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -60,8 +66,6 @@ Flags = NDArray[np.bool_]
 
 _ATTEMPTS = 3
 _BLENDS = (0.5, 0.2)
-_RECOVERY = 1.0  # 1/s
-_SLOWEST_RECOVERY, _FASTEST_RECOVERY = 0.02, 0.25  # m/s
 _HOLDS = 2.0  # 1/s: how soon what is not the deepest is taken hold of
 _INSIDE_SPEED = 0.5  # m/s
 _LEAST_RADIUS = 0.1  # m, of a joint
@@ -80,36 +84,32 @@ _STEP_END = MOST_PARTS + 1  # row of the placements
 
 
 @dataclass(frozen=True)
-class Step:
-    """What the way back has to know of the step that is to be taken.
+class RecoveryStep:
+    """What is known of the step that is to be taken.
 
     Attributes
     ----------
-    q, v: (n,) where the joints are, and their velocity.
+    state: where the joints are.
     low, high: (n,) the velocities within reach, see `Recovery.slowed`.
     target, brake: (n,) the velocity that is wished, and the one that brakes.
+    awake: pairs that are not violated and could come into question.
     evasion: rows of what comes nearer.
-    path: the braking path of a velocity.
-    prove: what is known of that path for all pairs that are not violated and could bind;
-        it fills the placements with the path where there are any.
-    rows: that keep what such a path did not.
+    anything_moves: whether any obstacle does.
     """
 
-    q: Vector
-    v: Vector
+    state: JointState
     low: Vector
     high: Vector
     target: Vector
     brake: Vector
+    awake: Awake
     evasion: Rows
-    path: Callable[[Vector], BrakingPath]
-    prove: Callable[[BrakingPath], Proof]
-    rows: Callable[[BrakingPath, Proof], Rows]
+    anything_moves: bool
 
 
 @dataclass(frozen=True)
-class Way:
-    """A velocity that leads out, with what was measured and proven of it.
+class RecoveryPath:
+    """The braking path of a velocity that leads out, with what was measured and proven of it.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class Way:
     """
 
     path: BrakingPath
-    proof: Proof
+    clearance: PathClearance
     level: Vector
 
 
@@ -127,7 +127,7 @@ class Recovery:
     Parameters
     ----------
     robot, limits: the machine, and its limits in this site.
-    separation, at: what is measured with; working memory of the servo.
+    separation, check, at: what is measured with; working memory of the servo.
     dt: length of a step [s].
     change: (n,) by how much a velocity may change in a step.
 
@@ -141,11 +141,12 @@ class Recovery:
         robot: Robot,
         limits: JointLimits,
         separation: Separation,
+        check: PathCheck,
         at: Placements,
         dt: float,
         change: Vector,
     ) -> None:
-        self._robot, self._limits = robot, limits
+        self._robot, self._limits, self._check = robot, limits, check
         self._separation, self._at, self._dt, self._change = separation, at, dt, change
         # no point moves faster than this by one joint while the machine is inside something
         self._slow = np.array([_INSIDE_SPEED / max(radius, _LEAST_RADIUS) for radius in separation.furthest])
@@ -159,13 +160,13 @@ class Recovery:
     def changed(self) -> None:
         """What stands around is not what it was: whatever was searched for is forgotten."""
         self._begun = self._rests = False
-        self._search: Search | None = None
-        self._way_out: WayOut | None = None
+        self._running: RouteSearch | None = None
+        self._escape: EscapeSearch | None = None
         self._leave()
 
     def _leave(self) -> None:
         """Leave the way that was found."""
-        self._route: Route | None = None
+        self._route: EscapeRoute | None = None
         self._node = 1
         self._left: Vector = np.zeros(0)  # (N,) W at the nodes
         self.to_go = None
@@ -177,7 +178,7 @@ class Recovery:
         limits = self._limits
         left = float(np.maximum(np.maximum(q - limits.upper, limits.lower - q), 0.0).sum())
         self._outside = left > _LEVEL
-        if self._search is not None or self._route is not None:
+        if self._running is not None or self._route is not None:
             return self._outside
         self._held_for += 1
         if left < self._least_outside - _RETURN_PROGRESS:
@@ -203,7 +204,7 @@ class Recovery:
         high = np.minimum(np.maximum(np.minimum(high, self._slow), down), up)
         return low, high
 
-    def choose(self, pairs: Indices, stands: Flags, step: Step) -> tuple[Vector, Way | None]:
+    def choose(self, pairs: Indices, stands: Flags, step: RecoveryStep) -> tuple[Vector, RecoveryPath | None]:
         """How deep the violated pairs are (K,) [m], and the way on, measured where it leads.
 
         The violated pairs are measured where the step ends and along its braking path.
@@ -217,10 +218,10 @@ class Recovery:
         distance, rows = separation.gradients(pairs, at, 0)
         depth = separation.clearance[pairs] - distance
         deepest = by_owner(depth, owner)
-        self._think(pairs, stands, step.q, deepest)
+        self._continue_search(pairs, stands, step.state.q, deepest)
         route, target = self._route, step.target
         below = route is not None and not route.falling
-        fastest = min(max(_RECOVERY * float(deepest.max(initial=0.0)), _SLOWEST_RECOVERY), _FASTEST_RECOVERY)
+        fastest = min(max(RECOVERY * float(deepest.max(initial=0.0)), SLOWEST_RECOVERY), FASTEST_RECOVERY)
         if route is not None:
             target = self._along(route, step)
             fastest = 0.0 if below else _FOLLOWED_FALL
@@ -233,26 +234,26 @@ class Recovery:
         all_rows, all_slack = rows, slack
         for attempt in range(_ATTEMPTS + len(_BLENDS)):
             if attempt < _ATTEMPTS:
-                found = way_back(
+                fall = way_back(
                     all_rows, all_slack, target=target, low=step.low, high=step.high,
                     fastest=fastest, others=others,
                 )  # fmt: skip
-                if found is None:
+                if fall is None:
                     continue
-                v = tried = found[0]
+                v = tried = fall[0]
             else:
                 v = step.brake + _BLENDS[attempt - _ATTEMPTS] * (tried - step.brake)
-            if below and not self._nearer(step.q, v):
+            if below and not self._nearer(step.state.q, v):
                 continue
-            path = step.path(v)
-            proof = step.prove(path)
-            if len(proof.bound) == 0:
+            path = self._check.path(step.state.q, v)
+            found = self._check.clearance(step.awake, path, anything_moves=step.anything_moves)
+            if len(found.bound) == 0:
                 path.place(at)
             keeps, before = True, ceiling + _LEVEL if below else deepest - _FALLS
             most = np.zeros(len(pairs))
             level = most
             for span in self._spans(path):
-                at.place(_STEP_END, step.q + v * span)
+                at.place(_STEP_END, step.state.q + v * span)
                 there, cuts = separation.gradients(pairs, at, _STEP_END)
                 deep = separation.clearance[pairs] - there
                 now = by_owner(deep, owner)
@@ -266,17 +267,17 @@ class Recovery:
                 most = np.maximum(most, now)
                 if worse.any():
                     keeps = False
-                    more = slack[worse] + (there - distance)[worse] / span + cuts[worse] @ v
-                    all_rows, all_slack = np.vstack((all_rows, cuts[worse])), np.append(all_slack, more)
+                    cut = slack[worse] + (there - distance)[worse] / span + cuts[worse] @ v
+                    all_rows, all_slack = np.vstack((all_rows, cuts[worse])), np.append(all_slack, cut)
                     break
-            if keeps and proof.stands_clear and (proof.clear or attempt == _ATTEMPTS - 1):
+            if keeps and found.stands_clear and (found.clear or attempt == _ATTEMPTS - 1):
                 if below and (most > 0.0).any():  # what is out may have to go in again
                     level = ceiling
-                return depth, Way(path, proof, level)
-            if not proof.clear:
+                return depth, RecoveryPath(path, found, level)
+            if not found.clear:
                 # nothing may be asked for that the way back could not give
-                more_rows = step.rows(path, proof)
-                others = (*others, more_rows._replace(h=np.maximum(more_rows.h, 0.0)))
+                more = self._check.rows(step.awake, path, found)
+                others = (*others, more._replace(h=np.maximum(more.h, 0.0)))
         return depth, None
 
     def _spans(self, path: BrakingPath) -> list[float]:
@@ -287,24 +288,24 @@ class Recovery:
 
     # --- where going down leads nowhere --------------------------------------------------
 
-    def _think(self, pairs: Indices, stands: Flags, q: Vector, deepest: Vector) -> None:
+    def _continue_search(self, pairs: Indices, stands: Flags, q: Vector, deepest: Vector) -> None:
         """Go on with the search for a way out, and begin one where the machine gets no further."""
         if not self._begun:
             self._begun = True
             self._ceiling = np.zeros(len(self._separation))
             self._ceiling[pairs] = deepest
             self._tries, self._since, self._best = 0, 0, math.inf
-            self._begin(pairs, stands, q)
-        if self._search is not None:
-            assert self._way_out is not None
-            until = self._way_out.looked + _LOOKS_PER_STEP
+            self._start_search(pairs, stands, q)
+        if self._running is not None:
+            assert self._escape is not None
+            until = self._escape.looked + _LOOKS_PER_STEP
             try:
-                while self._way_out.looked < until:
-                    next(self._search)
-            except StopIteration as found:
-                self._found(q, found.value)
+                while self._escape.looked < until:
+                    next(self._running)
+            except StopIteration as end:
+                self._end_search(q, end.value)
             except Exception:
-                self._found(q, None)
+                self._end_search(q, None)
                 raise
             return
         self._since += 1
@@ -313,39 +314,39 @@ class Recovery:
             self._best, self._since = left, 0
         elif self._since * self._dt > (_PAUSE if self._rests else _PATIENCE):
             self._tries += 1
-            self._begin(pairs, stands, q)
+            self._start_search(pairs, stands, q)
 
-    def _begin(self, pairs: Indices, stands: Flags, q: Vector) -> None:
+    def _start_search(self, pairs: Indices, stands: Flags, q: Vector) -> None:
         self._leave()
         self._waits = self._tries > 0 or len(pairs) == 0
-        self._way_out = WayOut(
+        self._escape = EscapeSearch(
             self._robot, self._limits, self._separation, q,
             watched=np.flatnonzero(stands), inside=pairs, ceiling=self._ceiling, rng=self._rng,
         )  # fmt: skip
-        self._search = self._searched(self._way_out, q)
+        self._running = self._routes(self._escape, q)
 
-    def _searched(self, way_out: WayOut, q: Vector) -> Search:
+    def _routes(self, escape: EscapeSearch, q: Vector) -> RouteSearch:
         """What is tried, one after the other; None where nothing is found."""
         turn = self._tries % 3
         if turn == 2:  # without a way, by descent alone
             return None
         if turn == 0:
-            route = yield from way_out.descent(q)
+            route = yield from escape.descent(q)
             self._waits = True
             if route is None:
-                route = yield from way_out.falling(q)
+                route = yield from escape.falling(q)
             if route is not None and len(route.nodes) > 1:
-                free = yield from way_out.returns(route.nodes[-1])
+                free = yield from escape.returns(route.nodes[-1])
                 if free:
                     return route
-                below = yield from way_out.below(q)
+                below = yield from escape.below(q)
                 return route if below is None else below
-        route = yield from way_out.below(q)
+        route = yield from escape.below(q)
         return route
 
-    def _found(self, q: Vector, route: Route | None) -> None:
+    def _end_search(self, q: Vector, route: EscapeRoute | None) -> None:
         self._rests = route is None and self._tries % 3 < 2
-        self._search = self._way_out = None
+        self._running = self._escape = None
         self._since, self._best, self._waits = 0, math.inf, False
         self._route, self._node = route, 1
         if route is not None:
@@ -353,13 +354,13 @@ class Recovery:
             self._left = np.append(np.cumsum(lengths[::-1])[::-1], 0.0)
             self._still_to_go = math.inf
 
-    def _along(self, route: Route, step: Step) -> Vector:
+    def _along(self, route: EscapeRoute, step: RecoveryStep) -> Vector:
         """(n,) the velocity along the way that was found."""
         last = len(route.nodes) - 1
         ahead = _AHEAD if route.falling else _AT_NODE
-        while self._node < last and np.abs(route.nodes[self._node] - step.q).max() < ahead:
+        while self._node < last and np.abs(route.nodes[self._node] - step.state.q).max() < ahead:
             self._node += 1
-        way = route.nodes[self._node] - step.q
+        way = route.nodes[self._node] - step.state.q
         self._still_to_go = float(np.abs(way) @ self._radius + self._left[self._node])
         if not route.falling:
             self.to_go = self._still_to_go
@@ -371,9 +372,9 @@ class Recovery:
         stop = length + (_AHEAD if route.falling and self._node < last else 0.0)
         braking = 0.5 * float((self._change / self._dt / per).min())
         speed = min(float((self._slow / per).min()), math.sqrt(2.0 * braking * stop), length / self._dt)
-        change = way / length * speed - step.v
+        change = way / length * speed - step.state.v
         part = min(float((self._change / np.maximum(np.abs(change), _SMALLEST)).min()), 1.0)
-        return np.asarray(step.v + part * change)
+        return np.asarray(step.state.v + part * change)
 
     def _nearer(self, q: Vector, v: Vector) -> bool:
         """Whether a step at v leaves less to go of a way below."""
@@ -382,16 +383,14 @@ class Recovery:
         way = self._route.nodes[self._node] - q - v * self._dt
         return bool(np.abs(way) @ self._radius + self._left[self._node] < self.to_go)
 
-    def out(self, pairs: Indices, way: Way) -> tuple[Indices, Vector]:
-        """Those of the pairs that keep their clearance again along the way's braking path, and the proven distance."""
+    def cleared(self, pairs: Indices, found: RecoveryPath) -> tuple[Indices, Vector]:
+        """Those of the pairs that keep their clearance again along the path, and the proven distances (K,) [m]."""
         separation = self._separation
-        pairs = pairs[way.level <= 0.0]
+        pairs = pairs[found.level <= 0.0]
         if len(pairs) == 0:
             return pairs, np.zeros(0)
-        bound, _ = separation.least_on(pairs, way.path, self._at, 0.0)
-        for row in (bound < separation.clearance[pairs]).nonzero()[0].tolist():
-            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), way.path, self._at, 0.0))
+        bound = separation.proven_on(pairs, found.path, self._at, 0.0)
         kept = bound >= separation.clearance[pairs]
-        if kept.sum() == len(way.level):
+        if kept.sum() == len(found.level):
             self.changed()
         return pairs[kept], bound[kept]

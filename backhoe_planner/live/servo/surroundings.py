@@ -79,7 +79,7 @@ class Surroundings:
             for placed in self._placed.values()
         )
 
-    def moves(self, name: str | None) -> bool:
+    def is_moving(self, name: str | None) -> bool:
         """Whether there is an obstacle of that name, or any, that has a velocity."""
         return any(name is None or placed.obstacle.name == name for placed in self._movers)
 
@@ -94,13 +94,8 @@ class Surroundings:
 
     # --- what is to be put there -------------------------------------------------------
 
-    def built(self, obstacle: Obstacle | Mapping[str, Any]) -> Obstacle:
-        """An obstacle ready to be put there.
-
-        Raises
-        ------
-        InputError: the name is taken, or the record is not one of an obstacle.
-        """
+    def build(self, obstacle: Obstacle | Mapping[str, Any]) -> Obstacle:
+        """An obstacle ready to be put there, see `Servo.add`."""
         if isinstance(obstacle, Mapping):
             spec = scene_file.obstacle_from_dict(obstacle)
             for link in spec.links or ():
@@ -111,15 +106,8 @@ class Surroundings:
             raise InputError("there is an obstacle of that name", key="name", found=obstacle.name)
         return obstacle
 
-    def scanned(self, name: str, points: object, *, resolution: float, clearance: float | None) -> Obstacle | None:
-        """Voxels in which points (k, 3) lie, as an obstacle; None where there are no points.
-
-        Raises
-        ------
-        InputError: the points are not (k, 3) numbers within a kilometre, a voxel's edge is not
-            between a millimetre and a hundred metres, the clearance is not a length, or the
-            name is that of another kind of obstacle.
-        """
+    def build_scan(self, name: str, points: object, *, resolution: float, clearance: float | None) -> Obstacle | None:
+        """Voxels in which points (k, 3) lie, as an obstacle; None without points. See `Servo.add_points`."""
         if not isinstance(name, str) or not name:
             raise InputError("is no name", key="name", found=name)
         if any(name == obstacle.name for obstacle in self._waiting) or (

@@ -8,16 +8,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law import CompletedLaw
+from backhoe_planner.law import CompletedLaw, CriticalRows
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.joint_bounds import JointBounds
 from backhoe_planner.live.braking.pair_bounds import Near
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
-from backhoe_planner.site import Nearby
 
-__all__ = ["TipTask", "Wished"]
+__all__ = ["JointWish", "TipTask"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -25,36 +24,25 @@ Matrix = NDArray[np.float64]
 _INFLUENCE = 0.3  # m: further away the null space need not care
 _UP = np.array([0.0, 0.0, 1.0])
 _NOTHING = np.zeros((0, 3))
-_NONE = np.zeros((0, 0), dtype=bool)
-_NOBODY = Nearby(
-    pair=np.zeros(0, dtype=np.intp),
-    distance=np.zeros(0),
-    margin=np.zeros(0),
-    normal=_NOTHING,
-    point_link=_NOTHING,
-    point_obstacle=_NOTHING,
-    gradient=_NOTHING,
-    drift=np.zeros(0),
-    moves=_NONE,
-)
+_NOBODY = CriticalRows(np.zeros(0), _NOTHING, np.zeros(0))
 
 
-class Wished(NamedTuple):
-    """A step's wish.
+class JointWish(NamedTuple):
+    """What a command means for the joints.
 
     Attributes
     ----------
     v: (n,) joint velocity that is wished, within the joints' rates.
     tip: (3,) velocity that is wished for the tip [m/s], world.
     task: (m, n) Jacobian of what is wished for the tip; None where joints are wished for.
-    beside: (n,) the part of v in its null space.
+    null: (n,) the part of v in its null space.
     singular: whether near a singularity.
     """
 
     v: Vector
     tip: Vector
     task: Matrix | None
-    beside: Vector
+    null: Vector
     singular: bool
 
 
@@ -109,14 +97,16 @@ class TipTask:
         to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
         np.matmul(to, at.J[0], out=self.jacobian)
 
-    def wished(self, q: Vector, command: Commands, near: Near) -> Wished:
-        """What is wished of the joints at q (n,), where the machine was placed."""
+    def wish(self, q: Vector, command: Commands, near: Near) -> JointWish:
+        """What a command asks of the joints at q (n,), where the machine was placed."""
         n = self._robot.n
         if command.joints is not None:
             joints = command.joints
-            return Wished(joints / self._bounds.over_rates(q, joints), self.jacobian[:3] @ joints, None, joints, False)
+            return JointWish(
+                joints / self._bounds.over_rates(q, joints), self.jacobian[:3] @ joints, None, joints, False
+            )
         if command.tip is None:
-            return Wished(np.zeros(n), np.zeros(3), self.jacobian[:3], np.zeros(n), False)
+            return JointWish(np.zeros(n), np.zeros(3), self.jacobian[:3], np.zeros(n), False)
         J, xdot = self.jacobian[:3], self._around(command.tip)
         if not self._all_rows:
             J, xdot = J[self._rows], xdot[self._rows]
@@ -124,40 +114,34 @@ class TipTask:
             turn = self.jacobian[3:]
             J = np.vstack((J, self._robot.pitch_sense * turn[:, -1] @ turn))
             xdot = np.append(xdot, command.pitch)
-        nearby, damped = self._nearby(near), False
-        quick = self.law.wish_with_one_spare(q, J, xdot, nearby)
+        nearby, damped = self._critical_points(near), False
+        quick = self.law.wish_on_null_line(q, J, xdot, nearby)
         if quick is None:
             at = Configuration(self._robot, q, None, self.jacobian, self._at.J[0], _NOTHING)
             wish = self.law.wish(at, J, xdot, nearby)
-            v, beside, damped = wish.v, wish.null, wish.resolved.damping > 0.0
+            v, null, damped = wish.v, wish.null, wish.task.damping > 0.0
         else:
-            v, beside = quick
+            v, null = quick
         over = self._bounds.over_rates(q, v)
-        if over > 1.0 and np.count_nonzero(beside):
-            # the tip comes first here too: what is beside it has the rates that are left
-            first = v - beside
+        if over > 1.0 and np.count_nonzero(null):
+            # the tip comes first here too: the null space has the rates that are left
+            first = v - null
             first /= self._bounds.over_rates(q, first)
-            beside = self._bounds.room_for(beside, first) * beside
-            over = self._bounds.over_rates(q, first + beside)
-            return Wished((first + beside) / over, command.tip, J, beside / over, damped)
-        return Wished(v / over, command.tip, J, beside / over, damped)
+            null = self._bounds.room_for(null, first) * null
+            v = first + null
+            over = self._bounds.over_rates(q, v)
+        return JointWish(v / over, command.tip, J, null / over, damped)
 
-    def _nearby(self, near: Near) -> Nearby:
+    def _critical_points(self, near: Near) -> CriticalRows:
         """What is near as the law wants it: one row each, of the nearest point."""
         acts = (near.margin < self.law.influence).nonzero()[0]
         if len(acts) == 0:
             return _NOBODY
         pairs = near.pairs[acts]
-        return Nearby(
-            pair=pairs,
-            distance=near.distance[acts],
+        return CriticalRows(
             margin=near.margin[acts],
-            normal=_NOTHING,
-            point_link=_NOTHING,
-            point_obstacle=_NOTHING,
             gradient=-self._separation.nearest_rows(pairs, near.gaps[acts], near.least[acts], self._at),
             drift=self._separation.drift.take(pairs),
-            moves=_NONE,
         )
 
     def _around(self, tip: Vector) -> Vector:

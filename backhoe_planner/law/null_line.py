@@ -16,15 +16,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["OneSpare", "one_spare"]
+__all__ = ["resolve_on_null_line"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-OneSpare = tuple[list[float], list[float]]
 
-
-def one_spare(J: Matrix, xdot: Vector, *, threshold: float) -> OneSpare | None:
+def resolve_on_null_line(J: Matrix, xdot: Vector, *, threshold: float) -> tuple[list[float], list[float]] | None:
     """J^+ xdot (4 numbers), and the unit vector along which N projects (4 numbers).
 
     Parameters

@@ -1,0 +1,146 @@
+"""Braking paths from where the machine is: proven clear, or turned into rows that say what would be clear.
+
+Where a braking path is not clear, its rows are the gaps of the links' corners along it,
+
+    gap_i(s) - s g_i D (v - v_ref) >= clearance_i
+
+with s from 0 to 1 along the path, and D the derivative of its end by v: so the next
+velocity is chosen by what its own check will see.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.law import Rows
+from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, Placements
+from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds
+from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, PairBounds
+from backhoe_planner.live.braking.separation import Separation
+
+__all__ = ["MOST_ROWS", "Awake", "PathCheck"]
+
+Vector = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+MOST_ROWS = 400  # of one kind in a problem, the tightest: the work of a step is bounded
+_LOOKS = 12  # pairs that are measured anew per path at most, each some 20 us
+
+
+class Awake(NamedTuple):
+    """What could come into question in a step.
+
+    Attributes
+    ----------
+    pairs: (K,) indices.
+    budget: (C,) by how much points of each class may move away from the path of before [m].
+    """
+
+    pairs: Indices
+    budget: Vector
+
+
+class PathCheck:
+    """The braking paths of one machine among all pairs.
+
+    Parameters
+    ----------
+    at: placements; row 0 holds the machine, and a check fills the rows behind it.
+    dt: length of a step [s].
+    """
+
+    def __init__(
+        self, separation: Separation, bounds: PairBounds, joints: JointBounds, at: Placements, dt: float
+    ) -> None:
+        self._separation, self._bounds, self._joints, self._at, self._dt = separation, bounds, joints, at, dt
+
+    def path(self, q: Vector, v: Vector, *, step: bool = True) -> BrakingPath:
+        """The path of a step at v (n,) from q (n,) and braking after it; of braking alone without the step."""
+        return BrakingPath(
+            q,
+            v,
+            self._dt if step else 0.0,
+            acceleration=self._joints.braking,
+            furthest=self._separation.furthest,
+            turning=self._separation.turning,
+        )
+
+    def awake(self, state: JointState, look: float) -> Awake:
+        """Pairs that could come into question in a step, see `VelocityRange.look`."""
+        later = self._dt / BRAKING
+        joints = zip(*(part.tolist() for part in state), self._joints.changes, strict=True)
+        # the end moves with the step taken, and with the change of velocity
+        change = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
+        return Awake(*self._bounds.awake(np.array(change)))
+
+    def clearance(self, awake: Awake, path: BrakingPath, *, anything_moves: bool) -> PathClearance:
+        """What is known of a path for all pairs that are awake; the placements hold it then, if there are any."""
+        separation, at, pairs = self._separation, self._at, awake.pairs
+        if len(pairs) == 0:
+            return _NOTHING_AWAKE
+        path.place(at)
+        required, stands = self._bounds.required[pairs], self._bounds.stands
+        drift_time = path.time if anything_moves else 0.0
+        bound, gaps = separation.least_on(pairs, path, at, drift_time)
+        closely = np.zeros(len(pairs), dtype=bool)
+        if (bound - required).min() >= BUFFER:
+            return PathClearance(True, True, True, bound, gaps, closely)
+        short = (bound < required - TOLERANCE).nonzero()[0]
+        if len(short):
+            # first with a plane measured where it is tightest, then with several
+            for row in short[:_LOOKS].tolist():
+                separation.renew(int(pairs[row]), at, int(gaps[:, row].min(axis=1).argmin()))
+            again = short[:_LOOKS]
+            better, gaps[:, again] = separation.least_on(pairs[again], path, at, drift_time)
+            bound[again] = np.maximum(bound[again], better)
+            for row in again[better < required[again] - TOLERANCE].tolist():
+                pair = int(pairs[row])
+                found = separation.closer_look(pair, path, at, 0.0 if stands[pair] else drift_time)
+                bound[row] = max(bound[row], found)
+                closely[row] = True
+            if closely.any():
+                gaps[:, closely] = separation.gaps(pairs[closely], at, path.parts + 1)
+            self._bounds.renew_soon(pairs[again])
+            short = (bound < required - TOLERANCE).nonzero()[0]
+        stands_clear = not stands[pairs[short]].any()
+        free = len(short) == 0 and bool((bound >= required + BUFFER).all())
+        return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
+
+    def rows(self, awake: Awake, path: BrakingPath, found: PathClearance) -> Rows:
+        """The rows of what could bind along a path [m/s]; the placements must hold it."""
+        separation, (pairs, budget) = self._separation, awake
+        none = Rows("braking", np.zeros((0, len(path.v))), np.zeros(0))
+        if len(pairs) == 0:
+            return none
+        classes = separation.classes[pairs]
+        wanted = self._bounds.required[pairs] + BUFFER
+        room = found.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
+        counts = room < (2.0 * budget[classes])[None, :, None]
+        counts[0] = False
+        # seen closely, only where the plane that was kept is right: at its tightest
+        settled = found.closely & (found.bound >= wanted + 2.0 * budget[classes])
+        if settled.any():
+            counts[:, settled] = False
+        for row in (found.closely & ~settled).nonzero()[0].tolist():
+            tight = int(found.gaps[1:, row].min(axis=1).argmax()) + 1
+            only = counts[tight, row].copy()
+            counts[:, row] = False
+            counts[tight, row] = only
+        samples, k, corners = np.nonzero(counts)
+        if len(k) == 0:
+            return none
+        if len(k) > MOST_ROWS:
+            tightest = np.argpartition(room[samples, k, corners], MOST_ROWS)[:MOST_ROWS]
+            samples, k, corners = samples[tightest], k[tightest], corners[tightest]
+        part = samples / path.parts
+        G = separation.rows(pairs[k], samples, corners, self._at) @ path.D / path.look
+        h = room[samples, k, corners] / (part * path.look) + G @ path.v
+        # never ask for more of a way back than the start itself is short of
+        short = np.maximum(wanted[k] - found.gaps[0, k, corners], 0.0)
+        return Rows("braking", G, np.maximum(h, -2.0 * short))
+
+
+_NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=np.bool_))

@@ -1,0 +1,266 @@
+"""The nearest safe velocity to a wish: a small QP, and a check of what it promises.
+
+    min_v |v - v_w|_W   s.t.   rows of the braking path, rows of evasion
+
+W weighs what the tip notices. The rows are linear, so the braking path of the solution
+is checked, and where it is not clear its rows are added and the problem is solved anew.
+An obstacle that moves is met by one more row, which asks for a velocity away from it
+while the machine can still reach it:
+
+    g v + u.n >= -sqrt(2 a_n margin),   a_n = sum_j |g_j| a_j / 2
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.law import QuadraticProgram, Rows, solve_program
+from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, Placements
+from backhoe_planner.live.braking.joint_bounds import (
+    FASTEST_RECOVERY,
+    RECOVERY,
+    SLOWEST_RECOVERY,
+    JointBounds,
+    VelocityRange,
+)
+from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Near, PairBounds
+from backhoe_planner.live.braking.path_check import MOST_ROWS, Awake, PathCheck
+from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.recovery.recovery import Recovery, RecoveryStep
+
+__all__ = ["SafeVelocity", "VelocityFilter", "VelocityWish", "velocity_program"]
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+_ATTEMPTS = 3  # problems that are solved per step
+_BLENDS = (0.5, 0.2)  # parts of the way from braking to what was tried last
+_UNCHANGED = 1e-12  # rad/s or m/s: a solution that is no other
+_FREE = 0.005  # weight of the null space beside the tip [m^2]
+_VIOLATED = 1e-7  # m
+_AS_NEAR = 0.02  # m: corners that are as near as this to the nearest one get a row each
+
+
+class VelocityWish(NamedTuple):
+    """What the joints are to do in a step, and how far they may go.
+
+    Attributes
+    ----------
+    v: (n,) the velocity that is wished for in the end.
+    target: (n,) the next velocity on the way there with nothing in the way.
+    task: (m, n) Jacobian of what is wished for the tip; None where joints are wished for.
+    null: (n,) the part of v in its null space.
+    for_tip: whether the tip has a wish.
+    range: the velocities that keep the joint limits.
+    """
+
+    v: Vector
+    target: Vector
+    task: Matrix | None
+    null: Vector
+    for_tip: bool
+    range: VelocityRange
+
+
+class SafeVelocity(NamedTuple):
+    """The velocity of a step.
+
+    Attributes
+    ----------
+    v: (n,) [rad/s or m/s].
+    held_back: whether something is in the way of the wish.
+    evading: whether something that moves is.
+    end: (n,) of its braking path [rad or m]; None where the machine brakes on the path of before.
+    """
+
+    v: Vector
+    held_back: bool
+    evading: bool
+    end: Vector | None
+
+
+def velocity_program(
+    wish: VelocityWish, target: Vector, low: Vector, high: Vector, rows: tuple[Rows, ...]
+) -> QuadraticProgram:
+    """The problem whose solution is the velocity nearest to `target` (n,), as the tip notices it.
+
+    What the target does for the tip is asked of the tip alone: that of each joint would
+    drive the others on where one cannot follow.
+    """
+    n = len(target)
+    if wish.task is None:
+        return QuadraticProgram(np.eye(n), -target, low, high, rows)
+    serves = wish.task.T @ wish.task
+    f = -(serves @ target) - _FREE * wish.null
+    return QuadraticProgram(_FREE * np.eye(n) + serves, f, low, high, rows)
+
+
+class VelocityFilter:
+    """Chooses velocities whose braking path is proven clear.
+
+    Parameters
+    ----------
+    joints, bounds, check, recovery: of the servo.
+    acceleration: (n,) of the joints at most [rad/s^2 or m/s^2].
+    at: placements, of which row 0 is where the machine is.
+    """
+
+    def __init__(
+        self,
+        separation: Separation,
+        *,
+        joints: JointBounds,
+        bounds: PairBounds,
+        check: PathCheck,
+        recovery: Recovery,
+        acceleration: Vector,
+        at: Placements,
+    ) -> None:
+        self._separation, self._joints, self._bounds = separation, joints, bounds
+        self._check, self._recovery, self._acceleration, self._at = check, recovery, acceleration, at
+
+    def choose(self, state: JointState, wish: VelocityWish, near: Near, *, anything_moves: bool) -> SafeVelocity:
+        """The velocity nearest to the wish whose braking path is proven clear; braking where there is none."""
+        if len(self._bounds.inside) or self._recovery.held_outside(state.q):
+            return self._recover(state, wish, near, anything_moves=anything_moves)
+        check, (low, high, *_) = self._check, wish.range
+        v, wish = self._within_limits(state, wish)
+        awake = check.awake(state, wish.range.look)
+        evasion = self._evasion_rows(near, low, high)
+        held_back = evading = False
+        straight: tuple[BrakingPath, PathClearance] | None = None
+        for attempt in range(_ATTEMPTS):
+            late = not evasion.are_kept_by(v, TOLERANCE)
+            path = check.path(state.q, v)
+            found = check.clearance(awake, path, anything_moves=anything_moves)
+            if (found.free if attempt == 0 else found.clear) and not late:
+                return self._accept(path, awake, found, held_back=held_back, evading=evading)
+            if attempt == 0 and found.clear and not late:
+                straight = path, found
+            nearer = v
+            if attempt < _ATTEMPTS - 1:
+                nearer = self._within_rows(state, wish, (check.rows(awake, path, found), evasion))
+                evading |= late
+                held_back = True
+            if np.abs(nearer - v).max() < _UNCHANGED:
+                if found.stands_clear:
+                    return self._accept(path, awake, found, evading=evading)
+                break
+            v = nearer
+        if straight is not None:  # only the buffer is missing, and asking for it leads nowhere
+            return self._accept(straight[0], awake, straight[1], evading=evading)
+        brake = self._braking(state.v)
+        for part in _BLENDS:
+            path = check.path(state.q, np.minimum(np.maximum(brake + part * (v - brake), low), high))
+            found = check.clearance(awake, path, anything_moves=anything_moves)
+            if found.stands_clear:
+                return self._accept(path, awake, found, evading=evading)
+        return SafeVelocity(self._joints.brake(state.v), True, evading, None)
+
+    def _accept(
+        self, path: BrakingPath, awake: Awake, found: PathClearance, *, held_back: bool = True, evading: bool = False
+    ) -> SafeVelocity:
+        self._bounds.accept(awake.pairs, found)
+        return SafeVelocity(path.v, held_back, evading, path.end)
+
+    def _recover(self, state: JointState, wish: VelocityWish, near: Near, *, anything_moves: bool) -> SafeVelocity:
+        """The velocity of the way back, with what was proven of it held from now on."""
+        bounds, clearance = self._bounds, self._separation.clearance
+        pairs = bounds.inside
+        low, high = self._recovery.slowed(state.q, state.v, wish.range.low, wish.range.high)
+        awake = self._check.awake(state, wish.range.look)
+        step = RecoveryStep(
+            state=state,
+            low=low,
+            high=high,
+            target=np.minimum(np.maximum(wish.target, low), high),
+            brake=self._braking(state.v),
+            awake=awake,
+            evasion=self._evasion_rows(near, low, high),
+            anything_moves=anything_moves,
+        )
+        depth, found = self._recovery.choose(pairs, bounds.stands, step)
+        bounds.set_distance(pairs, clearance[pairs] - depth)
+        if found is None:
+            return SafeVelocity(self._joints.brake(state.v), True, False, None)
+        bounds.required[pairs] = clearance[pairs] - np.maximum(found.level, 0.0)
+        out, bound = self._recovery.cleared(pairs, found)
+        bounds.set_proven(out, bound)
+        if len(out):  # held to its clearance again
+            bounds.inside = pairs[~np.isin(pairs, out)]
+        return self._accept(found.path, awake, found.clearance)
+
+    def _braking(self, v: Vector) -> Vector:
+        """(n,) braking from v (n,), where that stays within what a step can change."""
+        change = self._joints.change
+        return np.minimum(np.maximum(self._joints.brake(v), v - change), v + change)
+
+    def _within_limits(self, state: JointState, wish: VelocityWish) -> tuple[Vector, VelocityWish]:
+        """(n,) the next velocity on the way to the wish, or to what the joints' limits leave of it.
+
+        Also the wish: where a limit cuts it, the null space has none.
+        """
+        target, (low, high, *_) = wish.target, wish.range
+        joints = zip(target.tolist(), low.tolist(), high.tolist(), strict=True)
+        if all(least <= rate <= most for rate, least, most in joints):
+            return target, wish
+        if not wish.for_tip:
+            return np.minimum(np.maximum(target, low), high), wish
+        # the other joints alone would lead the tip elsewhere
+        wish = wish._replace(null=np.zeros(len(target)))
+        return self._within_rows(state, wish, ()), wish
+
+    def _within_rows(self, state: JointState, wish: VelocityWish, rows: tuple[Rows, ...]) -> Vector:
+        """(n,) the next velocity on the way to what rows and limits leave of the wish.
+
+        What would be left in the end is asked for first: from step to step alone, each
+        within the joints' accelerations, the nearest need not lead there.
+        """
+        low, high, least, most, *_ = wish.range
+        steady = self._solve(state, velocity_program(wish, wish.v, least, most, rows))
+        slower = steady / self._joints.over_rates(state.q, steady)
+        if all(block.are_kept_by(slower, TOLERANCE) for block in rows):
+            steady = slower
+        target = self._joints.towards(steady, state.v)
+        v = np.minimum(np.maximum(target, low), high)
+        if not np.count_nonzero(v != target) and all(block.are_kept_by(v) for block in rows):
+            return v
+        return self._solve(state, velocity_program(wish, target, low, high, rows))
+
+    def _solve(self, state: JointState, program: QuadraticProgram) -> Vector:
+        """(n,) the solution within its bounds, or braking where there is none."""
+        solution = solve_program(program)
+        x = self._joints.brake(state.v) if solution is None else solution.x
+        return np.minimum(np.maximum(x, program.low), program.high)
+
+    def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
+        """The rows of obstacles that come nearer, and of those that move and are too close already."""
+        separation = self._separation
+        none = Rows("evasion", np.zeros((0, len(low))), np.zeros(0))
+        if len(near.pairs) == 0:
+            return none
+        clearance = separation.clearance[near.pairs]
+        too_close = np.maximum(near.distance, self._bounds.required[near.pairs]) < clearance - _VIOLATED
+        too_close &= ~self._bounds.stands[near.pairs]
+        drift = separation.drift[near.pairs]
+        chosen = ((drift < 0.0) | too_close).nonzero()[0]
+        if len(chosen) == 0:
+            return none
+        own = near.gaps[chosen]
+        if len(chosen) > MOST_ROWS:
+            chosen = chosen[np.argpartition(own.min(axis=1), MOST_ROWS)[:MOST_ROWS]]
+            own = near.gaps[chosen]
+        k, corners = np.nonzero(own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + _AS_NEAR)
+        G = separation.rows(near.pairs[chosen[k]], 0, corners, self._at)
+        comes = drift[chosen[k]]
+        moves = comes < 0.0
+        margin = own[k, corners] - clearance[chosen[k]] - np.where(moves, 2.0 * BUFFER, 0.0)
+        authority = 0.5 * np.abs(G) @ self._acceleration
+        allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
+        back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
+        h = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
+        could = np.maximum(G * low, G * high).sum(axis=1) > h
+        return Rows("evasion", G[could], h[could])
