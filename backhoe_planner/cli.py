@@ -495,12 +495,12 @@ def _tell_zones(found: Plan) -> None:
 
 def _tell_driven(found: Plan) -> bool:
     """Of a plan that was driven by hand say so, and what it leaves out; whether it is one."""
-    from backhoe_planner.live import is_driven, left_out
+    from backhoe_planner.live import is_recording, unrecorded_changes
 
-    if not is_driven(found):
+    if not is_recording(found):
         return False
     _out.print(f"{'recording':<13} driven by hand, {found.trajectory.duration:.2f} s")
-    for note in left_out(found):
+    for note in unrecorded_changes(found):
         _out.print(f"{'left out':<13} {note}")
     return True
 

@@ -1,8 +1,7 @@
 from .braking.braking_path import BrakingPath, Placements, bend
 from .braking.separation import Separation
-from .driven import is_driven, left_out, shown_problem
-from .follower import Followed, Following, PlanFollower
-from .recordings import recorded_plan
+from .follower import FollowerState, FollowerStatus, PlanFollower
+from .recordings import is_recording, plan_from_recording, problem_to_show, unrecorded_changes
 from .recovery.escape import MOST_LOOKS, EscapeRoute, EscapeSearch, RouteSearch
 from .recovery.violation_descent import way_back
 from .rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
@@ -17,8 +16,8 @@ __all__ = [
     "EscapeRoute",
     "EscapeSearch",
     "Feedback",
-    "Followed",
-    "Following",
+    "FollowerState",
+    "FollowerStatus",
     "NoRejoining",
     "Placements",
     "PlanFollower",
@@ -31,10 +30,10 @@ __all__ = [
     "Status",
     "bend",
     "find_rejoining",
-    "is_driven",
+    "is_recording",
     "is_still_clear",
-    "left_out",
-    "recorded_plan",
-    "shown_problem",
+    "plan_from_recording",
+    "problem_to_show",
+    "unrecorded_changes",
     "way_back",
 ]

@@ -38,7 +38,7 @@ from backhoe_planner.live.servo.servo_state import ServoState
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
 
-__all__ = ["Followed", "Following", "PlanFollower"]
+__all__ = ["FollowerState", "FollowerStatus", "PlanFollower"]
 
 Vector = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ _OFF = 0.1  # rad or m that the machine may be from where a way begins
 _RECHECK = 0.2  # s between two checks of a way while what stands around changes
 
 
-class Following(str, Enum):
+class FollowerStatus(str, Enum):
     """How it goes with a plan that is being followed."""
 
     FOLLOWING = "following"
@@ -75,7 +75,7 @@ class Following(str, Enum):
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowerState:
     """One step of a plan that is being followed.
 
     Attributes
@@ -96,7 +96,7 @@ class Followed:
     behind: float
     deviation: float
     done: bool
-    status: Following
+    status: FollowerStatus
     reason: str
 
 
@@ -156,7 +156,7 @@ class PlanFollower:
         self._again_at = 0.0  # s: when to search again
         self._failed_at, self._failed_for = 0.0, -1  # s; revision of the surroundings
         self._may_succeed = True  # with more effort
-        self._standing = False
+        self._was_holding = False
         self._holding = False
         self._blocked = ""
         self._retrying = False
@@ -180,13 +180,13 @@ class PlanFollower:
         off = float(np.abs(self._plan.q[-1] - servo.q).max())
         return self._plan.ended and off < _ARRIVED and bool((np.abs(servo.v) < _AT_REST).all())
 
-    def step(self) -> Followed:
+    def step(self) -> FollowerState:
         """Move on by the servo's dt."""
         servo = self.servo
         self._steps += 1
         self._take_answer()
-        if self._stands():
-            self._standing = True
+        if self._must_hold():
+            self._was_holding = True
             state = servo.step(joint_velocity=np.zeros(servo.robot.n))
             if not self._searches.under_way and float(np.abs(state.v).max()) < _STILL:
                 if self._holding:
@@ -195,14 +195,14 @@ class PlanFollower:
                     # along the plan once more, and only where that still leads nowhere another search
                     self._retrying = True
         else:
-            if self._standing:
-                self._standing = False
+            if self._was_holding:
+                self._was_holding = False
                 self._progress = _Progress(self._slowest)
             state = self._follow(self._plan if self._round is None else self._round.reference)
         deviation = float(np.abs(self._plan.at()[0] - state.q).max())
         done = self._plan.ended and deviation < _ARRIVED and self.done
-        status, reason = self._told(state, done)
-        return Followed(
+        status, reason = self._status(state, done)
+        return FollowerState(
             state=state,
             plan_time=self._plan.clock,
             behind=max(self._steps * servo.dt - self._plan.clock, 0.0),
@@ -212,7 +212,7 @@ class PlanFollower:
             reason=reason,
         )
 
-    def _stands(self) -> bool:
+    def _must_hold(self) -> bool:
         """Whether it is to hold still: while a way is searched, and where there is none as long as nothing changes."""
         servo = self.servo
         if self._holding:
@@ -331,18 +331,18 @@ class PlanFollower:
             reason = answer.reason if isinstance(answer, NoRejoining) else f"planning failed: {answer!s:.200}"
             self._note_failure(reason, self._searches.revision, final=final)
 
-    # --- what is said ------------------------------------------------------------------
+    # --- how it goes --------------------------------------------------------------------
 
-    def _told(self, state: ServoState, done: bool) -> tuple[Following, str]:
+    def _status(self, state: ServoState, done: bool) -> tuple[FollowerStatus, str]:
         if done:
-            return Following.ARRIVED, ""
+            return FollowerStatus.ARRIVED, ""
         if self._blocked:
-            return Following.BLOCKED, self._blocked
+            return FollowerStatus.BLOCKED, self._blocked
         if self._holding or self._progress.waited > _NOTICED:
-            return Following.WAITING, self._held_by(state)
+            return FollowerStatus.WAITING, self._held_by(state)
         if self._round is not None:
-            return Following.GOING_ROUND, "" if self._round.around is None else f"round {self._round.around}"
-        return Following.FOLLOWING, ""
+            return FollowerStatus.GOING_ROUND, "" if self._round.around is None else f"round {self._round.around}"
+        return FollowerStatus.FOLLOWING, ""
 
     @staticmethod
     def _held_by(state: ServoState) -> str:
@@ -459,7 +459,7 @@ class _Searches:
             self._future.set_exception(error)
 
     def answer(self, now: float) -> Any:
-        """What came of it, or the exception that it ended with; None while there is nothing."""
+        """The result of the call, or the exception that it ended with; None while it runs."""
         future = self._future
         if future is None:
             return None

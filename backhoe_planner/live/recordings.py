@@ -1,23 +1,25 @@
 """A motion that was driven by hand, as a plan: certified, and written like any other.
 
-Its task is what was done: to bring the tip from where the motion began to where it ended.
+A plan needs a task. That of a recording is to bring the tip from where the motion began to
+where it ended. There was no such goal, so none is shown, and the tip error says nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from backhoe_planner.machine import Kinematics, Robot
-from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.motion import Problem, Trajectory, build_problem
 from backhoe_planner.planning import Plan, Reason, judged, motion_metrics
 from backhoe_planner.proof import certify_problem
 from backhoe_planner.site import Scene, scene_from_dict
 
-__all__ = ["recorded_plan"]
+__all__ = ["is_recording", "plan_from_recording", "problem_to_show", "unrecorded_changes"]
 
 
-def recorded_plan(
+def plan_from_recording(
     robot: Robot,
     scene: Scene,
     trajectory: Trajectory,
@@ -63,3 +65,21 @@ def recorded_plan(
         metrics=motion_metrics(problem, trajectory, certificate, 0.0, method="teleop"),
         details={} if details is None else details,
     )
+
+
+def is_recording(plan: Plan) -> bool:
+    """Whether a plan is the recording of a motion driven by hand."""
+    return plan.method == "teleop"
+
+
+def unrecorded_changes(plan: Plan) -> tuple[str, ...]:
+    """Changes of the site during a recording that a scene file cannot hold, in words; none for other plans."""
+    recorded = plan.details.get("recorded") if is_recording(plan) and isinstance(plan.details, Mapping) else None
+    notes = recorded.get("notes") if isinstance(recorded, Mapping) else None
+    return tuple(str(note) for note in notes) if isinstance(notes, (list, tuple)) else ()
+
+
+def problem_to_show(plan: Plan) -> Problem:
+    """The problem of a plan for pictures and pages: that of a recording has no goal."""
+    problem = build_problem(plan.robot, plan.scene)
+    return replace(problem, goal=None, path=None) if is_recording(plan) else problem

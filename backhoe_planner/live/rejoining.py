@@ -122,14 +122,14 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
 
 def is_still_clear(robot: Robot, obstacles: tuple[Obstacle, ...], q: Matrix) -> bool:
     """Whether a way through `q` (K, n) provably keeps clear of `obstacles`, each where it is now."""
-    proximity = Proximity(robot, tuple(_standing(obstacle) for obstacle in obstacles))
+    proximity = Proximity(robot, tuple(_at_rest(obstacle) for obstacle in obstacles))
     return all(segment_is_clear(proximity, a, b, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(q))
 
 
 class _Search:
     def __init__(self, query: RejoiningQuery, problem: Problem, work: Work) -> None:
         self._query, self._problem, self._work = query, problem, work
-        self._proximity = Proximity(query.robot, tuple(_standing(obstacle) for obstacle in query.obstacles))
+        self._proximity = Proximity(query.robot, tuple(_at_rest(obstacle) for obstacle in query.obstacles))
         later = query.motion.time > query.since + 1e-9
         self._time = np.concatenate(([query.since], query.motion.time[later]))
         self._q = np.vstack((query.motion.at(query.since)[None], query.motion.q[later]))
@@ -285,6 +285,6 @@ class _Search:
         return found
 
 
-def _standing(obstacle: Obstacle) -> Obstacle:
-    """The same, standing where it is."""
+def _at_rest(obstacle: Obstacle) -> Obstacle:
+    """The same obstacle, at rest where it is."""
     return replace(obstacle, appears_at=0.0, velocity=np.zeros(3))

@@ -13,8 +13,8 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.live import (
-    Followed,
-    Following,
+    FollowerState,
+    FollowerStatus,
     NoRejoining,
     PlanFollower,
     Rejoining,
@@ -98,7 +98,9 @@ def tip(robot: Robot, q: Any) -> list[float]:
     return [float(x) for x in bp.Kinematics(robot).at(np.array(q)).tip_position]
 
 
-def followed(follower: PlanFollower, most: int, *, until: Callable[[Followed], bool] | None = None) -> list[Followed]:
+def followed(
+    follower: PlanFollower, most: int, *, until: Callable[[FollowerState], bool] | None = None
+) -> list[FollowerState]:
     found = []
     for _ in range(most):
         found.append(follower.step())
@@ -107,7 +109,7 @@ def followed(follower: PlanFollower, most: int, *, until: Callable[[Followed], b
     return found
 
 
-def least_margin(robot: Robot, steps: list[Followed], *obstacles: dict[str, Any]) -> float:
+def least_margin(robot: Robot, steps: list[FollowerState], *obstacles: dict[str, Any]) -> float:
     return least_margin_of(robot, [step.state.q for step in steps[::5]], *obstacles)
 
 
@@ -136,8 +138,8 @@ def test_with_nothing_in_the_way_it_arrives_on_time(backhoe: Robot) -> None:
     assert max(step.deviation for step in steps) < 0.01
     assert steps[-1].behind < 1.5
     np.testing.assert_allclose(steps[-1].state.q, END, atol=1e-3)
-    assert {step.status for step in steps[:-1]} == {Following.FOLLOWING}
-    assert steps[-1].status is Following.ARRIVED
+    assert {step.status for step in steps[:-1]} == {FollowerStatus.FOLLOWING}
+    assert steps[-1].status is FollowerStatus.ARRIVED
     assert {step.reason for step in steps} == {""}
 
 
@@ -156,7 +158,7 @@ def test_it_waits_still_while_a_way_is_searched_and_goes_on_once_the_plan_is_fre
     followed(follower, 300)
     servo.add(ball)
     held = followed(follower, 1500)
-    assert held[-1].status is Following.WAITING
+    assert held[-1].status is FollowerStatus.WAITING
     assert "ball" in held[-1].reason
     assert held[-1].behind > 1.0
     assert not held[-1].state.v.any()
@@ -186,10 +188,10 @@ def test_what_stays_on_the_plan_is_gone_round(backhoe: Robot, what: str) -> None
     assert steps[-1].done
     np.testing.assert_allclose(steps[-1].state.q, END, atol=1e-3)
     assert least_margin(backhoe, steps, obstacle) >= -1e-6
-    went = [step for step in steps if step.status is Following.GOING_ROUND]
+    went = [step for step in steps if step.status is FollowerStatus.GOING_ROUND]
     assert max(step.deviation for step in went) > 0.1
     assert {step.reason for step in went} == {f"round {what}"}
-    last = max(row for row, step in enumerate(steps) if step.status is Following.GOING_ROUND)
+    last = max(row for row, step in enumerate(steps) if step.status is FollowerStatus.GOING_ROUND)
     assert steps[last + 1].plan_time > steps[last].plan_time + 0.1
     assert max(step.deviation for step in steps[last + 1 :]) < 0.1  # the rest of the plan is unchanged
     changes = np.diff([step.state.v for step in steps], axis=0)
@@ -202,7 +204,7 @@ def test_a_way_round_that_is_taken_up_is_given_up_for_another(backhoe: Robot) ->
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
     followed(follower, 300)
     servo.add(ball)
-    steps = followed(follower, 12_000, until=lambda step: step.status is Following.GOING_ROUND)
+    steps = followed(follower, 12_000, until=lambda step: step.status is FollowerStatus.GOING_ROUND)
     (way,) = executor.answers
     place = tip(backhoe, way.motion.at(0.6 * way.motion.duration))
     second = {"name": "second", "shape": "sphere", "radius": 0.15, "position": place}
@@ -221,7 +223,7 @@ def test_what_changes_elsewhere_leaves_the_way_round_alone(backhoe: Robot) -> No
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
     followed(follower, 300)
     servo.add(placed(backhoe, "ball"))
-    followed(follower, 12_000, until=lambda step: step.status is Following.GOING_ROUND)
+    followed(follower, 12_000, until=lambda step: step.status is FollowerStatus.GOING_ROUND)
     servo.add({"name": "far", "shape": "sphere", "radius": 0.2, "position": [-4.0, 0.0, 3.0]})
     steps = followed(follower, 12_000)
     assert executor.answers[1:] == [True]
@@ -249,7 +251,7 @@ def test_what_stands_on_the_end_is_said_and_the_plan_finished_once_it_is_gone(ba
     followed(follower, 300)
     servo.add(ball)
     steps = followed(follower, 2500)
-    assert steps[-1].status is Following.BLOCKED
+    assert steps[-1].status is FollowerStatus.BLOCKED
     assert steps[-1].reason == "ball stands on the end of the plan"
     assert not steps[-1].done
     assert not np.any([step.state.v for step in steps[-400:]])  # it stands still,
@@ -271,9 +273,9 @@ def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
     followed(follower, 200)
     servo.add(WALL)
-    steps = followed(follower, 4000, until=lambda step: step.status is Following.BLOCKED)
+    steps = followed(follower, 4000, until=lambda step: step.status is FollowerStatus.BLOCKED)
     steps += followed(follower, 100)
-    assert steps[-1].status is Following.BLOCKED
+    assert steps[-1].status is FollowerStatus.BLOCKED
     assert "wall stands on the plan" in steps[-1].reason
     assert all(isinstance(answer, NoRejoining) and answer.searched for answer in executor.answers)
     assert least_margin(backhoe, steps, WALL) >= -1e-6
@@ -288,7 +290,7 @@ def test_an_executor_that_fails_blocks_and_raises_nothing(backhoe: Robot, at_onc
     followed(follower, 300)
     servo.add(placed(backhoe, "ball"))
     step = followed(follower, 1500)[-1]
-    assert step.status is Following.BLOCKED
+    assert step.status is FollowerStatus.BLOCKED
     assert step.reason.startswith("planning failed: ")
     servo.remove("ball")
     assert followed(follower, 6000)[-1].done
@@ -443,7 +445,7 @@ def test_a_search_that_never_ends_and_one_that_says_nothing_leave_the_plan_to_be
         follower = PlanFollower(servo, smooth_motion(), executor=executor)
         followed(follower, 300)
         servo.add(placed(backhoe, "ball"))
-        steps = followed(follower, 12_000, until=lambda step: step.status is Following.BLOCKED)
+        steps = followed(follower, 12_000, until=lambda step: step.status is FollowerStatus.BLOCKED)
         assert steps[-1].reason.startswith("planning failed: no answer ")
         servo.remove("ball")
         assert followed(follower, 6000)[-1].done

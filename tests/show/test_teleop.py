@@ -29,7 +29,7 @@ from hypothesis import strategies as st
 
 import backhoe_planner as bp
 from backhoe_planner.errors import InputError, OutputError
-from backhoe_planner.live import Command, ServoState, Status, is_driven, left_out, shown_problem
+from backhoe_planner.live import Command, ServoState, Status, is_recording, problem_to_show, unrecorded_changes
 from backhoe_planner.machine import Robot
 from backhoe_planner.show import (
     LARGEST,
@@ -494,8 +494,8 @@ def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
     assert [obstacle.name for obstacle in plan.scene.obstacles] == ["pole"]
     assert plan.scene.obstacles[0].appears_at == pytest.approx(back)
     plan.save(tmp_path / "driven.json")
-    assert shown_problem(plan).goal is None
-    assert left_out(plan) == tuple(notes)
+    assert problem_to_show(plan).goal is None
+    assert unrecorded_changes(plan) == tuple(notes)
 
     from backhoe_planner.cli import main
 
@@ -512,12 +512,12 @@ def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
 
 def test_what_a_plan_file_says_of_a_recording_may_be_anything(backhoe: Robot) -> None:
     plan = bp.plan(backhoe, bp.scene_from_dict(SITE))
-    assert (is_driven(plan), left_out(plan)) == (False, ())
-    assert shown_problem(plan).goal is not None
+    assert (is_recording(plan), unrecorded_changes(plan)) == (False, ())
+    assert problem_to_show(plan).goal is not None
     anything: list[Any] = [[], {"recorded": 3}, {"recorded": {"notes": "x"}}, {"recorded": {"notes": None}}]
     for details in anything:
-        assert left_out(replace(plan, method="teleop", details=details)) == ()
-    assert left_out(replace(plan, method="teleop", details={"recorded": {"notes": [1, "a"]}})) == ("1", "a")
+        assert unrecorded_changes(replace(plan, method="teleop", details=details)) == ()
+    assert unrecorded_changes(replace(plan, method="teleop", details={"recorded": {"notes": [1, "a"]}})) == ("1", "a")
 
 
 def test_obstacles_of_their_own_motion_are_recorded_where_they_were(backhoe: Robot) -> None:

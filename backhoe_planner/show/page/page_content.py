@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.live import is_driven, left_out, shown_problem
+from backhoe_planner.live import is_recording, problem_to_show, unrecorded_changes
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.framing import View
@@ -20,7 +20,7 @@ __all__ = ["show_plan", "tell_problem", "tell_step"]
 
 def show_plan(display: Display, plan: Plan) -> SceneGraph:
     """Draw a plan and its animation, and tell its verdict, numbers and frames."""
-    problem = shown_problem(plan)
+    problem = problem_to_show(plan)
     visualizer = display.visualizer()
     frames = timeline(problem, plan.trajectory)
     graph = SceneGraph(visualizer, problem, q=plan.trajectory.q[0])
@@ -120,7 +120,7 @@ def _facts(plan: Plan) -> list[tuple[str, str, str]]:
         facts.append(("Tightest margin", f"{_metres(tightest.margin)} m", remark))
     tracking = certificate.tracking
     mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
-    if not is_driven(plan):
+    if not is_recording(plan):
         facts.append(("Tip error", _length(tracking.max_error), mean))
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)
@@ -131,8 +131,8 @@ def _facts(plan: Plan) -> list[tuple[str, str, str]]:
     if isinstance(work, (int, float)):
         facts.append(("Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", ""))
     taken = metrics.get("planning_time")
-    if is_driven(plan):
-        facts.append(("Recording", "driven by hand", "; ".join(left_out(plan))))
+    if is_recording(plan):
+        facts.append(("Recording", "driven by hand", "; ".join(unrecorded_changes(plan))))
     elif isinstance(taken, (int, float)):
         facts.append(("Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"))
     return facts

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.live import is_driven
+from backhoe_planner.live import is_recording
 from backhoe_planner.motion import OBJECTIVES, Problem, Trajectory, build_problem, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
@@ -67,7 +67,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
     figure = Figure(figsize=(_WIDTH, _PANEL * sum(heights) + 0.9))
     figure.set_layout_engine("constrained", hspace=0.06)
-    driven = "driven by hand, " if is_driven(plan) else ""
+    driven = "driven by hand, " if is_recording(plan) else ""
     verdict = "verified" if plan.verified else f"failed ({plan.reason.replace('_', ' ')})"
     figure.suptitle(
         f"{plain_text(plan.scene.name or plan.robot.name)}: {driven}{verdict}",

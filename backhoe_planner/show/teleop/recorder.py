@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.live import recorded_plan
+from backhoe_planner.live import plan_from_recording
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
@@ -49,7 +49,7 @@ class Recording:
         trajectory = Trajectory.from_steps(np.asarray(np.arange(len(self.q)) * self.dt, dtype=np.float64), self.q)
         visits = [asdict(visit) for visit in zone_log(robot, scene, trajectory)]
         details = {"recorded": {"dt": self.dt, "notes": list(self.notes)}, "zones": visits}
-        return recorded_plan(robot, scene, trajectory, obstacles=self.obstacles, details=details)
+        return plan_from_recording(robot, scene, trajectory, obstacles=self.obstacles, details=details)
 
 
 class Recorder:
