@@ -177,7 +177,7 @@ def test_a_step_that_fails_brakes_the_machine_to_rest(backhoe: Robot, monkeypatc
     def broken(*_: object) -> float:
         raise ArithmeticError("no number\nand more")
 
-    monkeypatch.setattr(session, "_still_wished", broken)
+    monkeypatch.setattr(session, "_held_wish", broken)
     acceleration = session.robot.limits.acceleration
     session.step()
     assert session.failure == "the machine was stopped, as a step failed: ArithmeticError: no number"
@@ -630,7 +630,7 @@ def dropped(shape: str, **sizes: Any) -> str:
         ('{"type": "add", "obstacle": {"name": "m", "shape": "mesh", "file": "/etc/passwd"}}', "'sphere'"),
         ('{"type": "take", "id": 1}' + " " * LARGEST, "too long"),
         (dropped("sphere", radius=1e-300), "sphere.radius"),
-        (dropped("sphere", radius=1e-5), "radius: is no length to be dropped in"),
+        (dropped("sphere", radius=1e-5), "radius: is not a length that can be dropped in"),
         (dropped("sphere", radius=2000.0), "allowed: 0.001 to 1000 m"),
         (dropped("box", size=[1.0, 0.0009, 1.0]), "size"),
         (dropped("cylinder", radius=0.1, length=1e-9), "length"),
@@ -910,7 +910,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
         # a step that fails ends it, once the machine stands
         done(session, page, **LEFT)
         wait(lambda: bool(np.abs(session.snapshot().state.v).max() > 0.02))
-        monkeypatch.setattr(session, "_still_wished", broken)
+        monkeypatch.setattr(session, "_held_wish", broken)
         wait(lambda: not station.running)
         assert np.abs(session.snapshot().state.v).max() == 0.0
         assert "ArithmeticError: no picture" in station.failure

@@ -1,4 +1,4 @@
-"""Facets, lines and lights as meshcat's objects.
+"""Facets, lines, sky, lights and camera as meshcat's objects.
 
 meshcat's own mesh carries no normals and no opacity per vertex, and it has no lights;
 three.js, which reads the messages, knows all of them.
@@ -13,12 +13,18 @@ import numpy as np
 from meshcat.commands import SetProperty
 from numpy.typing import NDArray
 
+from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, View
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets
 
-__all__ = ["ambient", "line_segments", "material", "mesh", "set_property", "sun"]
+__all__ = ["line_segments", "mesh", "set_camera", "set_property", "set_stage"]
 
 Points = NDArray[np.float64]
+
+_SKY_TOP = [0.62, 0.76, 0.90]
+_SKY_BOTTOM = [0.95, 0.96, 0.96]
+_UNWANTED = ("Lights/SpotLight", "Lights/PointLightNegativeX", "Lights/PointLightPositiveX", "Lights/AmbientLight",
+             "Lights/FillLight", "Grid", "Axes")  # fmt: skip
 
 
 class _FacetGeometry(g.Geometry):  # type: ignore[misc]
@@ -68,48 +74,33 @@ def set_property(node: Any, key: str, value: object) -> None:
     node.window.send(_SetProperty(key, value, node["<object>"].path))
 
 
-def material(
-    rgba: Rgba,
-    *,
-    per_vertex: bool = False,
-    lit: bool = True,
-    one_sided: bool = False,
-    behind: bool = False,
-    through: bool = False,
+def mesh(
+    drawn: Facets, rgba: Rgba, *, lit: bool = True, one_sided: bool = False, behind: bool = False, through: bool = False
 ) -> Any:
-    """A surface of one colour.
+    """A mesh to be handed to ``set_object``.
 
     Parameters
     ----------
-    per_vertex: the facets bring their colours; only the opacity of `rgba` counts.
+    rgba: its colour; where the facets bring their own, only the opacity counts.
     lit: slightly glossy, with light and shade; else the same colour from all sides.
     one_sided: draw the outside only, for see-through shells.
     behind: let what lies in the same plane win.
     through: visible through whatever stands in front.
     """
-    clear = rgba[3] < 1.0
+    coloured, clear = drawn.rgba is not None, rgba[3] < 1.0
     extra: dict[str, Any] = {"depthWrite": not clear, "depthTest": not through}
     if lit:
         extra |= {"shininess": 24, "specular": 0x1C1C1C}
     if behind:
         extra |= {"polygonOffset": True, "polygonOffsetFactor": 1.0, "polygonOffsetUnits": 4.0}
     kind = g.MeshPhongMaterial if lit else g.MeshBasicMaterial
-    return kind(
-        color=0xFFFFFF if per_vertex else _code(rgba),
-        opacity=1.0 if per_vertex else rgba[3],
+    surface = kind(
+        color=0xFFFFFF if coloured else _code(rgba),
+        opacity=1.0 if coloured else rgba[3],
         transparent=clear,
-        vertexColors=per_vertex,
+        vertexColors=coloured,
         side=0 if one_sided else 2,
         **extra,
-    )
-
-
-def mesh(
-    drawn: Facets, rgba: Rgba, *, lit: bool = True, one_sided: bool = False, behind: bool = False, through: bool = False
-) -> Any:
-    """A mesh to be handed to ``set_object``; see `material`."""
-    surface = material(
-        rgba, per_vertex=drawn.rgba is not None, lit=lit, one_sided=one_sided, behind=behind, through=through
     )
     return g.Mesh(_FacetGeometry(drawn), surface)
 
@@ -122,7 +113,43 @@ def line_segments(points: Points, rgba: Points) -> Any:
     )
 
 
-def sun(position: Points, *, colour: int, intensity: float, reach: float) -> Any:
+def set_stage(visualizer: Any, *, reach: float) -> None:
+    """Replace meshcat's own sky, lights, grid and axes.
+
+    Parameters
+    ----------
+    visualizer: a ``meshcat.Visualizer``.
+    reach: radius of what is shown, for the shadows [m].
+    """
+    for path in _UNWANTED:
+        visualizer[f"/{path}"].set_property("visible", False)
+    visualizer["/Background"].set_property("top_color", _SKY_TOP)
+    visualizer["/Background"].set_property("bottom_color", _SKY_BOTTOM)
+    away = 2.0 * reach
+    sunlight = _sun(np.array([0.35, -0.55, 1.0]) * away, colour=0xFFF6E6, intensity=0.62, reach=reach)
+    visualizer["/Lights/sun"].set_object(sunlight)
+    visualizer["/Lights/sky"].set_object(_ambient(sky=0xF2F7FF, ground=0xB9AD98, intensity=0.58))
+    set_property(visualizer["/Lights/sky"], "castShadow", False)
+    back = _sun(np.array([-0.6, 0.8, 0.5]) * away, colour=0xDDE8FF, intensity=0.16, reach=reach)
+    visualizer["/Lights/back"].set_object(back)
+    set_property(visualizer["/Lights/back"], "castShadow", False)
+
+
+def set_camera(visualizer: Any, view: View, *, aspect: float = 1.5) -> None:
+    """Put meshcat's camera where `view` says.
+
+    meshcat's own page has no command for the point around which the camera turns: it
+    is the world's origin. Our page puts it at the view's target.
+    """
+    camera = visualizer["/Cameras/default/rotated"]
+    set_property(camera, "fov", float(np.degrees(FIELD_OF_VIEW)))
+    set_property(camera, "near", 0.05)
+    set_property(camera, "far", 400.0)
+    x, y, z = (float(part) for part in view.eye(aspect))
+    set_property(camera, "position", [x, z, -y])  # y is up for this node
+
+
+def _sun(position: Points, *, colour: int, intensity: float, reach: float) -> Any:
     """A light from `position` (3,) towards the origin, whose shadows reach `reach` [m] from there."""
     distance = float(np.linalg.norm(position))
     return _Light(
@@ -152,7 +179,7 @@ def sun(position: Points, *, colour: int, intensity: float, reach: float) -> Any
     )
 
 
-def ambient(*, sky: int, ground: int, intensity: float) -> Any:
+def _ambient(*, sky: int, ground: int, intensity: float) -> Any:
     """Light from all sides, one colour from above and one from below."""
     return _Light(
         "HemisphereLight",

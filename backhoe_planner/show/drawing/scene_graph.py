@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine import Kinematics, tip_travel_bound
 from backhoe_planner.motion import Problem
 from backhoe_planner.show.drawing.animation import PlanAnimation, Track
-from backhoe_planner.show.drawing.drawing import mesh, set_property
+from backhoe_planner.show.drawing.drawing import mesh, set_camera, set_property, set_stage
 from backhoe_planner.show.drawing.framing import View, frame
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
 from backhoe_planner.show.drawing.machine_meshes import LinkMesh, machine_meshes
@@ -31,7 +31,6 @@ from backhoe_planner.show.drawing.names import node_name, node_names
 from backhoe_planner.show.drawing.palette import FAR, GOAL, PATH, TRACE, Rgba, margin_rgb
 from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
-from backhoe_planner.show.drawing.stage import set_camera, set_stage
 from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, Timeline
 from backhoe_planner.site import Obstacle
 
@@ -205,15 +204,17 @@ class SceneGraph:
             _draw_line(node["xyz"[axis]], np.array([position, end]), 0.05 * length, rgba)
 
     def _draw_critical_points(self) -> None:
-        for node in self._obstacles.values():
-            self._tree["critical points"][node].set_object(self._rod_mesh())
-            set_property(self._tree["critical points"][node], "castShadow", False)
-            self._tree["critical points"][node].set_transform(np.diag([_HIDDEN, _HIDDEN, _HIDDEN, 1.0]))
+        for name in self._obstacles:
+            self._draw_critical_point(name)
 
-    def _rod_mesh(self) -> Any:
+    def _draw_critical_point(self, name: str) -> None:
+        """A rod of length 1, hidden until there is something to be shown."""
         rod = trimesh.creation.cylinder(radius=0.022 * self._scale, height=1.0, sections=12)
         rod.apply_translation([0.0, 0.0, 0.5])
-        return mesh(facets(rod), (*FAR, 1.0), lit=False)
+        node = self._tree["critical points"][self._obstacles[name]]
+        node.set_object(mesh(facets(rod), (*FAR, 1.0), lit=False))
+        set_property(node, "castShadow", False)
+        self.point(name, None)
 
     # --- camera -----------------------------------------------------------------------
 
@@ -293,12 +294,7 @@ class SceneGraph:
             self._place("machine", self._links[link], self._data.oMi[joint].homogeneous)
         for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
-                transform = np.eye(4)
-                transform[:3, 3] = _offset(obstacle, time)
-                if time < obstacle.appears_at:
-                    transform[:3, :3] *= _HIDDEN
-                for group in ("site", "clearance"):
-                    self._place(group, self._obstacles[obstacle.name], transform)
+                self.place(obstacle.name, None if time < obstacle.appears_at else _offset(obstacle, time))
         for name, spot in zip(self._obstacles, nearest, strict=False):
             self.point(name, spot)
 
@@ -310,9 +306,7 @@ class SceneGraph:
             node += "_"
         self._obstacles[obstacle.name] = node
         self._draw_solid(node, drawn, order=len(self._obstacles))
-        self._tree["critical points"][node].set_object(self._rod_mesh())
-        set_property(self._tree["critical points"][node], "castShadow", False)
-        self.point(obstacle.name, None)
+        self._draw_critical_point(obstacle.name)
         self.anchors[obstacle.name] = drawn.anchor
 
     def remove(self, name: str) -> None:

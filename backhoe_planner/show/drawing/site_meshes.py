@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ __all__ = ["SiteMesh", "is_ground", "site_mesh"]
 
 Vector = NDArray[np.float64]
 
-_MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly
+_MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; each costs milliseconds
 
 _SLATE = (0.45, 0.52, 0.60)
 _STEEL = (0.56, 0.59, 0.63)
@@ -28,6 +29,11 @@ _ZONE = (0.93, 0.46, 0.12)
 _MOVING = (0.88, 0.36, 0.22)
 _ROCK = (0.56, 0.53, 0.50)
 _SCAN = (0.36, 0.56, 0.58)
+_COLOURS = {
+    "mesh": SOIL, "pointcloud": _SCAN, "sphere": _ROCK, "cylinder": _STEEL, "capsule": _STEEL,
+}  # any other shape is slate  # fmt: skip
+_LEVEL, _PIPE = 0.05, 0.3  # m: a box that ends below the one is ground, a capsule below the other a pipe
+_SLENDER = 6.0  # times as high as wide: a pole
 
 
 @dataclass(frozen=True)
@@ -73,9 +79,8 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     if isinstance(spec, scene_file.HeightMap):
         surface = _terrain(spec, scene)
         top = surface.vertices[np.argmax(surface.vertices[:, 2])]
-        lifted = surface.copy()
-        lifted.apply_translation([0.0, 0.0, obstacle.clearance])
-        return _mesh(obstacle, surface, lifted, (*SOIL, 1.0), top)
+        lift = [0.0, 0.0, obstacle.clearance]
+        return _mesh(obstacle, surface, lambda: surface.copy().apply_translation(lift), (*SOIL, 1.0), top)
     if isinstance(spec, scene_file.Mesh):
         drawn = load_mesh(scene.folder / spec.file)
         drawn.apply_scale(spec.scale)
@@ -87,26 +92,24 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
     if isinstance(spec, scene_file.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
         anchor = np.array([*spec.start[:2], spec.start[2] + spec.radius])  # a pipe: its end is easier to see
-    return _mesh(obstacle, drawn, _shell(obstacle), _colour(obstacle, drawn), anchor)
+    return _mesh(obstacle, drawn, lambda: _shell(obstacle), _colour(obstacle, drawn), anchor)
 
 
 def _mesh(
-    obstacle: Obstacle, drawn: trimesh.Trimesh, shell: trimesh.Trimesh | None, rgba: Rgba, anchor: Vector
+    obstacle: Obstacle, drawn: trimesh.Trimesh, shell: Callable[[], trimesh.Trimesh], rgba: Rgba, anchor: Vector
 ) -> SiteMesh:
     return SiteMesh(
         name=obstacle.name,
         facets=facets(drawn),
         rgba=rgba,
-        shell=None if shell is None or obstacle.clearance == 0.0 else facets(shell),
+        shell=None if obstacle.clearance == 0.0 else facets(shell()),
         shell_rgba=(*rgba[:3], 0.16),
         anchor=np.asarray(anchor, dtype=float),
         bounds=np.asarray(drawn.bounds, dtype=float),
     )
 
 
-def _shell(obstacle: Obstacle) -> trimesh.Trimesh | None:
-    if obstacle.clearance == 0.0:
-        return None
+def _shell(obstacle: Obstacle) -> trimesh.Trimesh:
     pieces = obstacle.pieces
     if len(pieces) <= _MOST_ROUNDED:
         return trimesh.util.concatenate([fattened(piece.hull, piece.radius + obstacle.clearance) for piece in pieces])
@@ -119,26 +122,20 @@ def _shell(obstacle: Obstacle) -> trimesh.Trimesh | None:
 
 
 def _colour(obstacle: Obstacle, drawn: trimesh.Trimesh) -> Rgba:
-    spec = obstacle.spec
     low, high = drawn.bounds
+    wide = float((high - low)[:2].max())
+    shape = obstacle.spec.shape
     if obstacle.zone is not None:
         return (*_ZONE, 0.3)
     if obstacle.moves or obstacle.appears_at > 0.0:
         return (*_MOVING, 1.0)
-    if isinstance(spec, scene_file.Box) and high[2] <= 0.05:  # ground beside or under the work
+    if shape == "box" and high[2] <= _LEVEL:  # ground beside or under the work
         return (*SOIL, 0.42)
-    if isinstance(spec, scene_file.Capsule) and high[2] <= 0.3:
+    if shape == "capsule" and high[2] <= _PIPE:
         return (*_UTILITY, 1.0)
-    if isinstance(spec, scene_file.Mesh):
-        return (*SOIL, 1.0)
-    if isinstance(spec, scene_file.PointCloud):
-        return (*_SCAN, 1.0)
-    if isinstance(spec, scene_file.Sphere):
-        return (*_ROCK, 1.0)
-    if isinstance(spec, (scene_file.Cylinder, scene_file.Capsule)):
-        slender = (high[2] - low[2]) > 6.0 * max(float(high[0] - low[0]), float(high[1] - low[1]))
-        return (*(_TIMBER if slender else _STEEL), 1.0)
-    return (*_SLATE, 1.0)
+    if shape in ("cylinder", "capsule") and high[2] - low[2] > _SLENDER * wide:
+        return (*_TIMBER, 1.0)
+    return (*_COLOURS.get(shape, _SLATE), 1.0)
 
 
 def _plane(obstacle: Obstacle, spec: scene_file.HalfSpace, centre: Vector, reach: float) -> SiteMesh:

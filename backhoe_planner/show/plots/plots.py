@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,12 +26,13 @@ __all__ = ["plot_envelope", "plot_plan"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
+_Panel = Callable[["Axes", Plan, Problem, Timeline], None]
 
-_WIDTH, _PANEL = 9.5, 2.15  # inches
-_FAINT = 0.35
-_STRIP = 0.55  # of a panel's height
-_BINDS = 0.98  # used of a limit that is said to bind
-_MOST_NAMED = 5
+_WIDTH, _PANEL = 9.5, 2.15  # inches: a page's width, and a panel's height
+_FAINT = 0.35  # opacity of limits
+_STRIP = 0.55  # of a panel's height, for the panel of limits
+_BINDS = 0.98  # part of a limit from which on it is called binding: sampled accelerations are known to about 1 %
+_MOST_NAMED = 5  # limits, as many as fit beside the panel
 _SHARED = {"pump flow": "#5f6b76", "engine power": "#b3261e", "tip speed": "#1d2731"}
 _HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
 
@@ -54,11 +56,12 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
 
     problem = build_problem(plan.robot, plan.scene)
     frames = timeline(problem, plan.trajectory)
-    panels = []
-    if not np.all(plan.robot.prismatic):
-        panels += [_angles, _rates]
-    if np.any(plan.robot.prismatic):
-        panels += [_slides, _slide_rates]
+    panels: list[_Panel] = []
+    slides = plan.robot.prismatic
+    for which, unit, name in ((~slides, np.degrees(1.0), "angle [deg"), (slides, 1.0, "slide [m")):
+        if np.any(which):
+            panels.append(partial(_positions, which=which, unit=unit, label=f"joint {name}]"))
+            panels.append(partial(_velocities, which=which, unit=unit, label=f"joint rate [{name.split('[')[1]}/s]"))
     if frames.obstacles:
         panels.append(_clearance)
     if problem.path is not None:
@@ -91,27 +94,10 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     save_figure(figure, path)
 
 
-def _angles(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    _positions(axes, plan, problem, ~plan.robot.prismatic, np.degrees(1.0))
-    axes.set_ylabel("joint angle [deg]")
-
-
-def _slides(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    _positions(axes, plan, problem, plan.robot.prismatic, 1.0)
-    axes.set_ylabel("joint slide [m]")
-
-
-def _rates(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    _velocities(axes, plan, problem, ~plan.robot.prismatic, np.degrees(1.0))
-    axes.set_ylabel("joint rate [deg/s]")
-
-
-def _slide_rates(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    _velocities(axes, plan, problem, plan.robot.prismatic, 1.0)
-    axes.set_ylabel("joint rate [m/s]")
-
-
-def _positions(axes: Axes, plan: Plan, problem: Problem, which: NDArray[np.bool_], unit: float) -> None:
+def _positions(
+    axes: Axes, plan: Plan, problem: Problem, frames: Timeline, *, which: NDArray[np.bool_], unit: float, label: str
+) -> None:
+    axes.set_ylabel(label)
     for joint in np.flatnonzero(which):
         colour = _colour(int(joint))
         _curve(axes, plan.trajectory.time, unit * plan.trajectory.q[:, joint], colour, plan.robot.joint_names[joint])
@@ -122,7 +108,10 @@ def _positions(axes: Axes, plan: Plan, problem: Problem, which: NDArray[np.bool_
     _say(axes, "dashed: limits")
 
 
-def _velocities(axes: Axes, plan: Plan, problem: Problem, which: NDArray[np.bool_], unit: float) -> None:
+def _velocities(
+    axes: Axes, plan: Plan, problem: Problem, frames: Timeline, *, which: NDArray[np.bool_], unit: float, label: str
+) -> None:
+    axes.set_ylabel(label)
     time = plan.trajectory.time
     if len(time) > 1:
         steps = plan.trajectory.segment_velocities()
@@ -159,7 +148,7 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
     axes.set_ylim(lowest - 0.08 * influence, 2.0 * influence)
     axes.set_ylabel("margin [m]")
     _legend(axes)
-    _say(axes, "distance beyond the asked clearance; shaded: obstacles act")
+    _say(axes, "distance beyond the required clearance; shaded: obstacles act")
 
 
 def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
@@ -207,7 +196,7 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     axes.set_ylabel("limit used [%]")
     if any(named):
         _legend(axes)
-    _say(axes, "of the limit of which most is used; coloured where it binds")
+    _say(axes, "the limit that is used most; coloured where it binds")
 
 
 def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
@@ -246,7 +235,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     right.tick_params(labelsize=8.5, color="0.6")
     what = "energy" if OBJECTIVES[problem.scene.objective].needs_hydraulics else "work"
     curves: list[tuple[Vector, Vector, str, Any, str]] = [(time, spent, "#d55e00", (0, (6, 2)), what)]
-    told = f"what {'the oil puts' if what == 'energy' else 'the joints put'} in, against {_loads(plan)}"
+    title = f"what {'the oil puts' if what == 'energy' else 'the joints put'} in, against {_loads(plan)}"
     compared = None
     if "objective" in plan.metrics:
         compared = compare_with_law(problem, plan.trajectory, plan.certificate)
@@ -256,7 +245,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
         name = "local law" if compared.law_breaks is None else "local law,\nbreaks a limit"
         curves.append((compared.begun + compared.law_motion.time, law, "0.35", (0, (1.5, 1.5)), name))
         if compared.saving_percent is not None:
-            told += f"; {compared.name} along the path {compared.saving_percent:.0f} % below the local law's"
+            title += f"; {compared.name} along the path {compared.saving_percent:.0f} % below the local law's"
     highest = max(float(values[-1]) for _, values, *_ in curves)
     unit, scale = ("k", 1e-3) if highest >= 1000.0 else ("", 1.0)
     lines = [
@@ -266,7 +255,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     right.set_ylim(0.0, max(1.12 * scale * highest, 1e-9))
     right.set_ylabel(f"{what} [{unit}J]", fontsize=9)
     _legend(axes, more=lines, aside=1.085)
-    _say(axes, told)
+    _say(axes, title)
 
 
 def _spent(problem: Problem, motion: Trajectory) -> tuple[Vector, Vector]:

@@ -26,9 +26,9 @@ __all__ = ["LiveSite", "Standing"]
 
 Vector = NDArray[np.float64]
 
-_MOST = 40
+_MOST = 40  # obstacles, each of which costs time in every step
 _BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more
-_SPARE = 0.004  # m beyond the clearance
+_SPARE = 0.004  # m beyond the clearance, so that the servo does not begin with a violation by rounding
 _LAND = (scene_file.HalfSpace, scene_file.HeightMap, scene_file.PointCloud)  # what the site itself is made of
 
 
@@ -84,8 +84,7 @@ class LiveSite:
 
     def may_be_moved(self, name: str) -> bool:
         """Whether it is no part of the site itself, does not move by itself, and has appeared."""
-        standing = self._standing.get(name)
-        return standing is not None and not self._stays(standing) and not standing.obstacle.moves and self._there(name)
+        return name in self._servo.obstacles and not self._stays(name) and not self._standing[name].obstacle.moves
 
     @property
     def taken(self) -> tuple[str, ...]:
@@ -120,9 +119,11 @@ class LiveSite:
         InputError: there is none of that name, it is not to be moved, or it would leave
             the machine no room.
         """
-        self._check_movable(name)
+        self._check_free(name, "move")
         shift = np.array(to, dtype=float)
         standing = self._standing[name]
+        if standing.obstacle.moves:
+            raise InputError("moves by itself", key=name)
         moved = self._stand(standing.obstacle, self._servo.time, shift)
         self._check_room(moved)
         self._servo.move(name, shift - self._servo.shift_of(name))
@@ -135,12 +136,10 @@ class LiveSite:
         ------
         InputError: there is none of that name, or it is a part of the site itself.
         """
-        self._check_there(name, "remove")
-        standing = self._standing[name]
-        self._check_stays_not(standing)
+        self._check_free(name, "remove")
         shift = self._servo.shift_of(name)
         self._servo.remove(name)
-        del self._standing[name]
+        standing = self._standing.pop(name)
         if name in self._of_scene:
             self._taken[name] = _Taken(standing.obstacle, shift)
 
@@ -230,11 +229,8 @@ class LiveSite:
                 allowed=f"{standing.obstacle.clearance:.2f} m of clearance",
             )
 
-    def _there(self, name: str) -> bool:
-        return name in self._servo.obstacles
-
-    def _stays(self, standing: Standing) -> bool:
-        return standing.obstacle.name in self._zones or isinstance(standing.obstacle.spec, _LAND)
+    def _stays(self, name: str) -> bool:
+        return name in self._zones or isinstance(self._standing[name].obstacle.spec, _LAND)
 
     def _check_new(self, name: str, key: str) -> None:
         if len(self._standing) >= _MOST:
@@ -242,23 +238,13 @@ class LiveSite:
         if name in self._standing or name == ITSELF:
             raise InputError("there is an obstacle of that name", key=key, found=name)
 
-    def _check_there(self, name: str, key: str) -> None:
-        if not self._there(name):
+    def _check_free(self, name: str, key: str) -> None:
+        """That an obstacle is there and is no part of the site itself."""
+        if name not in self._servo.obstacles:
             raise InputError("there is no obstacle of that name", key=key, found=name)
-
-    def _check_stays_not(self, standing: Standing) -> None:
-        name = standing.obstacle.name
-        if name in self._zones:
-            raise InputError("is a zone of the scene, which stays where it is", key=name)
-        if self._stays(standing):
-            raise InputError("is ground or terrain of the scene, which stays where it is", key=name)
-
-    def _check_movable(self, name: str) -> None:
-        self._check_there(name, "move")
-        standing = self._standing[name]
-        self._check_stays_not(standing)
-        if standing.obstacle.moves:
-            raise InputError("moves by itself", key=name)
+        if self._stays(name):
+            what = "a zone" if name in self._zones else "ground or terrain"
+            raise InputError(f"is {what} of the scene, which stays where it is", key=name)
 
 
 def _moved(obstacle: Obstacle, shift: Vector) -> Iterable[Any]:

@@ -32,9 +32,9 @@ __all__ = [
     "parse",
 ]
 
-LARGEST = 16_384  # characters or bytes of a message
-_LONGEST_NAME = 60
-_SMALLEST, _LARGEST_SIZE = 0.001, 1000.0  # m: of what is dropped in
+LARGEST = 16_384  # characters or bytes of a message; what the page itself sends has a few hundred
+_LONGEST_NAME = 60  # characters, so that a row of the panel can show it
+_SMALLEST, _LARGEST_SIZE = 0.001, 1000.0  # m: of what is dropped in; beyond that it is a slip
 _FARTHEST = 1000.0  # m from the world's origin
 
 _Part = Annotated[float, Field(strict=True, ge=-1.0, le=1.0, allow_inf_nan=False)]
@@ -178,10 +178,13 @@ def _check(spec: Droppable) -> None:
         raise InputError("is too long", key="obstacle.name", allowed=f"up to {_LONGEST_NAME} characters")
     if any(spec.velocity) or spec.appears_at > 0.0:
         raise InputError("what is dropped in stands still, and is there at once", key="obstacle")
-    for key, value in _lengths(spec):
+    lengths = [("size", edge) for edge in spec.size] if isinstance(spec, scene_file.Box) else [("radius", spec.radius)]
+    if isinstance(spec, scene_file.Cylinder):
+        lengths.append(("length", spec.length))
+    for key, value in lengths:
         if not _SMALLEST <= value <= _LARGEST_SIZE:
             raise InputError(
-                "is no length to be dropped in", key=f"obstacle.{key}", found=value,
+                "is not a length that can be dropped in", key=f"obstacle.{key}", found=value,
                 allowed=f"{_SMALLEST:g} to {_LARGEST_SIZE:g} m",
             )  # fmt: skip
     at = (*spec.start, *spec.end) if isinstance(spec, scene_file.Capsule) else spec.position
@@ -189,15 +192,9 @@ def _check(spec: Droppable) -> None:
         raise InputError("is too far away", key="obstacle", allowed=f"up to {_FARTHEST:g} m")
 
 
-def _lengths(spec: Droppable) -> list[tuple[str, float]]:
-    if isinstance(spec, scene_file.Box):
-        return [("size", edge) for edge in spec.size]
-    lengths = [("radius", spec.radius)]
-    return [*lengths, ("length", spec.length)] if isinstance(spec, scene_file.Cylinder) else lengths
-
-
 def _first(error: ValidationError) -> str:
+    """The first of pydantic's complaints, short enough for a page."""
     detail = error.errors(include_url=False, include_context=False, include_input=False)[0]
-    place = ".".join(str(part) for part in detail["loc"])
-    said = detail["msg"][0].lower() + detail["msg"][1:]
-    return f"{place[:200]}: {said[:300]}" if place else said[:300]
+    place = ".".join(str(part) for part in detail["loc"])[:200]
+    problem = detail["msg"][0].lower() + detail["msg"][1:300]
+    return f"{place}: {problem}" if place else problem

@@ -45,19 +45,22 @@ from backhoe_planner.show.teleop.messages import (
     Tip,
     parse,
 )
-from backhoe_planner.show.teleop.recorder import Recorder, Recording
+from backhoe_planner.show.teleop.recording import Recording
 from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog
 
 __all__ = ["LARGEST_FORCE", "Phase", "Session", "Snapshot"]
 
 Vector = NDArray[np.float64]
 Phase = Literal["idle", "arming", "on", "ending"]
+Wish = Tip | Sticks | Stop
 
-LARGEST_FORCE = 30.0  # N
-_LONGEST_RECORDING = 600.0  # s
+LARGEST_FORCE = 30.0  # N on the hand; ours
+_LONGEST_RECORDING = 600.0  # s; its file has 120,000 samples then
 _FULL = 0.8  # of the oil and the power that is asked for: cylinders change their arms on the way
-_AT_REST = 1e-9  # rad/s or m/s
-_PATIENCE = 5.0  # s to come to rest in, after which a recording ends all the same
+_AT_REST = 1e-9  # rad/s or m/s: below rounding of what the servo integrates
+_PATIENCE = (
+    5.0  # s to come to rest in, after which a recording ends all the same; what is evaded may keep it from resting
+)
 
 
 @dataclass(frozen=True)
@@ -137,15 +140,16 @@ class Session:
         self._asking: list[int] = []
         self._driver: int | None = None
         self._next_page = 1
-        self._wish: Tip | Sticks | Stop | None = None
-        self._held: Tip | Sticks | Stop | None = None
+        self._wish: Wish | None = None
+        self._held: Wish | None = None
         self._now, self._watchdog = now, watchdog
         self._wished_at = now()
         self._failure = ""
         self._upright, self._axis_at = _first_axis(self.robot)
         self._phase: Phase = "idle"
         self._waited = 0.0
-        self._recorder: Recorder | None = None
+        self._samples: list[Vector] = []  # of the recording that is going on
+        self._begun = 0.0
         self._recordings: list[Recording] = []
         self._changes: list[tuple[float, str, str, str]] = []
         self._state = self._servo.step()
@@ -181,7 +185,7 @@ class Session:
         except InputError as error:
             return _answer(message, error=str(error))
         except Exception as error:  # noqa: BLE001  whoever said it is told; the machine is driven on
-            return _answer(message, error=f"could not be done: {_said(error)}")
+            return _answer(message, error=f"could not be done: {_in_one_line(error)}")
         return _answer(message, said=said)
 
     def _obey(self, page: int, message: Message) -> str:
@@ -254,7 +258,7 @@ class Session:
         with self._lock:
             if not self._failure:
                 try:
-                    return self._stepped()
+                    return self._step()
                 except Exception as error:  # noqa: BLE001  whatever it was, the machine must not be left moving
                     self._fail(error)
             self._state = self._servo.step(joint_velocity=np.zeros(self.robot.n))
@@ -265,21 +269,21 @@ class Session:
         """Why the machine was stopped for good; empty where it was not."""
         return self._failure
 
-    def _stepped(self) -> ServoState:
+    def _step(self) -> ServoState:
         wish, self._wish = self._wish, None
         if self._phase in ("arming", "ending"):
             wish = Stop(type="stop")
-        state = self._state = self._wished(self._still_wished(wish))
+        state = self._state = self._step_towards(self._held_wish(wish))
         if self._phase != "idle":
             self._keep(state)
         return state
 
     def _fail(self, error: Exception) -> None:
-        self._failure = f"the machine was stopped, as a step failed: {_said(error)}"
+        self._failure = f"the machine was stopped, as a step failed: {_in_one_line(error)}"
         self._driver, self._wish, self._held = None, None, None
-        self._recorder, self._phase = None, "idle"
+        self._samples, self._phase = [], "idle"
 
-    def _still_wished(self, wish: Tip | Sticks | Stop | None) -> Tip | Sticks | Stop | None:
+    def _held_wish(self, wish: Wish | None) -> Wish | None:
         """The wish, or the last one as long as the watchdog lets it count, and then to stop."""
         self._held = wish or self._held
         if self._held is not None and self._now() - self._wished_at >= self._watchdog:
@@ -293,7 +297,7 @@ class Session:
         used = self._drive.use(q[None], v[None], np.zeros((1, len(v))))
         return max(float(used.flow[0]), float(used.power[0]), float(used.rod_speed[0].max())) / _FULL
 
-    def _wished(self, wish: Tip | Sticks | Stop | None) -> ServoState:
+    def _step_towards(self, wish: Wish | None) -> ServoState:
         if wish is None:
             return self._servo.step()
         if isinstance(wish, Stop):
@@ -315,25 +319,28 @@ class Session:
 
     def _keep(self, state: ServoState) -> None:
         """Move the recording on."""
-        if self._recorder is not None:
-            self._recorder.note(state.q)
-            if self._recorder.full and self._phase == "on":
+        if self._samples:
+            self._samples.append(np.array(state.q))
+            if self._phase == "on" and self._recorded >= _LONGEST_RECORDING:
                 self._phase, self._waited = "ending", 0.0
         if self._phase == "on":
             return
         self._waited += self.dt
         at_rest = float(np.abs(state.v).max()) < _AT_REST
         if self._phase == "arming" and at_rest:
-            self._recorder = Recorder(state.time, state.q, self.dt, longest=_LONGEST_RECORDING)
+            self._begun, self._samples = state.time, [np.array(state.q)]
             self._changes.clear()
             self._phase = "on"
-        elif self._phase == "ending" and (at_rest or self._waited > _PATIENCE) and self._recorder is not None:
-            begun = self._recorder.begun
-            obstacles, notes = self._site.records(begun)
-            notes += [f"{name} was {what} {at - begun:.2f} s{so}" for at, name, what, so in self._changes]
-            self._recordings.append(self._recorder.finish(obstacles, notes))
-            self._recorder = None
-            self._phase = "idle"
+        elif self._phase == "ending" and (at_rest or self._waited > _PATIENCE):
+            obstacles, notes = self._site.records(self._begun)
+            notes += [f"{name} was {what} {at - self._begun:.2f} s{so}" for at, name, what, so in self._changes]
+            self._recordings.append(Recording(self.dt, np.array(self._samples), obstacles, notes))
+            self._samples, self._phase = [], "idle"
+
+    @property
+    def _recorded(self) -> float:
+        """Length of the recording so far [s]."""
+        return max(len(self._samples) - 1, 0) * self.dt
 
     def take_recording(self) -> Recording | None:
         """A recording that has ended and was not handed out yet, or None."""
@@ -358,20 +365,20 @@ class Session:
                 pages=tuple(self._pages),
                 asking=tuple(self._asking),
                 recording=self._phase,
-                recorded=0.0 if self._recorder is None else self._recorder.duration,
+                recorded=self._recorded,
                 circulate=self._servo.circulate,
                 failure=self._failure,
             )
 
 
-def _asks(wish: Tip | Sticks | Stop | None) -> bool:
+def _asks(wish: Wish | None) -> bool:
     """Whether a wish is one for a motion."""
     if isinstance(wish, Tip):
         return any(wish.velocity) or bool(wish.pitch_rate)
     return isinstance(wish, Sticks) and wish.speed > 0.0 and any((*wish.left, *wish.right))
 
 
-def _said(error: Exception) -> str:
+def _in_one_line(error: Exception) -> str:
     """An error in one short line; some say a page full."""
     lines = str(error).strip().splitlines()
     return f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__

@@ -14,16 +14,16 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.machine import Robot
 from backhoe_planner.show.teleop.picture import Picture
-from backhoe_planner.show.teleop.recorder import Recording
+from backhoe_planner.show.teleop.recording import Recording
 from backhoe_planner.show.teleop.server import TeleopServer
 from backhoe_planner.show.teleop.session import Session
 from backhoe_planner.site import Scene
 
 __all__ = ["TeleopStation", "free_name"]
 
-_FRAME = 1.0 / 30.0  # s between pictures
-_AT_REST = 1e-9  # rad/s or m/s
-_LATEST = 0.1  # s behind the clock at which the loop stops catching up
+_FRAME = 1.0 / 30.0  # s between pictures: fluent for the eye
+_AT_REST = 1e-9  # rad/s or m/s: below rounding of what the servo integrates
+_LATEST = 0.1  # s behind the clock at which the loop stops catching up: a longer burst of steps would be seen
 
 
 class TeleopStation:

@@ -60,7 +60,7 @@ function show(recording) {
     get("title").textContent = content.title;
     get("subtitle").textContent = content.subtitle;
     get("verdict").hidden = get("facts-section").hidden = get("bar").hidden = true;
-    get("margin-hint").textContent = content.obstacles.length ? "distance beyond the asked clearance" : "nothing on the site";
+    get("margin-hint").textContent = content.obstacles.length ? "distance beyond the required clearance" : "nothing on the site";
     const margins = get("margins");
     margins.replaceChildren();
     for (const obstacle of content.obstacles) {

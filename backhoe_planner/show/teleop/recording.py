@@ -1,4 +1,4 @@
-"""Takes down a driven motion, from rest to rest, step by step."""
+"""A driven motion, from rest to rest, and what stood around it."""
 
 from __future__ import annotations
 
@@ -15,11 +15,7 @@ from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
 from backhoe_planner.site import Scene, zone_log
 
-__all__ = ["Recorder", "Recording"]
-
-Vector = NDArray[np.float64]
-
-_FIRST = 4096  # samples that there is room for at first
+__all__ = ["Recording"]
 
 
 @dataclass(frozen=True)
@@ -50,44 +46,3 @@ class Recording:
         visits = [asdict(visit) for visit in zone_log(robot, scene, trajectory)]
         details = {"recorded": {"dt": self.dt, "notes": list(self.notes)}, "zones": visits}
         return plan_from_recording(robot, scene, trajectory, obstacles=self.obstacles, details=details)
-
-
-class Recorder:
-    """Keeps samples at even times.
-
-    Parameters
-    ----------
-    begun: time of the first sample [s].
-    q: (n,) the first sample; the machine is at rest there.
-    dt: between samples [s].
-    longest: after which no more are taken [s].
-    """
-
-    def __init__(self, begun: float, q: Vector, dt: float, *, longest: float) -> None:
-        self.begun = begun
-        self._dt = dt
-        self._most = int(longest / dt) + 1
-        self._samples = np.empty((_FIRST, len(q)))
-        self._samples[0] = q
-        self._count = 1
-
-    @property
-    def duration(self) -> float:
-        """[s]"""
-        return (self._count - 1) * self._dt
-
-    @property
-    def full(self) -> bool:
-        """Whether there is no room for more."""
-        return self._count >= self._most
-
-    def note(self, q: Vector) -> None:
-        """Take the next sample (n,)."""
-        if self._count == len(self._samples):
-            self._samples = np.vstack((self._samples, np.empty_like(self._samples)))
-        self._samples[self._count] = q
-        self._count += 1
-
-    def finish(self, obstacles: Sequence[dict[str, Any]], notes: Sequence[str]) -> Recording:
-        """What was taken down."""
-        return Recording(self._dt, self._samples[: self._count].copy(), obstacles, notes)
