@@ -12,12 +12,11 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, s
 from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, drive_of, trajectory_costs
 from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.outcome import Outcome, no_posture, standing
-from backhoe_planner.planning.paths.corners import round_corners
+from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
 from backhoe_planner.planning.paths.path_layers import redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Detouring, PathResolver, Resolved, Stretch
-from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.report.comparison import law_motion, timed_alone

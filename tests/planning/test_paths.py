@@ -10,7 +10,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.motion import build_problem
+from backhoe_planner.motion import PathCost, build_problem
 from backhoe_planner.planning import PathLayers, PathResolver, Stretch, redundancy_of, smooth_stretch, stretch_cost
 from validation.sites import SiteKey, load_machine, random_site
 
@@ -265,7 +265,8 @@ def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed
     assert problem.path is not None
     proximity = bp.Proximity(backhoe, problem.obstacles)
     resolved = PathResolver(
-        problem, problem.path, proximity=proximity, find_detour=lambda a, b, low, high: None
+        problem, problem.path, proximity=proximity, find_detour=lambda a, b, low, high: None,
+        cost=PathCost(problem, "velocity_norm").step_costs,
     ).resolve(None, detours=False)  # fmt: skip
     assert resolved.complete
     [piece] = resolved.pieces

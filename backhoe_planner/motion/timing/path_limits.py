@@ -21,7 +21,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine import JointLimits
+from backhoe_planner.machine import Hydraulics, JointLimits
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 
@@ -30,14 +30,14 @@ __all__ = ["PathShape", "time_path"]
 Array = NDArray[np.float64]
 
 _SPARE = 0.9998  # of every limit: what the sampling of the motion may add
-_WITHIN = 5e-4  # over a limit between the points of the grid that is let be
-_CORRECTIONS = 5
+_WITHIN = 5e-4  # over a limit that is allowed between the points of the grid
+_CORRECTIONS = 5  # runs, each slower where the one before was over a limit
 _POWER_PASSES = 8
 _POWER_SETTLED = 1e-3  # change of the duration; it converges quadratically
 _UP_TO = 1.45  # times the speed at which a load takes all power; a tangent there leaves 1.5 / 1.45 of it at rest
-_NO_CAP = 1e6
+_NO_CAP = 1e6  # of x, in place of infinity
 _LEAST_ROOM = 0.02  # of a load that cannot be held: room that is left to time the path all the same
-_MOST_DRIVING = 6  # joints whose every combination may drive
+_MOST_DRIVING = 6  # joints whose every combination may drive: 63 rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +105,7 @@ class _Loads:
     def __init__(self, shape: PathShape, limits: JointLimits, drive: Drive | None) -> None:
         self._shape, self._limits = shape, limits
         self._drive = drive if drive is not None and drive.limited else None
+        self._power: _Power | None = None
         if self._drive is None:
             return
         q, slope = shape.q, shape.slope
@@ -113,9 +114,13 @@ class _Loads:
         self._inertia = self._drive.rigid_torques(q, still, slope) - self._gravity
         own = self._drive.rigid_torques(q[:-1], slope[:-1], shape.bend_after)
         last = self._drive.rigid_torques(q[1:], slope[1:], shape.bend_before)
-        self._turning_after, self._turning_before = own - self._gravity[:-1], last - self._gravity[1:]
+        self._turning = own - self._gravity[:-1], last - self._gravity[1:]
         self._soil = self._drive.soil_torques_towards(q, slope)
+        # (N + 1, n) static loads, without the soil and with all of it
+        self._loads = [self._gravity, self._gravity + self._soil] if self._drive.digs else [self._gravity]
         self._torque_limits = self._drive.torque_limits(q)
+        if self._drive.hydraulics is not None:
+            self._power = _Power(self._drive.hydraulics, shape, self._inertia, self._turning, self._loads)
 
     # --- solving ------------------------------------------------------------------
 
@@ -125,15 +130,14 @@ class _Loads:
         caps = self._caps(part, tip_speed, most)
         before, after = self._rows(part, 0), self._rows(part, 1)
         law = fastest(shape.grid, caps, before, after, rests=rests)
-        if law is None or self._drive is None or self._drive.hydraulics is None:
+        power = self._power
+        if law is None or power is None or float(np.max(power.use(law), initial=0.0)) <= 1.0 + 0.2 * _WITHIN:
             return law
-        if float(np.max(self._power_use(law), initial=0.0)) <= 1.0 + 0.2 * _WITHIN:
-            return law
-        at_even_speed, at_rest = self._power_ceilings()
+        at_even_speed, at_rest = power.ceilings()
         x = np.minimum(law.x, at_even_speed)
         for _ in range(_POWER_PASSES):
             reference = np.minimum(np.maximum(x, 1e-6 * float(np.max(x))), at_rest)
-            begin, end = self._power_rows(part, reference, 0), self._power_rows(part, reference, 1)
+            begin, end = power.rows(part, reference, 0), power.rows(part, reference, 1)
             tried = fastest(shape.grid, caps, Rows.stacked([before, begin]), Rows.stacked([after, end]), rests=rests)
             if tried is None:
                 return None
@@ -192,14 +196,10 @@ class _Loads:
         found = [Rows(slope, bend, room), Rows(-slope, -bend, room)]
         if self._drive is None:
             return Rows.stacked(found)
-        inertia = self._inertia[here]
-        turning = self._turning_before if end else self._turning_after
-        loads = [self._gravity[here]]
-        if self._drive.digs:
-            loads.append(loads[0] + self._soil[here])
-        for load in loads:
+        inertia, turning = self._inertia[here], self._turning[end]
+        for load in self._loads:
             for sign, limit in ((1.0, self._torque_limits.positive), (-1.0, self._torque_limits.negative)):
-                room = _room(limit[here], sign * load, part)
+                room = _room(limit[here], sign * load[here], part)
                 which = np.any(np.isfinite(room), axis=0)
                 found.append(Rows(sign * inertia[:, which], sign * turning[:, which], room[:, which]))
         return Rows.stacked(found)
@@ -208,80 +208,64 @@ class _Loads:
     def _held(self) -> bool:
         """Whether every static load can be held everywhere."""
         limits = self._torque_limits
-        return all(bool(np.all((load <= limits.positive) & (-load <= limits.negative))) for load in self._loads())
+        return all(bool(np.all((load <= limits.positive) & (-load <= limits.negative))) for load in self._loads)
 
-    # --- power --------------------------------------------------------------------
 
-    def _driving(self) -> NDArray[np.int64]:
-        """Joints that cylinders move along the path; the busiest, if there are very many."""
-        assert self._drive is not None
-        assert self._drive.hydraulics is not None
-        joints = np.unique(self._drive.hydraulics.joint_of)
-        busy = np.max(np.abs(self._shape.slope[:, joints]), axis=0)
-        moving = joints[busy > 0.0]
-        return np.asarray(moving[np.argsort(-busy[busy > 0.0], kind="stable")][:_MOST_DRIVING])
+class _Power:
+    """The engine's power along a path, of the joints that cylinders move; of the busiest, if there are very many."""
 
-    def _loads(self) -> list[Array]:
-        """(N + 1, n) static loads, without the soil and with all of it."""
-        assert self._drive is not None
-        return [self._gravity, self._gravity + self._soil] if self._drive.digs else [self._gravity]
+    def __init__(
+        self, hydraulics: Hydraulics, shape: PathShape, inertia: Array, turning: tuple[Array, Array], loads: list[Array]
+    ) -> None:
+        joints = np.unique(hydraulics.joint_of)
+        busy = np.max(np.abs(shape.slope[:, joints]), axis=0)
+        driving = joints[busy > 0.0][np.argsort(-busy[busy > 0.0], kind="stable")][:_MOST_DRIVING]
+        self._limit = hydraulics.power_limit
+        self._slope, self._inertia = shape.slope[:, driving], inertia[:, driving]
+        self._turning = [part[:, driving] for part in turning]
+        self._loads = [load[:, driving] for load in loads]
 
-    def _power_use(self, law: TimeLaw) -> Array:
+    def use(self, law: TimeLaw) -> Array:
         """(2, N) power over the engine's, at both ends of every interval."""
-        assert self._drive is not None
-        assert self._drive.hydraulics is not None
         found = []
-        for end, turning in ((0, self._turning_after), (1, self._turning_before)):
+        for end, turning in enumerate(self._turning):
             here = slice(end, len(law.grid) - 1 + end)
             x = law.x[here, None]
             rigid = self._inertia[here] * law.u[:, None] + turning * x
             of_loads = [
-                np.sum(np.maximum(self._shape.slope[here] * (rigid + load[here]), 0.0)[:, self._driving()], axis=1)
-                for load in self._loads()
+                np.sum(np.maximum(self._slope[here] * (rigid + load[here]), 0.0), axis=1) for load in self._loads
             ]
-            found.append(np.sqrt(x[:, 0]) * np.max(of_loads, axis=0) / self._drive.hydraulics.power_limit)
+            found.append(np.sqrt(x[:, 0]) * np.max(of_loads, axis=0) / self._limit)
         return np.array(found)
 
-    def _power_ceilings(self) -> tuple[Array, Array]:
+    def ceilings(self) -> tuple[Array, Array]:
         """(N + 1,) the x at which the engine can only just keep the speed up; and that beyond
         which a tangent would leave nothing for the load at rest.
         """
-        assert self._drive is not None
-        assert self._drive.hydraulics is not None
-        limit = self._drive.hydraulics.power_limit
-        driving = self._driving()
-        slope = self._shape.slope[:, driving]
-        turning = np.vstack((self._turning_after, self._turning_before[-1:]))[:, driving]
+        slope, turning = self._slope, np.vstack((self._turning[0], self._turning[1][-1:]))
         even, rest = np.full(len(slope), _NO_CAP), np.full(len(slope), _NO_CAP)
-        for load in self._loads():
+        for load in self._loads:
             low, high = np.zeros(len(slope)), np.full(len(slope), _NO_CAP)
             for _ in range(60):
                 x = 0.5 * (low + high)
-                power = np.sum(np.maximum(slope * (turning * x[:, None] + load[:, driving]), 0.0), axis=1) * np.sqrt(x)
-                low, high = np.where(power <= limit, x, low), np.where(power <= limit, high, x)
+                power = np.sum(np.maximum(slope * (turning * x[:, None] + load), 0.0), axis=1) * np.sqrt(x)
+                low, high = np.where(power <= self._limit, x, low), np.where(power <= self._limit, high, x)
             even = np.minimum(even, high)
-            held = np.sum(np.maximum(slope * load[:, driving], 0.0), axis=1)
+            held = np.sum(np.maximum(slope * load, 0.0), axis=1)
             with np.errstate(divide="ignore"):
-                rest = np.minimum(rest, (_UP_TO * limit / held) ** 2)
+                rest = np.minimum(rest, (_UP_TO * self._limit / held) ** 2)
         return np.minimum(even, _NO_CAP), np.minimum(rest, _NO_CAP)
 
-    def _power_rows(self, part: Array, reference: Array, end: int) -> Rows:
-        """Of the engine's power at the begin (0) or end (1) of every interval."""
-        assert self._drive is not None
-        assert self._drive.hydraulics is not None
-        driving = self._driving()
-        here = slice(end, len(self._shape.grid) - 1 + end)
-        turning = self._turning_before if end else self._turning_after
-        slope, r = self._shape.slope[here][:, driving], reference[here, None]
-        sets = np.array(list(product((0.0, 1.0), repeat=len(driving))))[1:].T  # (joints, sets)
-        limit = (part * self._drive.hydraulics.power_limit)[:, None]
-        alpha = (slope * self._inertia[here][:, driving]) @ sets
-        beta = (slope * turning[:, driving]) @ sets + 0.5 * limit * r**-1.5
+    def rows(self, part: Array, reference: Array, end: int) -> Rows:
+        """At the begin (0) or end (1) of every interval."""
+        here = slice(end, len(self._slope) - 1 + end)
+        slope, r = self._slope[here], reference[here, None]
+        sets = np.array(list(product((0.0, 1.0), repeat=slope.shape[1])))[1:].T  # (joints, sets)
+        limit = (part * self._limit)[:, None]
+        alpha = (slope * self._inertia[here]) @ sets
+        beta = (slope * self._turning[end]) @ sets + 0.5 * limit * r**-1.5
         return Rows.stacked(
-            [
-                Rows(alpha, beta, 1.5 * limit * r**-0.5 - (slope * load[here][:, driving]) @ sets)
-                for load in self._loads()
-            ]
+            [Rows(alpha, beta, 1.5 * limit * r**-0.5 - (slope * load[here]) @ sets) for load in self._loads]
         )
 
 

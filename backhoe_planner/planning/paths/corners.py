@@ -1,4 +1,4 @@
-"""Corners of a bucket path rounded within its tolerance, so that they need not be stopped at.
+"""Corners of a bucket path: rounded within its tolerance where that is clear, else stopped at.
 
 The tip cuts a corner along a parabola that begins and ends the same way off it, and is
 nowhere further from the corner than a part of the tolerance.
@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.motion import Problem, TipPath
+from backhoe_planner.machine import BatchKinematics, JointLimits, TargetBatch, TipTarget, solve_batch
+from backhoe_planner.motion import SAMPLE_PERIOD, Drive, Problem, TipPath, Trajectory, time_along
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
-__all__ = ["SHARP", "round_corners"]
+__all__ = ["SHARP", "round_corners", "time_stretch"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -63,6 +63,36 @@ def round_corners(
         stations = np.concatenate((stations[before], at, stations[after]))
         q = np.vstack((q[before], rounded, q[after]))
     return stations, q, np.array(left)
+
+
+def time_stretch(
+    path: TipPath,
+    stations: Vector,
+    q: Matrix,
+    limits: JointLimits,
+    *,
+    speed: float | None,
+    period: float = SAMPLE_PERIOD,
+    drive: Drive | None = None,
+    stops: Vector | None = None,
+) -> list[Trajectory]:
+    """The motions, each from rest to rest, along joints `q` (K, n) at `stations` (K,) [m].
+
+    Parameters
+    ----------
+    speed: of the tip at most [m/s], None for as fast as the joints allow.
+    period: between the samples of the motions [s].
+    drive: what moves the joints, None for no limits but those of the joints.
+    stops: (C,) arc lengths to stop at [m]; by default all sharp corners of the path.
+    """
+    marks = {0, len(stations) - 1}
+    for corner in (path.corners(SHARP) if stops is None else stops).tolist():
+        if stations[0] < corner < stations[-1]:
+            marks.add(int(np.argmin(np.abs(stations - corner))))
+    return [
+        time_along(stations[first : last + 1], q[first : last + 1], limits, speed=speed, period=period, drive=drive)
+        for first, last in pairwise(sorted(marks))
+    ]
 
 
 def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> float | None:

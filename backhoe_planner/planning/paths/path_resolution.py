@@ -13,7 +13,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath
@@ -23,7 +22,7 @@ from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
-__all__ = ["Detouring", "PathResolver", "Resolved", "Stretch", "velocity_norm_cost"]
+__all__ = ["Detouring", "PathResolver", "Resolved", "Stretch"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -37,7 +36,6 @@ _GRID = np.radians(5.0)  # of the free parameter
 _LENGTH_OF_TURN = 0.25  # m that a radian of the tip's own turning counts as
 _FINE = 0.01  # m of path between the samples of a stretch
 _FINE_TURN = 0.03  # rad between them
-_WIDEST_STEP = 0.7  # rad or m that one joint may move from layer to layer
 _BENT = 3.0  # times as far as the straight way between two nodes a sample of it may lie from the next
 _EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
 _TRIES = 2  # between two layers
@@ -96,14 +94,6 @@ class Resolved:
     routes: int = 0
 
 
-def velocity_norm_cost(a: Matrix, b: Matrix, span: float) -> Matrix:
-    """(A, B) of sum |dq|^2 / ds, the integral of the squared joint velocities at a tip speed of 1 m/s."""
-    if not len(a) or not len(b):
-        return np.zeros((len(a), len(b)))
-    cost = cdist(a, b, "sqeuclidean") / span
-    return np.where(cdist(a, b, "chebyshev") > _WIDEST_STEP, np.inf, cost)
-
-
 class PathResolver:
     """Resolves one path among obstacles that stand still.
 
@@ -127,7 +117,7 @@ class PathResolver:
         begin: Vector | None = None,
         time: float = 0.0,
         work: Work | None = None,
-        cost: StepCost = velocity_norm_cost,
+        cost: StepCost,
         grid: float = _GRID,
         layer: float = _LAYER,
     ) -> None:

@@ -38,7 +38,7 @@ _ROOM = 0.005  # m of margin that smoothing does not use up
 
 def stretch_cost(stations: Vector, q: Matrix) -> float:
     """Sum |dq|^2 / dh with h the arc length, and a little for the turning of the joints."""
-    return float(np.sum(_weights(stations, q) * np.sum(np.diff(q, axis=0) ** 2, axis=1)))
+    return _cost(_weights(stations, q), q)
 
 
 def _weights(stations: Vector, q: Matrix) -> Vector:

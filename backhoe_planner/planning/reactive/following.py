@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import TipPath, drive_of
+from backhoe_planner.planning.paths.corners import time_stretch
 from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
-from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.planning.reactive.reaching import approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.effort import Work

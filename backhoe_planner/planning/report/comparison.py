@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, trajectory_costs
-from backhoe_planner.planning.paths.corners import round_corners
+from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
-from backhoe_planner.planning.paths.path_timing import time_stretch
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 
