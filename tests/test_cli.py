@@ -16,6 +16,7 @@ from typing import Any
 import jsonschema
 import pytest
 import yaml
+from waiting import PATIENCE
 
 from backhoe_planner.cli import _quantity, main
 
@@ -192,7 +193,7 @@ def test_inspect_tells_the_working_envelope(run: Run) -> None:
 def test_one_run_as_a_program(tmp_path: Path) -> None:
     done = subprocess.run(
         [*COMMAND, "plan", PLANAR4, str(scene_file(tmp_path)), "-o", str(tmp_path / "plan.json")],
-        capture_output=True, text=True, timeout=60, env=ENVIRONMENT, check=False,
+        capture_output=True, text=True, timeout=PATIENCE, env=ENVIRONMENT, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("verified\n")
@@ -214,7 +215,7 @@ def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
     scene = scene_file(tmp_path, TO_AND_FRO)
     plan_file = tmp_path / "plan.json"
     with subprocess.Popen(
-        [sys.executable, "-c", READY, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "60"],
+        [sys.executable, "-c", READY, "plan", PLANAR4, str(scene), "-o", str(plan_file), "--budget", "600"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT,
         # ignored where the tests run in the background
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
@@ -223,10 +224,8 @@ def test_interrupted_it_leaves_no_file(tmp_path: Path) -> None:
         assert running.stdout.readline() == "ready\n"
         clock.sleep(2.5)
         assert running.poll() is None, running.communicate()
-        begun = clock.monotonic()
         running.send_signal(signal.SIGINT)
-        _, told = running.communicate(timeout=20)
-    assert clock.monotonic() - begun < 10.0  # not the minute that it has
+        _, told = running.communicate(timeout=PATIENCE)  # not the ten minutes that it has
     assert running.returncode == 130
     assert "Traceback" not in told
     assert told.strip() == "interrupted"
@@ -245,7 +244,7 @@ def test_interrupted_while_it_still_imports_there_is_no_traceback(tmp_path: Path
         assert running.stdout.readline() == "ready\n"
         clock.sleep(after)
         running.send_signal(signal.SIGINT)
-        _, told = running.communicate(timeout=20)
+        _, told = running.communicate(timeout=PATIENCE)
     assert (running.returncode, told.strip()) == (130, "interrupted")
     assert not plan_file.exists()
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
 from numpy.typing import NDArray
-from test_sampling import STRETCHED, TURNED, across_bar, problem_of
 
 from backhoe_planner.machine import Robot, travel_bounds
 from backhoe_planner.motion import SmoothWay, Trajectory, chord_sagitta, time_way

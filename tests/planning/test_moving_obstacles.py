@@ -24,26 +24,31 @@ def site(task: Data, *obstacles: Data) -> bp.Scene:
     return bp.scene_from_dict(content | {"obstacles": list(obstacles)})
 
 
+@pytest.fixture(scope="module")
+def alone(backhoe: bp.Robot) -> bp.Plan:
+    """Along the path with nothing in the way."""
+    return plan(backhoe, PATH)
+
+
 def plan(robot: bp.Robot, task: Data, *obstacles: Data) -> bp.Plan:
-    """Planned with time enough for a busy machine; what is verified is held against the independent check."""
+    """A plan that, where it is verified, the independent check does not refute."""
     found = bp.plan(robot, site(task, *obstacles))
     if found.verified:
         assert refutations(found) == []
     return found
 
 
-def test_what_does_not_come_near_changes_nothing(backhoe: bp.Robot) -> None:
+def test_what_does_not_come_near_changes_nothing(backhoe: bp.Robot, alone: bp.Plan) -> None:
     far = WORKER | {"from": [-8, 0, 0], "to": [-8, 0, 1.8], "velocity": [-0.5, 0.0, 0.0]}
     later = {"name": "box", "shape": "box", "size": [0.5, 0.5, 0.5], "position": [3.5, 1.4, 0.3], "appears_at": 60.0}
-    alone = plan(backhoe, PATH)
     np.testing.assert_array_equal(plan(backhoe, PATH, far, later).trajectory.q, alone.trajectory.q)
 
 
-def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot) -> None:
+def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot, alone: bp.Plan) -> None:
     """Up to that moment the motion is the one without it; from then on it is another."""
     moment = 3.0
     sudden = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [3.5, 1.4, 0.3], "appears_at": moment}
-    alone, found = plan(backhoe, PATH), plan(backhoe, PATH, sudden)
+    found = plan(backhoe, PATH, sudden)
     assert alone.verified
     assert found.verified
     for time in np.linspace(0.0, moment, 31):
@@ -56,12 +61,12 @@ def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot) -> None:
     assert detour.path_from < np.hypot(0.5, 1.4) < detour.path_to
 
 
-def test_it_waits_or_gives_way_where_somebody_crosses_the_path(backhoe: bp.Robot) -> None:
+def test_it_waits_or_gives_way_where_somebody_crosses_the_path(backhoe: bp.Robot, alone: bp.Plan) -> None:
     found = plan(backhoe, PATH, CROSSING)
     assert found.verified
     assert found.certificate.detours == ()
     # he walks 8 m at 0.4 m/s, and the path alone takes as long as its length at the asked speed
-    assert found.trajectory.duration > plan(backhoe, PATH).trajectory.duration
+    assert found.trajectory.duration > alone.trajectory.duration
 
 
 def test_a_goal_is_reached_behind_somebody_who_walks(backhoe: bp.Robot) -> None:

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bar_scenes import BAR, STRETCHED, TURNED, across_bar, problem_of
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
-from backhoe_planner.machine import Kinematics, Robot
-from backhoe_planner.motion import Problem, build_problem, drive_of, time_way
+from backhoe_planner.machine import Robot
+from backhoe_planner.motion import Problem, drive_of, time_way
 from backhoe_planner.planning import (
     EFFORTS,
     Brake,
@@ -37,11 +38,6 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Data = dict[str, Any]
 
-STRETCHED = np.zeros(4)
-TURNED = np.array([1.5, 0.0, 0.0, 0.0])
-# a bar across the arc that the stretched arm would sweep
-BAR: Data = {"name": "bar", "shape": "box", "size": [2.0, 0.2, 1.0], "position": [3.2, 2.2, 0.0], "rpy": [0, 0, 0.6]}
-
 
 def find_way(
     problem: Problem,
@@ -59,24 +55,6 @@ def find_way(
     ends = [np.array(q, dtype=float) for q in (start, *goals)]
     check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, brake=brake)
     return sample_way(check, ends[0], ends[1:], seed=seed, work=Work(effort, brake))
-
-
-def problem_of(robot: Robot, start: Vector, goal: Vector, obstacles: list[Data], **keys: Any) -> Problem:
-    joints = dict(zip(robot.joint_names, start.tolist(), strict=True))
-    tip = Kinematics(robot).at(goal).tip_position
-    data: Data = {
-        "version": 1,
-        "start": {"joints": joints},
-        "task": {"goal": {"position": tip.tolist()}},
-        "obstacles": obstacles,
-        "clearance": 0.02,
-    }
-    return build_problem(robot, bp.scene_from_dict(data | keys))
-
-
-def across_bar(robot: Robot, *more: Data, **keys: Any) -> tuple[Problem, Proximity]:
-    problem = problem_of(robot, STRETCHED, TURNED, [BAR, *more], **keys)
-    return problem, Proximity(problem.robot, problem.obstacles)
 
 
 def least_margin(proximity: Proximity, q: Matrix, *, time: float = 0.0, pieces: int = 60) -> float:
@@ -256,13 +234,9 @@ import os, signal, sys, threading
 from dataclasses import replace
 import numpy as np
 import backhoe_planner as bp
-from backhoe_planner.planning.search.blending import blend
-from backhoe_planner.planning.search.effort import EFFORTS, Work
-from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.sampling import sample_way
-from backhoe_planner.planning.search.shortening import shorten
-from backhoe_planner.motion.timing.timing import time_way
-from test_sampling import STRETCHED, TURNED, across_bar
+from backhoe_planner.motion import time_way
+from backhoe_planner.planning import EFFORTS, MotionCheck, Work, blend, sample_way, shorten
+from bar_scenes import STRETCHED, TURNED, across_bar
 
 def cut_off(q):
     return abs(q[0] - 0.7) > 0.1
@@ -294,7 +268,7 @@ run(sys.argv[1])
 
 
 def run_script(mode: str, file: Path) -> subprocess.CompletedProcess[str]:
-    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n{SCRIPT}"
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{SCRIPT}"
     return subprocess.run(
         [sys.executable, "-c", code, mode, str(file)], capture_output=True, text=True, check=False, timeout=120,
         # ignored where the tests run in the background

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from waiting import PATIENCE
 
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Robot
@@ -34,7 +35,7 @@ class Tab:
 
     def __init__(self, browser: Any) -> None:
         self.page = browser.new_page(viewport={"width": 560, "height": 400}, reduced_motion="reduce")
-        self.page.set_default_timeout(15_000)
+        self.page.set_default_timeout(1e3 * PATIENCE)
         self.complaints: list[str] = []
         self.requests: list[str] = []
         self.page.on("console", lambda message: self.complaints.append(message.text))
@@ -47,6 +48,11 @@ class Tab:
 
     def ask(self, expression: str) -> Any:
         return self.page.evaluate(expression)
+
+    def wait_for_picture(self) -> None:
+        """Three frames: what is asked for now is on the canvas then, however slowly frames come."""
+        for _ in range(3):
+            self.ask("new Promise(requestAnimationFrame)")
 
     def picture(self) -> np.ndarray[Any, Any]:
         return np.asarray(Image.open(io.BytesIO(self.page.locator("#meshcat-pane canvas").screenshot())).convert("RGB"))
@@ -104,13 +110,13 @@ def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, tab: Tab, tmp
     assert list(tmp_path.iterdir()) == [file]
     tab.open(file.as_uri())
     tab.ask("backhoe.seek(0)")
-    tab.page.wait_for_timeout(300)
+    tab.wait_for_picture()
     before, straight = tab.picture(), tab.ask(SWING)
     assert before.std(axis=(0, 1)).min() > 8.0  # not blank
     assert len(np.unique(before.reshape(-1, 3), axis=0)) > 500
 
     tab.page.locator("#scrubber").fill("4")
-    tab.page.wait_for_timeout(300)
+    tab.wait_for_picture()
     turned = tab.ask(SWING)
     assert abs(turned[2]) == pytest.approx(np.sin(END[0] / 2.0), abs=1e-4)  # about z by the swing angle
     assert straight == pytest.approx([0.0, 0.0, 0.0, 1.0])
@@ -144,7 +150,7 @@ def test_play_and_the_switches(backhoe: Robot, tab: Tab, tmp_path: Path) -> None
     tab.page.wait_for_function("backhoe.time > 0.5")
     tab.page.locator("#play").click()
     stopped = tab.ask("backhoe.time")
-    tab.page.wait_for_timeout(200)
+    tab.wait_for_picture()
     assert tab.ask("backhoe.time") == stopped
 
     shells = "backhoe.viewer.scene_tree.find(['clearance']).object.visible"
@@ -182,17 +188,19 @@ def test_a_plan_of_one_sample_has_a_page(backhoe: Robot) -> None:
     assert "<script>window.pwned" not in page
 
 
-def test_the_live_view(backhoe: Robot, tab: Tab) -> None:
+def test_the_live_view(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = the_plan(backhoe)
     with Viewer(port=0) as viewer:
         assert viewer.show_problem(build_problem(backhoe, plan.scene)) == ()
         assert not viewer.wait_for_browser(0.05)
         tab.open(viewer.url)
-        assert viewer.wait_for_browser(20.0)
+        assert viewer.wait_for_browser(PATIENCE)
         assert viewer.alive()
 
-        assert viewer.show_step(plan.trajectory.q[-1], 4.0)
-        assert not viewer.show_step(plan.trajectory.q[0], 4.0)  # too soon
+        with monkeypatch.context() as patch:
+            patch.setattr("time.perf_counter", lambda: 1e6)  # however long the first takes, the second comes at once
+            assert viewer.show_step(plan.trajectory.q[-1], 4.0)
+            assert not viewer.show_step(plan.trajectory.q[0], 4.0)  # too soon
         tab.page.wait_for_function(f"Math.abs({SWING}[2]) > 0.3")
         assert abs(tab.ask(SWING)[2]) == pytest.approx(np.sin(END[0] / 2.0), abs=1e-6)
         assert f"{np.degrees(END[0]):.1f}°" in tab.page.locator("#joints").inner_text()
@@ -214,17 +222,18 @@ def test_steps_cost_little_when_they_come_fast(backhoe: Robot) -> None:
     with Viewer(port=0) as viewer:
         viewer.show_problem(build_problem(backhoe, plan.scene))
         begun, drawn, spent = time.perf_counter(), 0, 0.0
-        while (now := time.perf_counter()) - begun < 1.0:
+        while time.perf_counter() - begun < 1.0:
+            busy = time.thread_time()  # the processor's, which other processes do not lengthen
             shown = viewer.show_step(plan.trajectory.q[drawn % 60], 0.0)
             drawn += shown
-            spent += (time.perf_counter() - now) if shown else 0.0
-        assert 5 <= drawn <= 31
-        assert spent < 0.1  # 4 %, and room for a busy machine
+            spent += (time.thread_time() - busy) if shown else 0.0
+        assert 1 <= drawn <= 31
+        assert spent < 0.1  # 4 %, and room for one slow step
 
 
 def test_closing_leaves_nothing_behind(backhoe: Robot) -> None:
     viewer = Viewer(port=0)
-    with urllib.request.urlopen(viewer.url, timeout=5.0) as answer:
+    with urllib.request.urlopen(viewer.url, timeout=PATIENCE) as answer:
         assert b"meshcat-pane" in answer.read()
     viewer.close()
     viewer.close()

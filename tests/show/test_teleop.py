@@ -26,6 +26,7 @@ import tornado.websocket
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import PATIENCE
 
 import backhoe_planner as bp
 from backhoe_planner.errors import InputError, OutputError
@@ -654,7 +655,7 @@ def server(backhoe: Robot) -> Iterator[TeleopServer]:
 
 
 def talk(server: LiveServer, conversation: Callable[[str], Awaitable[None]]) -> None:
-    asyncio.run(asyncio.wait_for(conversation(server.url.replace("http", "ws") + "socket"), 20.0))
+    asyncio.run(asyncio.wait_for(conversation(server.url.replace("http", "ws") + "socket"), PATIENCE))
 
 
 def request(url: str, **headers: str) -> tornado.httpclient.HTTPRequest:
@@ -741,7 +742,7 @@ def test_two_pages_and_one_of_them_drives(server: TeleopServer) -> None:
         }
         assert server.session.snapshot().driver == number[0]
         await leave(one)
-        deadline = clock.monotonic() + 5.0
+        deadline = clock.monotonic() + PATIENCE
         while server.session.snapshot().driver is not None and clock.monotonic() < deadline:
             await asyncio.sleep(0.01)
         await two.write_message('{"type": "take", "id": 4}')
@@ -790,7 +791,7 @@ def test_who_floods_is_shut_out_and_the_others_drive_on(server: TeleopServer, ca
         except tornado.websocket.WebSocketClosedError:
             pass
         assert heard >= 999  # what a page may send at once
-        deadline = clock.monotonic() + 10.0
+        deadline = clock.monotonic() + PATIENCE
         while number in server.session.snapshot().pages and clock.monotonic() < deadline:
             await asyncio.sleep(0.01)
         assert number not in server.session.snapshot().pages
@@ -830,14 +831,14 @@ def test_who_does_not_read_is_shut_out(
             f"GET /socket HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
         )
-        deadline = clock.monotonic() + 10.0
+        deadline = clock.monotonic() + PATIENCE
         while len(server.session.snapshot().pages) < 2 and clock.monotonic() < deadline:
             await asyncio.sleep(0.01)
         said = b'{"type":"take","%s":1}' % (100 * b"x")  # is answered at length
         with contextlib.suppress(ConnectionError):
             for _ in range(600):
                 writer.write((b"\x81%c" % (128 + len(said)) + bytes(4) + said) * 100)
-                await asyncio.wait_for(writer.drain(), 10.0)
+                await asyncio.wait_for(writer.drain(), PATIENCE)
                 largest = max(largest, *(page._unread for page in list(server._pages)))
         while len(server.session.snapshot().pages) > 1 and clock.monotonic() < deadline:
             await asyncio.sleep(0.01)
@@ -970,7 +971,7 @@ def test_a_station_runs_in_real_time_and_ends(backhoe: Robot, tmp_path: Path) ->
 
 
 def wait(condition: Callable[[], bool]) -> None:
-    deadline = clock.monotonic() + 20.0
+    deadline = clock.monotonic() + PATIENCE
     while not condition():
         assert clock.monotonic() < deadline
         clock.sleep(0.02)
@@ -1001,7 +1002,7 @@ def test_ctrl_c_ends_it_with_130_and_leaves_nothing(tmp_path: Path) -> None:
             await leave(page)
 
         asyncio.run(conversation(""))
-        assert process.wait(timeout=20.0) == 130
+        assert process.wait(timeout=PATIENCE) == 130
         assert "Traceback" not in process.stderr.read()
     assert [file.name for file in tmp_path.iterdir()] == ["scene.yaml"]
 
