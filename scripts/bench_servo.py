@@ -5,9 +5,10 @@ The wish changes every 300 steps between tip and joint velocities; the movers go
 fro. In the same run, on the same configurations, the Pinocchio and coal calls alone over
 all pairs. The histogram is saved as PNG and JSON; memory is read before and after.
 What counts is the time on the processor, which the waiting for other processes of the
-machine does not lengthen; the time on the clock stands beside it.
+machine does not lengthen; the time on the clock stands beside it. The
+results are in docs/measurements.md.
 
-    python scripts/bench_servo.py [--steps 100000] [--obstacles 20] [--moving 5] [--save servo_step]
+    python scripts/bench_servo.py [--steps 100000] [--obstacles 20] [--moving 5] [--save out/servo_step]
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def main() -> None:
     parser.add_argument("--moving", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--save", type=Path, default=Path("servo_step"), help="without ending: .png and .json are written"
+        "--save", type=Path, default=Path("out/servo_step"), help="without ending: .png and .json are written"
     )
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
@@ -98,6 +99,7 @@ def main() -> None:
         "memory before [MB]": before,
         "memory after [MB]": after,
     }
+    arguments.save.parent.mkdir(parents=True, exist_ok=True)
     edges = np.concatenate((np.arange(0.0, 1000.0, 10.0), [np.inf]))
     counts, _ = np.histogram(processor, edges)
     histogram = {"edges [us]": edges[:-1].tolist(), "counts": counts.tolist()}

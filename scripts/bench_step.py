@@ -6,6 +6,7 @@ Timed are the parts of a step (proximity and kinematics, the law, the shield, th
 of the step) and the whole; in the same run, as yardsticks, the Pinocchio and coal calls
 alone on the same configurations, and a step of Pink with its collision barrier on the
 same model and pairs, where Pink is installed (pip install pin-pink "qpsolvers[daqp]").
+The results are in docs/measurements.md.
 
     python scripts/bench_step.py [--steps 5000] [--obstacles 10] [--save FILE] [--against FILE]
 """

@@ -5,9 +5,9 @@ The hand is a mass with a spring and a damper towards where its person wants it;
 joystick whose velocity is the wish for the tip, and the servo's force acts on it. The
 person moves the hand to and fro on a closed cycle. Drawn over time: where the tip is,
 the margin to the wall, the force, and the energy that the force gave to the hand, which
-a passive device never lets rise above 0.
+a passive device never lets rise above 0. docs/live.md says what the force is.
 
-    python scripts/haptic_loop.py [--seconds 12] [--save force.png]
+    python scripts/haptic_loop.py [--seconds 12] [--save out/force.png]
 """
 
 from __future__ import annotations
@@ -89,9 +89,10 @@ def draw(record: Record, path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=12.0)
-    parser.add_argument("--save", type=Path, default=Path("force.png"))
+    parser.add_argument("--save", type=Path, default=Path("out/force.png"))
     arguments = parser.parse_args()
     record = simulate(arguments.seconds)
+    arguments.save.parent.mkdir(parents=True, exist_ok=True)
     draw(record, arguments.save)
     force = np.linalg.norm(record["force"], axis=1)
     figures = {

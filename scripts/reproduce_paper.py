@@ -18,6 +18,7 @@ is taken of rounding noise: with the tip itself as the critical point J_o N is 0
 inverse of what rounding leaves of it 1e15.
 
 What is counted over random scenes, and how they are made, stands in validation/printed_laws.py.
+The results are in docs/theory.md and docs/measurements.md.
 """
 
 from __future__ import annotations
@@ -58,14 +59,10 @@ from validation.printed_laws import (
 Matrix = NDArray[np.float64]
 
 SHOWN = PointScene(
-    start=np.array([1.42, 1.86, 1.71, 1.16]),
-    goal=np.array([0.45, -2.16, 0.0]),
-    obstacle=np.array([0.63, 0.59, 0.0]),
+    start=np.array([1.42, 1.86, 1.71, 1.16]), goal=np.array([0.45, -2.16, 0.0]), obstacle=np.array([0.63, 0.59, 0.0])
 )
 NAMED = PointScene(
-    start=np.array([-2.0, -0.85, -1.83, -1.57]),
-    goal=np.array([2.2, -2.33, 0.0]),
-    obstacle=np.array([1.78, -1.34, 0.0]),
+    start=np.array([-2.0, -0.85, -1.83, -1.57]), goal=np.array([2.2, -2.33, 0.0]), obstacle=np.array([1.78, -1.34, 0.0])
 )
 SOLID_SCENES = 100
 

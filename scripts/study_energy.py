@@ -6,9 +6,9 @@ random posture of the machine. It is planned twice, from that posture and with t
 left free, and each motion is held against two local laws that begin at the same posture
 and keep the plan's own timing: the pseudo-inverse (least velocity norm, blind to limits)
 and the completed law (keeps the limits, and may get stuck). A path counts only if it can
-be followed at all from its posture.
+be followed at all from its posture. The results are in docs/measurements.md.
 
-    python scripts/study_energy.py                 # the table of the README
+    python scripts/study_energy.py                 # the table of savings
     python scripts/study_energy.py --convergence   # the same costs on three grids
     python scripts/study_energy.py --time          # 200 samples among 5 obstacles
 """
@@ -176,9 +176,9 @@ def study(robot: bp.Robot, *, paths: int, seed: int) -> None:
             ]
             laws, optima = (sum(column) / 1e3 for column in zip(*rows, strict=True))
             worse = sum(_exceeds(optimum, law) for law, optimum in rows)
-            told = {"least_norm": "pseudo-inverse", "law": "completed law"}[name] + (" *" if kept else "")
+            named = {"least_norm": "pseudo-inverse", "law": "completed law"}[name] + (" *" if kept else "")
             print(
-                f"{start:<6} {told:<16} {len(rows):>4} {laws:>9.1f} {optima:>12.1f} "
+                f"{start:<6} {named:<16} {len(rows):>4} {laws:>9.1f} {optima:>12.1f} "
                 f"{100.0 * (1.0 - optima / laws):>6.1f} % {worse:>6}"
             )
     print("* where it keeps every joint limit")
@@ -253,9 +253,9 @@ def timing(robot: bp.Robot) -> None:
         begun, busy = time.perf_counter(), time.process_time()
         found = bp.plan(robot, bp.scene_from_dict(content), method="optimal")
         busy, taken = time.process_time() - busy, time.perf_counter() - begun
-        told = "start left free" if start is None else "start given"
+        given = "start left free" if start is None else "start given"
         print(
-            f"200 samples, 5 obstacles, {told}: {found.verdict}, {busy:.2f} s of one core with the comparison "
+            f"200 samples, 5 obstacles, {given}: {found.verdict}, {busy:.2f} s of one core with the comparison "
             f"({taken:.2f} s on the clock, {found.metrics['planning_time']:.2f} s without)"
         )
 

@@ -13,7 +13,7 @@ arm, a free start, and a goal that some free configuration reaches. The laws:
 
 A law touches where its motion comes closer than 0 to anything by the independent check,
 which measures without coal, ten times finer than the samples. Verified plans are held
-against that check too.
+against that check too. The results are in docs/measurements.md.
 
     python scripts/study_laws.py [--scenes 500] [--seed 5] [--save FILE.csv]
 """
@@ -47,7 +47,7 @@ NEAR = 1e-2  # m from the goal counts as arrived, for the laws that only approac
 
 @dataclass(frozen=True)
 class Row:
-    """What one law made of one scene."""
+    """The motion of one law on one scene."""
 
     scene: int
     law: str

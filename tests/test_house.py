@@ -8,6 +8,7 @@ import inspect
 import json
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -29,10 +30,17 @@ def module_name(file: Path) -> str:
     return ".".join(part for part in parts if part != "__init__")
 
 
+@cache
+def nodes(file: Path) -> list[ast.AST]:
+    """Everything in a file, read once for all rules."""
+    return list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+
+
+@cache
 def imported(file: Path) -> set[str]:
     """Full names of all modules that a file imports, wherever in it."""
     found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes(file):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -97,7 +105,7 @@ VOCABULARIES = {"backhoe_planner.site.scene_file", "backhoe_planner.machine.shap
 @pytest.mark.parametrize("file", FILES, ids=module_name)
 def test_rooms_are_entered_by_their_doors(file: Path) -> None:
     own = module_name(file).split(".")[1:2]
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes(file):
         if not isinstance(node, ast.ImportFrom) or not str(node.module).startswith("backhoe_planner."):
             continue
         room, *inner = str(node.module).split(".")[1:]
@@ -152,7 +160,7 @@ def test_coal_is_called_in_one_file() -> None:
 def test_only_the_command_line_prints(file: Path) -> None:
     if module_name(file) in ("backhoe_planner.cli", "backhoe_planner.__main__"):
         return
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes(file):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             assert node.func.id not in ("print", "breakpoint", "input"), f"{file}:{node.lineno}"
         if isinstance(node, ast.Attribute) and node.attr in ("stdout", "stderr"):

@@ -87,12 +87,12 @@ def refutations(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> list
 
     found = []
     for least in _search(plan, refine=refine, itself=itself, floor=floor):
-        told = f"{least.link} is {least.distance:.5f} m from {least.obstacle} at {least.time:.3f} s"
+        where = f"{least.link} is {least.distance:.5f} m from {least.obstacle} at {least.time:.3f} s"
         claim = proven.get(least.obstacle, -np.inf)
         if least.distance < claim - CLAIM_SLACK and not least.obstacle.startswith("self: "):
-            found.append(f"{told}, proven were {claim:.5f} m")
+            found.append(f"{where}, proven were {claim:.5f} m")
         if plan.verified and least.distance < least.clearance - CLEARANCE_SLACK:
-            found.append(f"{told}, allowed are {least.clearance:.5f} m")
+            found.append(f"{where}, allowed are {least.clearance:.5f} m")
     return found
 
 

@@ -1,7 +1,7 @@
 """The planner on many random sites: how often, how fast and how well it solves them.
 
 Every (machine, kind, task) is a group of sites, each drawn from a seed of its own. A site
-gives a `Row`, a group a `Summary`, and two runs a `Comparison`. Planning time is told in
+gives a `Row`, a group a `Summary`, and two runs a `Comparison`. Planning time is given in
 seconds and as a multiple of a reference measured beside it, 1000 calls of
 `Proximity.distances` on the same site, which a faster machine leaves as it is.
 """

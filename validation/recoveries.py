@@ -50,7 +50,7 @@ class Start:
                 continue
             count = 0 if "obstacle" not in self.kind else int(rng.integers(1, 4)) if "several" in self.kind else 1
             obstacles = named([plain_obstacle(rng) for _ in range(count)])
-            # a scene's start lies within the limits; the servo is then told where the machine stands
+            # a scene's start lies within the limits; the servo then gets as `q` where the machine stands
             self.q, self.scene = q, servo_scene(robot, robot.random_q(rng) if "limit" in self.kind else q, obstacles)
             self.proximity = bp.Proximity(
                 robot, [build_obstacle(spec, folder=Path(), clearance=CLEARANCE) for spec in self.scene.obstacles]

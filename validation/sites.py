@@ -46,16 +46,7 @@ from backhoe_planner.site import Waypoint
 from validation.habitats import HABITATS, Narrows, banks, draw_narrows, folded_ways, load_machine
 from validation.obstacles import MACHINES, Record, extent, lump, named, pipe, random_fixtures, random_obstacle, shifted
 
-__all__ = [
-    "KINDS",
-    "MACHINES",
-    "SPARE",
-    "TASKS",
-    "Site",
-    "SiteKey",
-    "load_machine",
-    "random_site",
-]
+__all__ = ["KINDS", "MACHINES", "SPARE", "TASKS", "Site", "SiteKey", "load_machine", "random_site"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
