@@ -18,6 +18,11 @@ __all__ = ["check_writable", "whole_file"]
 def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
     """Open a file for writing that appears under its name only once it is complete.
 
+    Parameters
+    ----------
+    path: where it is to appear.
+    mode: ``w`` for UTF-8 text with its line ends as they are, ``wb`` for bytes.
+
     Raises
     ------
     OutputError: the folder does not exist, or cannot be written.

@@ -3,6 +3,7 @@ from .capability.digging import DiggingForces, digging_forces
 from .capability.envelope import Envelope, reachable_points, working_envelope
 from .collision_model import geometry_model, self_pairs
 from .description.hydraulics_file import HydraulicsRecord
+from .description.link_shapes import Visual
 from .description.urdf import example_names, read_urdf, shipped
 from .dynamics import GRAVITY, Dynamics, MotionEnergy, motion_energy
 from .hydraulics.cylinder import Cylinder
@@ -12,7 +13,7 @@ from .kinematics.inverse_kinematics import InverseKinematics, solve_batch, solve
 from .kinematics.kinematics import BatchKinematics, Configuration, ConfigurationBatch, Kinematics, wrap_angle
 from .kinematics.target import TargetBatch, TipTarget, movable_rows
 from .reach import tip_travel_bound, travel_bounds
-from .robot import JointLimits, Robot, Visual, load_robot
+from .robot import JointLimits, Robot, load_robot
 from .shape.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes
 from .shape.shapes import Piece
 

@@ -16,7 +16,7 @@ from backhoe_planner.machine.robot import Robot
 
 __all__ = ["geometry_model", "self_pairs"]
 
-_SAMPLES = 60
+_SAMPLES = 60  # postures: a rate of 0.9 is then known to within 0.04 (one standard deviation)
 _TOUCHES_BY_CONSTRUCTION = 0.9  # of the sampled postures
 
 

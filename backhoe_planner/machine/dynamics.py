@@ -69,7 +69,7 @@ class Dynamics:
         return found
 
     def kinetic_energy(self, q: Vector, v: Vector) -> float:
-        """[J]"""
+        """[J] at q, v (n,)."""
         return float(pin.computeKineticEnergy(self._model, self._data, q, v))
 
     def potential_energy(self, q: Vector) -> float:

@@ -14,26 +14,21 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import yourdfpy
-from lxml import etree
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import InputError, RobotError
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.description.chain_model import chain_model
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
+from backhoe_planner.machine.description.link_shapes import LinkPiece, Visual, link_pieces, visuals_of
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
-from backhoe_planner.machine.shape import shapes
-from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
 
-__all__ = ["JointLimits", "LinkPiece", "Robot", "Visual", "load_robot"]
+__all__ = ["JointLimits", "Robot", "load_robot"]
 
 Vector = NDArray[np.float64]
 
 _DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none
 _FULL_RATE_AFTER = 0.5  # s: acceleration where neither URDF nor scene gives one
-# A link's mesh is taken as its convex hull unless the hull would close a cavity.
-_LINK_HULL_EXCESS = 2.0
-_PIECES_PER_LINK_MESH = 8
 
 
 @dataclass(frozen=True)
@@ -57,47 +52,6 @@ class JointLimits:
     def __post_init__(self) -> None:
         for array in (self.lower, self.upper, self.velocity, self.acceleration, self.effort):
             array.setflags(write=False)
-
-
-@dataclass(frozen=True)
-class LinkPiece:
-    """A convex collision piece of a link.
-
-    Attributes
-    ----------
-    name: unique, ``link/0``, ``link/1``, ...
-    link: the URDF link to which it belongs.
-    joint: index of the Pinocchio joint that carries it; 0 stands still.
-    piece: the shape, placed in the frame of that joint.
-    """
-
-    name: str
-    link: str
-    joint: int
-    piece: shapes.Piece
-
-
-@dataclass(frozen=True)
-class Visual:
-    """Something to draw.
-
-    Attributes
-    ----------
-    link, joint: as in `LinkPiece`.
-    placement: T_joint_visual.
-    kind: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
-    size: box edges (3,); cylinder (radius, length); sphere (radius,); mesh scale (3,).
-    mesh: the file of a mesh.
-    rgba: (4,) in 0..1, or None where the URDF gives no colour.
-    """
-
-    link: str
-    joint: int
-    placement: pin.SE3
-    kind: str
-    size: tuple[float, ...]
-    mesh: Path | None
-    rgba: tuple[float, ...] | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -276,20 +230,7 @@ def load_robot(
 
 
 def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
-    tip = _checked_tip(urdf, tip)
-    chain = [joint for joint in urdf.chain(tip) if joint.type != "fixed"]
-    for joint in chain:
-        if joint.mimic is not None:
-            raise RobotError(
-                f"copies joint {joint.mimic.joint!r}: mimic joints are not supported between the root and the tip",
-                file=urdf.path,
-                key=f"joint {joint.name!r}",
-                found="<mimic>",
-            )
-    if not chain:
-        raise RobotError("no joint moves the tip", file=urdf.path, key="tip", found=tip)
-    _check_followers(urdf, {joint.name for joint in chain})
-    model = _chain_model(urdf, {joint.name for joint in chain})
+    tip, model = chain_model(urdf, tip)
     joint_names = tuple(str(name) for name in model.names[1:])
     return Robot(
         name=str(urdf.robot.name),
@@ -299,104 +240,10 @@ def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
         joint_names=joint_names,
         limits=_limits(urdf, model),
         model=model,
-        pieces=_link_pieces(urdf, model),
-        visuals=_visuals(urdf, model),
+        pieces=link_pieces(urdf, model),
+        visuals=visuals_of(urdf, model),
         hydraulics=None if hydraulics is None else read_hydraulics(hydraulics, urdf, joint_names),
     )
-
-
-def _check_followers(urdf: Urdf, moving: set[str]) -> None:
-    """That no joint beside the chain copies one that moves: held still, its link would not be where it is."""
-    copies = {joint.name: joint.mimic.joint for joint in urdf.robot.joints if joint.mimic is not None}
-    for joint in urdf.robot.joints:
-        leader, met = joint.name, set[str]()
-        while leader in copies and leader not in met:
-            met.add(leader)
-            leader = copies[leader]
-        if met and leader in moving and joint.type != "fixed":
-            raise RobotError(
-                f"copies joint {leader!r}, which moves the tip: mimic joints beside the arm are supported "
-                "only where what they copy stands still",
-                file=urdf.path,
-                key=f"joint {joint.name!r}",
-                found="<mimic>",
-                hint="without the <mimic> and with the type fixed, its link stands still on its parent",
-            )
-
-
-def _checked_tip(urdf: Urdf, tip: str | None) -> str:
-    links = [link.name for link in urdf.robot.links]
-    if tip is None:
-        if "bucket_tip" in links:
-            return "bucket_tip"
-        if len(urdf.leaves) == 1:
-            return urdf.leaves[0]
-        raise RobotError(
-            "the URDF has several ends; say which one is the tip",
-            file=urdf.path,
-            key="tip",
-            allowed=", ".join(urdf.leaves),
-            hint="`tip:` in the scene file, --tip for inspect, tip= in the library",
-        )
-    if tip not in links:
-        raise RobotError.unknown_name("the URDF has no such link", tip, names=links, file=urdf.path, key="tip")
-    return tip
-
-
-def _chain_model(urdf: Urdf, moving: set[str]) -> pin.Model:
-    """Pinocchio's model in which only the joints named in `moving` move.
-
-    The others are made fixed where they are held: at 0, or the limit nearest to it. Pinocchio's own
-    `buildReducedModel` refuses a machine whose links are named as its joints.
-    """
-    root = etree.fromstring(urdf.xml)
-    for element in root.findall("link"):
-        for unread in (*element.findall("visual"), *element.findall("collision")):
-            element.remove(unread)
-    for element in root.findall("joint"):
-        joint = urdf.joints[element.get("name")]
-        if joint.type != "fixed" and joint.name not in moving:
-            _hold(element, joint)
-            continue
-        for unread in ("dynamics", "safety_controller", "calibration"):
-            for node in element.findall(unread):
-                element.remove(node)
-        limit = element.find("limit")
-        if joint.type == "continuous":
-            element.set("type", "revolute")
-            if limit is None:
-                limit = etree.SubElement(element, "limit")
-            limit.set("lower", "-1e6")
-            limit.set("upper", "1e6")
-        if limit is not None:
-            for attribute in ("effort", "velocity"):
-                if limit.get(attribute) is None:
-                    limit.set(attribute, "0")
-    try:
-        return pin.buildModelFromXML(etree.tostring(root).decode())
-    except ValueError as error:
-        raise RobotError(f"Pinocchio cannot build a model of it: {error}", file=urdf.path) from error
-
-
-def _hold(element: etree._Element, joint: yourdfpy.Joint) -> None:
-    """Make a joint's element fixed at 0, or at the limit nearest to 0."""
-    held = 0.0
-    if joint.limit is not None and joint.type != "continuous" and joint.limit.lower is not None:
-        held = float(np.clip(0.0, joint.limit.lower, joint.limit.upper))
-    element.set("type", "fixed")
-    for unwanted in ("limit", "mimic", "axis", "dynamics", "safety_controller"):
-        for node in element.findall(unwanted):
-            element.remove(node)
-    if held == 0.0:
-        return
-    way = held * axis_of(joint)
-    moved = pin.SE3(np.eye(3), way) if joint.type == "prismatic" else pin.SE3(pin.exp3(way), np.zeros(3))
-    placement = _se3(joint.origin) * moved
-    origin = element.find("origin")
-    if origin is None:
-        origin = etree.SubElement(element, "origin")
-    origin.set("xyz", " ".join(repr(float(x)) for x in placement.translation))
-    origin.set("rpy", " ".join(repr(float(x)) for x in pin.rpy.matrixToRpy(placement.rotation)))
 
 
 def _limits(urdf: Urdf, model: pin.Model) -> JointLimits:
@@ -412,95 +259,3 @@ def _limits(urdf: Urdf, model: pin.Model) -> JointLimits:
         acceleration.append(urdf.acceleration.get(name, rate / _FULL_RATE_AFTER))
         effort.append(float(limit.effort) if limit is not None and limit.effort else np.inf)
     return JointLimits(*(np.array(values) for values in (lower, upper, velocity, acceleration, effort)))
-
-
-def _se3(origin: Vector | None) -> pin.SE3:
-    if origin is None:
-        return pin.SE3.Identity()
-    matrix = np.asarray(origin, dtype=float)
-    return pin.SE3(matrix[:3, :3], matrix[:3, 3])
-
-
-def _body(model: pin.Model, link: str) -> tuple[int, pin.SE3]:
-    """Joint that carries a link, and T_joint_link."""
-    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
-    return int(frame.parentJoint), frame.placement
-
-
-def _mesh_scale(mesh: yourdfpy.Mesh) -> Vector:
-    scale = 1.0 if mesh.scale is None else mesh.scale
-    return np.broadcast_to(np.asarray(scale, dtype=float), (3,)).copy()
-
-
-def _link_pieces(urdf: Urdf, model: pin.Model) -> tuple[LinkPiece, ...]:
-    found = []
-    for link in urdf.robot.links:
-        if not link.collisions:
-            continue
-        joint, T_joint_link = _body(model, link.name)
-        pieces: list[shapes.Piece] = []
-        for collision in link.collisions:
-            try:
-                pieces += _pieces_of(urdf, collision.geometry, T_joint_link * _se3(collision.origin))
-            except InputError as error:
-                raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > collision") from error
-        for index, piece in enumerate(pieces):
-            found.append(LinkPiece(name=f"{link.name}/{index}", link=link.name, joint=joint, piece=piece))
-    return tuple(found)
-
-
-def _pieces_of(urdf: Urdf, geometry: yourdfpy.Geometry, placement: pin.SE3) -> list[shapes.Piece]:
-    if geometry.box is not None:
-        return [shapes.box(geometry.box.size, placement)]
-    if geometry.sphere is not None:
-        return [shapes.sphere(geometry.sphere.radius, placement)]
-    if geometry.cylinder is not None:
-        return [shapes.cylinder(geometry.cylinder.radius, geometry.cylinder.length, placement)]
-    path = urdf.mesh_path(geometry.mesh.filename)
-    if path is None:
-        raise InputError("mesh file not found", found=geometry.mesh.filename)
-    mesh = load_mesh(path)
-    mesh.apply_scale(_mesh_scale(geometry.mesh))
-    cover = convex_cover(mesh, pieces=_PIECES_PER_LINK_MESH, excess=_LINK_HULL_EXCESS)
-    return [shapes.convex(points, placement) for points in cover]
-
-
-def _visuals(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:
-    colours = {
-        material.name: tuple(float(c) for c in material.color.rgba)
-        for material in urdf.robot.materials
-        if material.color is not None
-    }
-    found = []
-    for link in urdf.robot.links:
-        if not link.visuals:
-            continue
-        joint, T_joint_link = _body(model, link.name)
-        for visual in link.visuals:
-            geometry = visual.geometry
-            rgba = None
-            if visual.material is not None:
-                own = visual.material.color
-                rgba = tuple(float(c) for c in own.rgba) if own is not None else colours.get(visual.material.name)
-            mesh = None
-            if geometry.box is not None:
-                kind, size = "box", tuple(float(edge) for edge in geometry.box.size)
-            elif geometry.cylinder is not None:
-                kind, size = "cylinder", (float(geometry.cylinder.radius), float(geometry.cylinder.length))
-            elif geometry.sphere is not None:
-                kind, size = "sphere", (float(geometry.sphere.radius),)
-            else:
-                kind, size = "mesh", tuple(float(s) for s in _mesh_scale(geometry.mesh))
-                mesh = urdf.mesh_path(geometry.mesh.filename)
-            found.append(
-                Visual(
-                    link=link.name,
-                    joint=joint,
-                    placement=T_joint_link * _se3(visual.origin),
-                    kind=kind,
-                    size=size,
-                    mesh=mesh,
-                    rgba=rgba,
-                )
-            )
-    return tuple(found)

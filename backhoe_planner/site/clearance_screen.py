@@ -56,7 +56,7 @@ class ClearanceScreen:
         return found
 
     def lower_bounds(self, q: Matrix, *, time: float = 0.0) -> Matrix:
-        """(N, P) bounds below the distances of all pairs [m]; infinite before an obstacle appears."""
+        """(N, P) bounds below all distances [m] at q (N, n), `time` [s]; infinite before an obstacle appears."""
         proximity = self._proximity
         centres = self._ball_centres(self._kinematics.at(q))
         found = np.full((len(q), len(proximity.pairs)), -np.inf)

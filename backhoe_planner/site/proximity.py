@@ -231,7 +231,7 @@ class Proximity:
     _bound_time = 0.0
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
-        """(P,) signed distance of every pair [m]; infinite before an obstacle appears."""
+        """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears."""
         self._place(q, time)
         pin.computeDistances(self._model, self._geometry)
         found = np.array([result.min_distance for result in self._geometry.distanceResults])
@@ -255,6 +255,7 @@ class Proximity:
 
         Parameters
         ----------
+        q: (n,) joint positions [rad or m]; time: of the site [s].
         floor: (P,) above which a lower bound is good enough [m].
 
         Returns
@@ -271,12 +272,12 @@ class Proximity:
         return lower.copy(), needed
 
     def distance_of(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
-        """Signed distance of one pair [m]."""
+        """Signed distance of one pair at q (n,), `time` [s], in m."""
         self._place(q, time)
         return float(self._measure(pair).min_distance)
 
     def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
-        """(K,) signed distances [m] of `pairs` (K,), whether or not their obstacles have appeared."""
+        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], of obstacles to come too."""
         self._place(q, time)
         return np.array([self._measure(index).min_distance for index in pairs.tolist()])
 

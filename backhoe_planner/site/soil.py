@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
 _FLATTEST = np.radians(10.0)  # a flatter blade only slides
 _CREEP = 0.01  # m/s: below, the force fades, so that it is continuous where the motion turns round
-_SHALLOWEST = 1e-9  # m
+_SHALLOWEST = 1e-9  # m: at depth 0 the terms per depth have no value; the force is 0 there
 
 
 def blade_force(depth: Array, rake: Array, soil: Soil, *, width: float) -> Array:
@@ -54,7 +54,9 @@ def blade_force(depth: Array, rake: Array, soil: Soil, *, width: float) -> Array
 
 
 def failure_angle(depth: Array, rake: Array, soil: Soil) -> Array:
-    """The angle beta of the plane of failure [rad] that makes F smallest.
+    """The angle beta of the plane of failure [rad] that makes F smallest; arguments as of `blade_force`.
+
+    Of `depth` [m], `rake` [rad] and `soil`, of any shapes that broadcast.
 
     As a function of x = 2 beta, F is a quotient of two expressions n0 + n1 cos x +
     n2 sin x, so that dF/dx = 0 reads P sin x + Q cos x + R = 0.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -391,6 +392,13 @@ BAD_YAML = {
     "control character": ("name: a\x00b\n", ["is not YAML", "#x0000"]),
     "list as a key": ("? [1]\n: 2\n", ["line 1", "is not YAML"]),
     "endless nesting": ("a: &a [*a]\n", ["cannot be understood"]),
+    "deep nesting": ("a: " + "[" * 5000 + "\n", ["cannot be understood"]),
+    "aliases of aliases": (
+        "a: &a [0, 0, 0, 0, 0, 0, 0, 0, 0, 0]\n"
+        + "".join(f"{y}: &{y} [{', '.join(['*' + x] * 10)}]\n" for x, y in pairwise("abcdefghi")),
+        ["more than 200000 entries"],
+    ),
+    "number of 5000 digits": ("payload: " + "9" * 5000 + "\n", ["cannot be understood", "digits"]),
     "line of a wrong value": (
         "version: 1\nstart: {joints: {}}\ntask: {goal: {position: [1, 2, 3]}}\nobstacles:\n"
         "  - {name: a, shape: sphere, radius: 1}\n  - name: b\n    shape: sphere\n    radius: -2\n",

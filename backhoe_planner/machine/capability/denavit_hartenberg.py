@@ -20,7 +20,7 @@ __all__ = ["DhRow", "DhTable", "dh_table"]
 
 Vector = NDArray[np.float64]
 
-_PARALLEL = 1e-9
+_PARALLEL = 1e-9  # rad, and m: nearer than this, axes are parallel or meet but for rounding
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ Matrix = NDArray[np.float64]
 
 DUMP_PITCH = np.radians(-80.0)
 _GRID = 9  # points per joint
-_SEEDS = 4
+_SEEDS = 4  # of the grid's best points: one may lie beside a lesser maximum
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def working_envelope(robot: Robot) -> Envelope | None:
 
 
 def reachable_points(robot: Robot, *, count: int = 20_000, seed: int = 0) -> Matrix:
-    """(count, 3) positions of the tip at seeded random joint positions [m]."""
+    """(count, 3) positions of the tip [m], world, at joint positions of the `robot` drawn with `seed`."""
     kinematics, rng = Kinematics(robot), np.random.default_rng(seed)
     return np.array([kinematics.at(robot.random_q(rng)).tip_position for _ in range(count)])
 

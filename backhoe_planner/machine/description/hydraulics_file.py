@@ -36,7 +36,7 @@ __all__ = [
 
 Vector = NDArray[np.float64]
 
-_LARGEST = 1e9
+_LARGEST = 1e9  # Pa, W: a pressure of 1e9 Pa no oil line bears
 _SAMPLES = 1441  # of a joint's range, in which a linkage is tried
 _ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever
 _NO_LEVER = 2e-3  # of the longest; between two samples a lever falls by less

@@ -19,13 +19,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import yourdfpy
 from lxml import etree
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import RobotError, nearest_name
 
-__all__ = ["Urdf", "axis_of", "example_names", "read_urdf", "shipped"]
+__all__ = ["Urdf", "axis_of", "example_names", "read_urdf", "se3", "shipped"]
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _REFUSED = {
@@ -113,6 +114,14 @@ def axis_of(joint: yourdfpy.Joint) -> NDArray[np.float64]:
     """(3,) unit axis of a joint in its own frame; x where the URDF gives none."""
     axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
     return np.asarray(axis / np.linalg.norm(axis))
+
+
+def se3(origin: NDArray[np.float64] | None) -> pin.SE3:
+    """A URDF origin (4, 4), the identity where it is None, as Pinocchio has transforms."""
+    if origin is None:
+        return pin.SE3.Identity()
+    matrix = np.asarray(origin, dtype=float)
+    return pin.SE3(matrix[:3, :3], matrix[:3, 3])
 
 
 def shipped(folder: str) -> Path:

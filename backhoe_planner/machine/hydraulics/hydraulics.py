@@ -169,12 +169,12 @@ class Hydraulics:
         return np.asarray(self._arms(q) * np.asarray(v)[..., self.joint_of])
 
     def flows(self, q: Array, v: Array) -> Array:
-        """(..., m) oil that the pump feeds into each cylinder [m^3/s], 0 or more."""
+        """(..., m) oil that the pump feeds into each cylinder [m^3/s], 0 or more, at q, v (..., n)."""
         speed = self.rod_speeds(q, v)
         return np.asarray(np.abs(speed) * np.where(speed > 0.0, self._cap, self._annulus))
 
     def total_flow(self, q: Array, v: Array) -> Array:
-        """(...) oil that the pump feeds [m^3/s]; to be kept within `pump_flow`."""
+        """(...) oil that the pump feeds [m^3/s] at q, v (..., n); to be kept within `pump_flow`."""
         return np.asarray(np.sum(self.flows(q, v), axis=-1))
 
     def velocity_limits(self, q: Array) -> BothWays:
@@ -200,7 +200,7 @@ class Hydraulics:
     # --- force and pressure -----------------------------------------------------
 
     def joint_torques(self, q: Array, force: Array) -> Array:
-        """(..., n) tau = r^T F [N m] of cylinder forces F (..., m) [N], push positive."""
+        """(..., n) tau = r^T F [N m] at q (..., n) of the cylinders' force F (..., m) [N], push positive."""
         return self._by_joint(self._arms(q) * np.asarray(force))
 
     def cylinder_forces(self, q: Array, tau: Array) -> Array:
@@ -241,15 +241,15 @@ class Hydraulics:
     def power(self, q: Array, v: Array, tau: Array) -> Array:
         """(...) what the oil must put in: the sum of p A |l'| [W], 0 for loads that drive their cylinder.
 
-        To be kept within `power_limit`.
+        At q, v (..., n) with the torques tau (..., n) [N m]; to be kept within `power_limit`.
         """
         return np.asarray(np.sum(self._driving_pressures(q, v, tau) * self.flows(q, v), axis=-1))
 
     def load_sensing_power(self, q: Array, v: Array, tau: Array) -> Array:
         """(...) what a load-sensing pump puts in: the highest pressure asked for times the whole flow [W].
 
-        Flow to the lighter loads is throttled down from that pressure, so it is never
-        less than `power`.
+        At q, v (..., n) with the torques tau (..., n) [N m]. Flow to the lighter loads is
+        throttled down from that pressure, so it is never less than `power`.
         """
         highest = np.max(self._driving_pressures(q, v, tau), axis=-1, initial=0.0)
         return np.asarray(highest * self.total_flow(q, v))

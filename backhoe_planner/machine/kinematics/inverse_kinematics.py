@@ -26,9 +26,8 @@ Vector = NDArray[np.float64]
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Newton-Raphson converges in 5 to 15 steps; near singular postures it takes up to 60.
-_ITERATIONS = 40
-_ITERATIONS_OF_ONE = 60
+_ITERATIONS = 40  # most converge quadratically, in few; near singular postures the damping makes it many
+_ITERATIONS_OF_ONE = 60  # one target is given up less soon, since nothing else will find it
 _LARGEST_STEP = 0.6  # rad or m: further from where it was taken, the Jacobian is another
 _STALLED_AT = 0.98  # of the squared error before: a step that leaves more is no progress
 _MOST_STALLED = 8  # such steps in a row; fewer would end searches that slide along a limit

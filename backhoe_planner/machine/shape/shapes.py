@@ -37,7 +37,7 @@ __all__ = [
 
 Vector = NDArray[np.float64]
 
-_SIDES = 32
+_SIDES = 32  # of the prism around a cylinder: 1 / cos(pi / 32) is 0.49 % more than its radius
 _FLAT = 1e-6  # of the largest extent, and in metres: thinner is flat to what builds hulls
 _THICKNESS = 1e-3  # m given to what is flat
 _THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is more
@@ -46,7 +46,7 @@ _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
 _CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
 _TOLERANCE = 1e-12  # m, of coal's iterations: gradients are compared with differences of 1e-6 rad
 _LOOSER = (1e-10, 1e-9, 1e-6)  # m, tried in turn where the first answer is in doubt
-_ITERATIONS = 256  # at most; coal's own 128 end too early for that tolerance
+_ITERATIONS = 256  # at most; twice coal's default, for that tolerance
 _Result = TypeVar("_Result", bound=Any)
 
 
@@ -82,7 +82,7 @@ def box(size: Vector, placement: pin.SE3) -> Piece:
 
 
 def sphere(radius: float, placement: pin.SE3) -> Piece:
-    """A sphere about its frame's origin [m]."""
+    """A sphere of `radius` [m] about its frame's origin, at `placement` T_body_sphere."""
     return _piece(coal.Sphere(float(radius)), placement, np.zeros((1, 3)), float(radius))
 
 
