@@ -238,16 +238,18 @@ class Kinetic(Objective[_Masses]):
         return float(np.trapezoid(energy.kinetic, motion.time))
 
 
-class Effort(Objective[_Torques]):
+class _OfTorques(Objective[_Torques]):
+    def nodes(self, q: Array, machine: LoadedMachine, tip: TipVelocities) -> _Torques:
+        return _Torques(q, *machine.holding_torques(q, tip))
+
+
+class Effort(_OfTorques):
     """|tau|^2 dt: the integral of tau . tau, what an electric motor heats with."""
 
     name, unit = "effort", "N^2 m^2 s"
 
     def per_radian(self, usual: Usual) -> float:
         return usual.load * usual.load / usual.rate
-
-    def nodes(self, q: Array, machine: LoadedMachine, tip: TipVelocities) -> _Torques:
-        return _Torques(q, *machine.holding_torques(q, tip))
 
     def of_step(self, step: Step[_Torques], machine: LoadedMachine) -> Array:
         ends = np.sum(step.a.after * step.a.after, axis=-1) + np.sum(step.b.before * step.b.before, axis=-1)
@@ -257,16 +259,13 @@ class Effort(Objective[_Torques]):
         return float(np.trapezoid(np.sum(energy.torque * energy.torque, axis=1), motion.time))
 
 
-class Work(Objective[_Torques]):
+class Work(_OfTorques):
     """sum_i max(tau_i dq_i, 0): the integral of the power that joints put in; nothing is given back."""
 
     name, unit = "work", "J"
 
     def per_radian(self, usual: Usual) -> float:
         return usual.load
-
-    def nodes(self, q: Array, machine: LoadedMachine, tip: TipVelocities) -> _Torques:
-        return _Torques(q, *machine.holding_torques(q, tip))
 
     def of_step(self, step: Step[_Torques], machine: LoadedMachine) -> Array:
         cost = np.zeros_like(step.dt)

@@ -21,7 +21,7 @@ __all__ = ["MOST", "Drive", "DriveUse", "beside", "drive_of"]
 
 Array = NDArray[np.float64]
 
-_BRISK = 1.0  # 1/s: a speed along a path at which the soil's force is fully there
+_BRISK = 1.0  # rad/s or m/s of the fastest joint, at which the soil's force is fully there
 MOST = 1e6  # a limit exceeded by more counts as this, so that no ratio is infinite
 
 

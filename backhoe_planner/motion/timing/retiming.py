@@ -18,9 +18,9 @@ __all__ = ["DRIVEN_WITHIN", "retimed"]
 
 Array = NDArray[np.float64]
 
-DRIVEN_WITHIN = 0.01  # over a limit of the drive that a sampled motion may be
+DRIVEN_WITHIN = 0.01  # over a limit of the drive that a sampled motion may be: its accelerations are differences
 _ENOUGH = 0.5 * DRIVEN_WITHIN
-_SLOWEST = 50.0  # times slower than it was
+_SLOWEST = 50.0  # times slower than it was, beyond which a motion stays as it is
 
 
 def retimed(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) -> Trajectory:

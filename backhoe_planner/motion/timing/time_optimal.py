@@ -26,7 +26,7 @@ __all__ = ["Rows", "TimeLaw", "fastest"]
 Array = NDArray[np.float64]
 
 _STEPS = 60  # of Newton's method on a concave piecewise linear function, which ends by itself
-_ROUNDING = 1e-10
+_ROUNDING = 1e-10  # relative: rows and room below this are rounding
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
-"""When to be where: joint positions along a path made into a motion from rest to rest.
+"""Joint positions along a path made into a motion from rest to rest, as fast as the limits allow.
 
-The time-optimal speed along a smooth curve through the samples, see `path_limits`. What
-is sampled from it is checked, and slowed by as much as it is over.
+The speed along a smooth curve through the samples is time-optimal, see `path_limits`. The
+samples of the motion are checked, and slowed by as much as they exceed a limit.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ __all__ = ["time_along", "time_polyline", "time_way"]
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_MANY = 5000  # samples of one motion; of more, only those are kept that get on
-_MOST = 1_000_000  # of which these are chosen
-_LEAST_STEP = 2.5e-3  # rad or m of a joint from sample to sample then
-_LEAST_TIP_STEP = 5e-4  # m of the tip
-_SPARE = 0.999
-_SAME_PLACE = 1e-9
+_MANY = 5000  # samples of one motion, 100 s at the usual period; a slower one is thinned out
+_MOST = 1_000_000  # samples before it is
+_LEAST_STEP = 2.5e-3  # rad or m of a joint from sample to sample in a thinned motion: a tenth of `Trajectory.moments`
+_LEAST_TIP_STEP = 5e-4  # m of the tip, a tenth of the usual tolerance
+_SPARE = 0.999  # of every limit: what sampling may add to a ramp
+_SAME_PLACE = 1e-9  # of a way's length: corners nearer than this are one but for rounding
 _PER_PIECE = 12  # intervals on every leg and corner of a way
-_PER_WAY = 300  # intervals on a way between two stops, at least about
-_LEAST_GRID = 1000
-_HALVINGS = 6  # of the first and the last interval
+_PER_WAY = 300  # intervals on a way between two stops, at least about; `path_limits` corrects what lies between
+_LEAST_GRID = 1000  # intervals on a path between two stops
+_HALVINGS = 6  # of the first and the last interval, where a slow machine is at full speed soon
 
 
 def time_along(
@@ -75,7 +75,7 @@ def time_along(
     if law is None:
         time, samples = _ramp(along, q, limits)
         return retimed(Trajectory.from_steps(time, samples), limits, drive=drive)
-    time, samples = _getting_on(
+    time, samples = _thinned(
         _samples(law.duration, period),
         lambda moments: np.asarray(curve(law.at(moments)[0])),
         np.append(np.full(q.shape[1], _LEAST_STEP), _LEAST_TIP_STEP),
@@ -95,7 +95,7 @@ def _refined(along: Vector, count: int) -> Vector:
 
 
 def _denser_at_ends(grid: Vector) -> Vector:
-    """The same places and more of them towards both ends, where a slow machine is at full speed soon."""
+    """The same places and more of them towards both ends."""
     halves = 0.5 ** np.arange(_HALVINGS, 0, -1)
     first, last = grid[1] - grid[0], grid[-1] - grid[-2]
     return np.concatenate((grid[:1], grid[0] + first * halves, grid[1:-1], grid[-1] - last * halves[::-1], grid[-1:]))
@@ -142,9 +142,9 @@ def _over(trajectory: Trajectory, limits: JointLimits) -> float:
 def time_way(way: SmoothWay, limits: JointLimits, *, drive: Drive | None = None) -> Trajectory:
     """The fastest motion along a way, at rest at its ends and wherever it stops.
 
-    The samples lie on the way. Between two of them the motion is straight: on the way
-    on a leg, off it by at most `blending.chord_sagitta` on a corner. Where no time law
-    is found the motion goes into the corners and stops there.
+    The samples lie on the way. Between two of them the motion is straight: on a leg it is
+    on the way, on a corner at most `chord_sagitta` off it. Where no time law is found, the
+    motion goes into the corners and stops there.
 
     Parameters
     ----------
@@ -195,8 +195,8 @@ def _samples(duration: float, period: float) -> Vector:
     return np.linspace(0.0, duration, min(max(int(np.ceil(duration / period)) + 1, 3), _MOST))
 
 
-def _getting_on(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector) -> tuple[Vector, Matrix]:
-    """Samples (T,), (T, m) of a motion; of a very slow one only those by which it gets on.
+def _thinned(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector) -> tuple[Vector, Matrix]:
+    """Samples (T,), (T, m) of a motion; of a very slow one only those at which something has moved.
 
     Parameters
     ----------
@@ -231,7 +231,7 @@ def _along_smooth(
     law = time_path(PathShape(places, way(places), slope, bend, bend), limits, drive=drive)
     if law is None:
         return None
-    time, q = _getting_on(
+    time, q = _thinned(
         _samples(law.duration, SAMPLE_PERIOD),
         lambda moments: way(np.clip(law.at(moments)[0], begin, end)),
         np.full(way.corners.shape[1], _LEAST_STEP),
