@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.motion import Problem, SmoothWay, Trajectory, drive_of, time_way
-from backhoe_planner.planning import EFFORTS, Brake, MotionCheck, OutOfTime, Way, Work, blend, sample_way, shorten
+from backhoe_planner.planning import (
+    EFFORTS,
+    Brake,
+    JointPath,
+    MotionCheck,
+    OutOfTime,
+    Work,
+    blend,
+    sample_path,
+    shorten,
+)
 from backhoe_planner.proof import TOUCH, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
@@ -270,13 +280,13 @@ class _Search:
         check = MotionCheck(self._problem, proximity, [q, found], spare=0.0)
         return found if check.segment_is_clear(q, found) else q
 
-    def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[Way]:
+    def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[JointPath]:
         """Several, shortened; one where it is straight, or long to find."""
         query = self._query
-        found: list[Way] = []
+        found: list[JointPath] = []
         for turn in range(_WAYS):
             seed = (query.seed + query.attempt) * _WAYS + turn
-            way = sample_way(check, self._start, targets, seed=seed, work=self._work)
+            way = sample_path(check, self._start, targets, seed=seed, work=self._work)
             if way is None:
                 break
             found.append(shorten(check, way, seed=seed))

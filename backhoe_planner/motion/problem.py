@@ -44,6 +44,11 @@ class Problem:
     goal: TipTarget | None
     path: TipPath | None
 
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether any obstacle moves or appears."""
+        return any(obstacle.moves or obstacle.appears_at > 0.0 for obstacle in self.obstacles)
+
 
 def build_problem(robot: Robot, scene: Scene) -> Problem:
     """Check a scene against a machine, and build what stands in it.

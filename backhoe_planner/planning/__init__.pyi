@@ -1,5 +1,3 @@
-from .context import Context
-from .law_timing import as_fast_as_allowed, places_on, shortest_time
 from .paths.corners import round_corners
 from .paths.dynamic_programming import cheapen_stretch
 from .paths.layered_graph import Edge, EdgeKind, LayeredGraph
@@ -8,6 +6,7 @@ from .paths.path_layers import PathLayers, redundancy_of
 from .paths.path_resolution import PathResolver, Stretch
 from .paths.smoothing import smooth_stretch, stretch_cost
 from .planner import judged, motion_metrics, plan
+from .reactive.law_timing import as_fast_as_allowed, places_on, shortest_time
 from .reactive.reaching import approach_goal
 from .reactive.stepping import Step, Stepper
 from .report.asked_speed import asked_speed
@@ -18,17 +17,18 @@ from .result.plan_file import load_plan, plan_to_dict
 from .search.blending import blend
 from .search.effort import DEFAULT_BUDGET, EFFORTS, Brake, Effort, OutOfTime, Work
 from .search.motion_check import MotionCheck
-from .search.sampling import Way, sample_way
+from .search.sampling import JointPath, sample_path
 from .search.shortening import shorten
+from .world import World
 
 __all__ = [
     "DEFAULT_BUDGET",
     "EFFORTS",
     "Brake",
-    "Context",
     "Edge",
     "EdgeKind",
     "Effort",
+    "JointPath",
     "LayeredGraph",
     "MotionCheck",
     "OutOfTime",
@@ -39,8 +39,8 @@ __all__ = [
     "Step",
     "Stepper",
     "Stretch",
-    "Way",
     "Work",
+    "World",
     "approach_goal",
     "as_fast_as_allowed",
     "asked_speed",
@@ -61,7 +61,7 @@ __all__ = [
     "redundancy_of",
     "resolve_along",
     "round_corners",
-    "sample_way",
+    "sample_path",
     "shorten",
     "shortest_time",
     "smooth_stretch",

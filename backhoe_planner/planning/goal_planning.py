@@ -1,75 +1,124 @@
-"""Planning to a goal: the completed law first, then sampling (`method: auto`)."""
+"""Planning to a goal: the completed law first, then sampling."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.law import run_iteration
 from backhoe_planner.machine import TipTarget
-from backhoe_planner.motion import drive_of, retimed
-from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.law_planning import reach_with_law
-from backhoe_planner.planning.law_timing import as_fast_as_allowed, shortest_time
-from backhoe_planner.planning.outcome import Outcome, no_posture
+from backhoe_planner.motion import drive_of, retimed, time_polyline
+from backhoe_planner.planning.outcome import Outcome, no_posture, obstruction_details
+from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed, shortest_time
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit
+from backhoe_planner.planning.world import World
 
-__all__ = ["find_goal_postures", "plan_to_goal", "swerve_to_goal"]
+__all__ = ["ToGoal", "describe_attempts"]
+
+Vector = NDArray[np.float64]
 
 _LONG_SEARCH = 8  # times as many starting points, before a goal is said to be in collision
+_MOST_POSTURES = 8  # that the law is sent to, one attempt each
 
 
-def find_goal_postures(context: Context, stepper: Stepper, goal: TipTarget) -> Found | Outcome:
-    """Clear configurations on the goal, the nearest first; or why there is none."""
-    count = context.work.effort.starting_points
-    found = context.postures.at(goal, near=stepper.q, count=count, time=stepper.time)
-    if found.reachable and not found.clear:
-        found = context.postures.at(goal, near=stepper.q, count=_LONG_SEARCH * count, time=stepper.time)
-    return no_posture(context, found, goal, "goal_in_collision", "goal") or found
+@dataclass(frozen=True, eq=False)
+class ToGoal:
+    """The task of bringing the tip to a goal, and be at rest there."""
+
+    goal: TipTarget
+
+    def from_rest(self, world: World, stepper: Stepper) -> Outcome:
+        """The tip straight for it by the law, then a sampled way, then what else the law can do.
+
+        Parameters
+        ----------
+        stepper: a motion that is at rest.
+        """
+        found = self._postures(world, stepper)
+        if isinstance(found, Outcome):
+            return found
+        straight = next(approach_goal(stepper, self.goal, (), work=world.work))
+        if straight.arrived:
+            return _faster(world, stepper, straight, found)
+        transit = find_transit(world, stepper, found.clear)
+        if transit.stepper is not None:
+            return Outcome(transit.stepper.trajectory(), details={"way": "sampled"})
+        outcome = self._attempts(world, stepper, found.clear)
+        if not outcome.reason:
+            return outcome
+        message = f"{outcome.message}; {transit.failure}"
+        return Outcome(
+            outcome.trajectory, outcome.reason, message, dict(outcome.details) | {"sampled": transit.failure}
+        )
+
+    def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
+        """Straight on by the law, from a motion that need not be at rest; None where it does not arrive."""
+        attempt = next(approach_goal(stepper, self.goal, (), work=world.work))
+        return Outcome(attempt.stepper.trajectory(), details={"way": attempt.way}) if attempt.arrived else None
+
+    def by_law(self, world: World, stepper: Stepper) -> Outcome:
+        """From rest by the completed law alone."""
+        found = self._postures(world, stepper)
+        return found if isinstance(found, Outcome) else self._attempts(world, stepper, found.clear)
+
+    def as_printed(self, world: World, stepper: Stepper) -> Outcome:
+        """The iteration of the paper, its steps timed."""
+        steps = run_iteration(
+            world.problem, stepper.q, self.goal, proximity=world.proximity, kinematics=world.kinematics
+        )
+        return Outcome(time_polyline(steps, world.problem.limits), details={"iterations": len(steps) - 1})
+
+    def _postures(self, world: World, stepper: Stepper) -> Found | Outcome:
+        """Clear configurations on the goal, the nearest first; or why there is none."""
+        count = world.work.effort.starting_points
+        found = world.postures.at(self.goal, near=stepper.q, count=count, time=stepper.time)
+        if found.reachable and not found.clear:
+            found = world.postures.at(self.goal, near=stepper.q, count=_LONG_SEARCH * count, time=stepper.time)
+        return no_posture(world, found, self.goal, "goal_in_collision", "goal") or found
+
+    def _attempts(self, world: World, stepper: Stepper, postures: Sequence[Vector]) -> Outcome:
+        """What the law can do, with `postures` (n,) on the goal, the preferred one first."""
+        attempts = list(approach_goal(stepper, self.goal, postures[:_MOST_POSTURES], work=world.work))
+        if not attempts[-1].arrived:
+            return describe_attempts(attempts)
+        arrived = as_fast_as_allowed(stepper, attempts[-1].stepper)
+        return Outcome(arrived.trajectory(), details=_details(attempts))
 
 
-def plan_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome:
-    """From a motion that is at rest to the goal, and be at rest there.
-
-    The tip straight for it by the completed law, then a sampled way to any of the
-    configurations on the goal, then what else the law can do.
-    """
-    found = find_goal_postures(context, stepper, goal)
-    if isinstance(found, Outcome):
-        return found
-    straight = next(iter(approach_goal(stepper, goal, (), work=context.work)))
-    if straight.arrived:
-        return _faster(context, stepper, straight, found)
-    transit = find_transit(context, stepper, found.clear)
-    if transit.stepper is not None:
-        return Outcome(transit.stepper.trajectory(), details={"way": "sampled"})
-    outcome = reach_with_law(context, stepper, goal, found.clear)
-    if outcome.reason == "blocked":
-        message = f"{outcome.message}; {transit.told}"
-        return Outcome(outcome.trajectory, outcome.reason, message, dict(outcome.details) | {"sampled": transit.told})
-    return outcome
-
-
-def _faster(context: Context, stepper: Stepper, straight: Attempt, found: Found) -> Outcome:
+def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> Outcome:
     """The tip's straight way or, where that is open and faster, the joints'."""
-    limits, drive = context.problem.limits, drive_of(context.problem)
-    direct = find_transit(context, stepper, found.clear, straight=True)
+    limits, drive = world.problem.limits, drive_of(world.problem)
+    direct = find_transit(world, stepper, found.clear, straight=True)
     joints = None if direct.stepper is None else direct.stepper.trajectory()
     after = np.inf if joints is None else joints.duration - stepper.time
     way = straight.stepper.trajectory()
     if joints is not None and after <= shortest_time(way.q[way.time >= stepper.time - 1e-9], limits):
         return Outcome(joints, details={"way": "straight for the joints"})
-    motion = as_fast_as_allowed(context, stepper, straight.stepper).trajectory()
+    motion = as_fast_as_allowed(stepper, straight.stepper).trajectory()
     # the law runs the joints at rates that all of them together may not have
     if joints is not None and joints.duration < retimed(motion, limits, drive=drive).duration:
         return Outcome(joints, details={"way": "straight for the joints"})
     return Outcome(motion, details={"way": straight.way})
 
 
-def swerve_to_goal(context: Context, stepper: Stepper, goal: TipTarget) -> Outcome | None:
-    """On to the goal by the completed law, from a motion that need not be at rest; None where it does not arrive."""
-    attempt = next(iter(approach_goal(stepper, goal, (), work=context.work)))
-    if not attempt.arrived:
-        return None
-    return Outcome(attempt.stepper.trajectory(), details={"way": attempt.way})
+def describe_attempts(attempts: Sequence[Attempt]) -> Outcome:
+    """The attempt that came nearest, and what held it back; none of `attempts` arrived."""
+    nearest = min(attempts, key=lambda attempt: attempt.distance)
+    details = _details(attempts) | {"closest_distance": nearest.distance}
+    held = ""
+    if nearest.obstruction is not None:
+        details |= obstruction_details(nearest.obstruction)
+        held = f", where {nearest.obstruction.link} is held back by {nearest.obstruction.name}"
+    message = f"of {len(attempts)} attempts the closest came to {nearest.distance:.3f} m of the goal{held}"
+    return Outcome(nearest.stepper.trajectory(), "blocked", message, details)
+
+
+def _details(attempts: Sequence[Attempt]) -> dict[str, Any]:
+    return {"attempts": len(attempts), "way": attempts[-1].way}

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Trajectory
-from backhoe_planner.planning.context import Context
 from backhoe_planner.planning.result.plan import Reason
 from backhoe_planner.planning.search.postures import Found
+from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
 
-__all__ = ["Outcome", "bad_start", "no_posture", "obstruction_details", "point", "standing"]
+__all__ = ["Outcome", "at_rest", "bad_start", "no_posture", "obstruction_details", "point"]
 
 Vector = NDArray[np.float64]
 
@@ -38,8 +38,8 @@ class Outcome:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
-def standing(q: Vector) -> Trajectory:
-    """No motion at all."""
+def at_rest(q: Vector) -> Trajectory:
+    """A motion that stays at `q` (n,)."""
     return Trajectory.from_steps(np.zeros(1), np.array([q]))
 
 
@@ -53,9 +53,9 @@ def point(position: Vector) -> str:
     return ", ".join(f"{value:.2f}" for value in position)
 
 
-def bad_start(context: Context, start: Vector) -> Outcome | None:
+def bad_start(world: World, start: Vector) -> Outcome | None:
     """Why nothing can begin at `start` (n,), None where it can."""
-    limits, names = context.problem.limits, context.problem.robot.joint_names
+    limits, names = world.problem.limits, world.problem.robot.joint_names
     outside = np.flatnonzero((start < limits.lower) | (start > limits.upper))
     if len(outside):
         words = "; ".join(
@@ -63,15 +63,15 @@ def bad_start(context: Context, start: Vector) -> Outcome | None:
             f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} (radians or metres)"
             for j in outside
         )
-        return Outcome(standing(start), "outside_limits", words, {"joints": [names[j] for j in outside]})
-    contact = context.world.tightest(start)
+        return Outcome(at_rest(start), "outside_limits", words, {"joints": [names[j] for j in outside]})
+    contact = world.proximity.tightest(start)
     if contact is not None and contact.margin < 0.0:
         message = f"at the start {contact.describe()}"
-        return Outcome(standing(start), "start_in_collision", message, obstruction_details(contact))
+        return Outcome(at_rest(start), "start_in_collision", message, obstruction_details(contact))
     return None
 
 
-def no_posture(context: Context, found: Found, target: TipTarget, reason: Reason, what: str) -> Outcome | None:
+def no_posture(world: World, found: Found, target: TipTarget, reason: Reason, what: str) -> Outcome | None:
     """Why there is no configuration for a target, None where there is one.
 
     Parameters
@@ -82,9 +82,9 @@ def no_posture(context: Context, found: Found, target: TipTarget, reason: Reason
     if found.clear:
         return None
     best = found.best
-    here = standing(context.problem.start_q if context.problem.start_q is not None else best.q)
+    here = at_rest(world.problem.start_q if world.problem.start_q is not None else best.q)
     if not found.reachable:
-        tip = context.kinematics.at(best.q).tip_position
+        tip = world.kinematics.at(best.q).tip_position
         asked = " and ".join(
             part
             for part in (
@@ -97,7 +97,7 @@ def no_posture(context: Context, found: Found, target: TipTarget, reason: Reason
             f"the {what} ({point(target.position)}) is out of reach: "
             f"the nearest pose is {asked} away, at ({point(tip)})"
         )
-        limits, names = context.problem.limits, context.problem.robot.joint_names
+        limits, names = world.problem.limits, world.problem.robot.joint_names
         at_limit = [
             name for name, q, low, high in zip(names, best.q, limits.lower, limits.upper, strict=True)
             if min(q - low, high - q) < 1e-6

@@ -1,17 +1,18 @@
-"""Planning along a path: resolved globally, left only where it must be (`method: auto`)."""
+"""Planning along a path: resolved globally, left only where it must be."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
-from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, drive_of, trajectory_costs
-from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.outcome import Outcome, no_posture, standing
+from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, drive_of, progress, trajectory_costs
+from backhoe_planner.planning.law_following import follow_with_law
+from backhoe_planner.planning.outcome import Outcome, at_rest, no_posture
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
@@ -21,9 +22,11 @@ from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.report.comparison import law_motion, timed_alone
 from backhoe_planner.planning.search.postures import Found
-from backhoe_planner.planning.transit import find_transit, find_way_near, play_way
+from backhoe_planner.planning.search.sampling import JointPath
+from backhoe_planner.planning.transit import find_detour, find_transit, play
+from backhoe_planner.planning.world import World
 
-__all__ = ["out_of_reach", "plan_along_path"]
+__all__ = ["AlongPath", "plan_along_path", "waypoint_out_of_reach"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -38,13 +41,34 @@ _ON_PATH = 1e-4  # m and rad
 _SHORT = 0.3  # m of path on which inertia may decide
 
 
-def out_of_reach(context: Context, path: TipPath) -> Outcome | None:
-    """Says which waypoint the tip cannot be put on, None where there is none."""
-    robot = context.problem.robot
+@dataclass(frozen=True, eq=False)
+class AlongPath:
+    """The task of following a path with the tip to its end."""
+
+    path: TipPath
+
+    def from_rest(self, world: World, stepper: Stepper) -> Outcome:
+        """To the path and along it, or on along it from where the motion has followed it to."""
+        task = world.problem.scene.task.path
+        assert task is not None
+        since = progress(self.path, task.tolerance, stepper.trajectory(), world.kinematics)
+        return plan_along_path(world, self.path, stepper=stepper, since=since)
+
+    def in_motion(self, world: World, stepper: Stepper) -> None:
+        """There is no such motion: a path is gone on with from rest."""
+
+    def by_law(self, world: World, stepper: Stepper | None) -> Outcome:
+        """By the completed law alone, from rest or (None) from anywhere on the beginning of the path."""
+        return follow_with_law(world, self.path, stepper)
+
+
+def waypoint_out_of_reach(world: World, path: TipPath) -> Outcome | None:
+    """The first waypoint that the tip cannot be put on; None where it can be put on all that are tried."""
+    robot = world.problem.robot
     count = len(path.stations)
     indices = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
     targets = [path.target(float(path.stations[index])) for index in indices]
-    rng = np.random.default_rng(context.seed)
+    rng = np.random.default_rng(world.seed)
     guesses = np.array([robot.middle, *(robot.random_q(rng) for _ in range(_GUESSES - 1))])
     rows = np.repeat(np.arange(len(targets)), len(guesses))
     _, reached = solve_batch(
@@ -55,11 +79,11 @@ def out_of_reach(context: Context, path: TipPath) -> Outcome | None:
         if not found.reached:
             index = int(indices[row])
             what = "beginning of the path" if index == 0 else f"waypoint {index + 1} of the path"
-            return no_posture(context, Found((), False, found, None), targets[row], "unreachable", what)
+            return no_posture(world, Found((), False, found, None), targets[row], "unreachable", what)
     return None
 
 
-def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None, since: float | None = None) -> Outcome:
+def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, since: float | None = None) -> Outcome:
     """To the path and along it to its end.
 
     Parameters
@@ -71,35 +95,35 @@ def plan_along_path(context: Context, path: TipPath, *, stepper: Stepper | None,
     """
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
-    on_path = stepper is not None and max(path.target(low).distances(context.kinematics.at(stepper.q))) < _ON_PATH
-    cost = PathCost(context.problem)
+    on_path = stepper is not None and max(path.target(low).distances(world.kinematics.at(stepper.q))) < _ON_PATH
+    cost = PathCost(world.problem)
     resolver = PathResolver(
-        context.problem,
+        world.problem,
         path,
-        proximity=context.world,
+        proximity=world.proximity,
         since=low,
         begin=stepper.q if stepper is not None and on_path else None,
         time=time,
-        work=context.work,
+        work=world.work,
         cost=cost.step_costs,
-        **_density(context, path),
-        find_detour=lambda a, b, low, high: find_way_near(context, path, a, b, low, high, time=time),
+        **_density(world, path),
+        find_detour=lambda a, b, low, high: find_detour(world, path, a, b, low, high, time=time),
     )
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
-        found = context.postures.at(path.target(0.0), near=near, count=context.work.effort.starting_points, time=time)
-        failure = no_posture(context, found, path.target(0.0), "goal_in_collision", "beginning of the path")
+        found = world.postures.at(path.target(0.0), near=near, count=world.work.effort.starting_points, time=time)
+        failure = no_posture(world, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
-    along = _Along(context, path, resolver, cost, stepper)
+    along = _Along(world, path, resolver, cost, stepper)
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
 
 
-def _density(context: Context, path: TipPath) -> dict[str, float]:
+def _density(world: World, path: TipPath) -> dict[str, float]:
     """Of the graph. With one free parameter it can be dense; layers far apart let a route turn slowly."""
-    if redundancy_of(context.problem.robot, path.target(0.0)) == 1:
+    if redundancy_of(world.problem.robot, path.target(0.0)) == 1:
         return {"grid": _GRID, "layer": _LAYER}
     return {}
 
@@ -109,18 +133,18 @@ class _Along:
 
     def __init__(
         self,
-        context: Context,
+        world: World,
         path: TipPath,
         resolver: PathResolver,
         cost: PathCost,
         stepper: Stepper | None,
     ) -> None:
-        self._context = context
+        self._world = world
         self._path = path
         self._resolver = resolver
         self._cost = cost
         self._stepper = stepper
-        task = context.problem.scene.task.path
+        task = world.problem.scene.task.path
         assert task is not None
         self._speed, self._may_leave = task.speed, task.detour
 
@@ -138,18 +162,18 @@ class _Along:
             resolved = around if around.complete or self._may_leave else resolved
         pieces = self._smoothed(resolved, begin)
         if not pieces:
-            return self._blocked(resolved, standing(self._anywhere() if self._stepper is None else self._stepper.q))
+            return self._blocked(resolved, at_rest(self._anywhere() if self._stepper is None else self._stepper.q))
         first = pieces[0]
         assert isinstance(first, Stretch)
         stepper = self._stepper
         if stepper is None:
-            stepper = self._context.stepper(first.q[0])
+            stepper = self._world.stepper(first.q[0])
         elif begin is not None:
             stepper = stepper.branch(attempt=stepper.attempt)
         else:
-            transit = find_transit(self._context, stepper, [first.q[0]])
+            transit = find_transit(self._world, stepper, [first.q[0]])
             if transit.stepper is None:
-                return self._from_elsewhere(stepper, resolved, transit.told)
+                return self._from_elsewhere(stepper, transit.failure)
             stepper = transit.stepper
         self._play(stepper, pieces)
         if not resolved.complete:
@@ -167,15 +191,15 @@ class _Along:
 
     def _anywhere(self) -> Vector:
         nodes = self._resolver.first_layer
-        return nodes[0] if len(nodes) else self._context.problem.robot.middle
+        return nodes[0] if len(nodes) else self._world.problem.robot.middle
 
-    def _from_elsewhere(self, stepper: Stepper, resolved: Resolved, told: str) -> Outcome:
+    def _from_elsewhere(self, stepper: Stepper, failure: str) -> Outcome:
         """The same from any configuration at the beginning that the machine can get to."""
-        transit = find_transit(self._context, stepper, list(self._resolver.first_layer))
+        transit = find_transit(self._world, stepper, list(self._resolver.first_layer))
         if transit.stepper is None:
-            message = f"no way was found to the beginning of the path: {told}"
+            message = f"no way was found to the beginning of the path: {failure}"
             return Outcome(stepper.trajectory(), "blocked", message, {"path_from": 0.0, "path_to": 0.0})
-        arrived = _Along(self._context, self._path, self._resolver, self._cost, transit.stepper)
+        arrived = _Along(self._world, self._path, self._resolver, self._cost, transit.stepper)
         return arrived.plan(transit.stepper.q)
 
     def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
@@ -193,19 +217,17 @@ class _Along:
         return found
 
     def _cheapened(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
-        context = self._context
+        world = self._world
         setting: dict[str, Any] = {
-            "proximity": context.world,
+            "proximity": world.proximity,
             "time": self._time,
             "free_start": free_start,
             "free_end": free_end,
         }
         q = piece.q
         if self._cost.objective.is_quadratic:  # close to what these steps lower
-            q = smooth_stretch(context.problem, self._path, piece.stations, q, brake=context.work.brake, **setting)
-        q = cheapen_stretch(
-            context.problem, self._path, piece.stations, q, cost=self._cost, work=context.work, **setting
-        )
+            q = smooth_stretch(world.problem, self._path, piece.stations, q, brake=world.work.brake, **setting)
+        q = cheapen_stretch(world.problem, self._path, piece.stations, q, cost=self._cost, work=world.work, **setting)
         return Stretch(piece.stations, q)
 
     def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
@@ -213,11 +235,11 @@ class _Along:
 
         Costs have more than one valley, and a grid may miss the one in which the law goes.
         """
-        context = self._context
+        world = self._world
         low = float(piece.stations[0])
         law = resolve_along(
-            context.problem, self._path, low, piece.q[0],
-            proximity=context.world, kinematics=context.kinematics, time=self._time,
+            world.problem, self._path, low, piece.q[0],
+            proximity=world.proximity, kinematics=world.kinematics, time=self._time,
         )  # fmt: skip
         if not law.complete:
             return piece
@@ -231,10 +253,10 @@ class _Along:
         The search leaves torques of inertia out, and a short path is all speeding up and
         slowing down.
         """
-        context, problem, path = self._context, self._context.problem, self._path
+        world, problem, path = self._world, self._world.problem, self._path
         if path.length > _SHORT:
             return piece
-        proximity, kinematics, objective = context.world, context.kinematics, self._cost.objective
+        proximity, kinematics, objective = world.proximity, world.kinematics, self._cost.objective
         law = resolve_along(
             problem, path, 0.0, piece.q[0], proximity=proximity, kinematics=kinematics, time=self._time
         )  # fmt: skip
@@ -255,14 +277,14 @@ class _Along:
         return 0.0 if self._stepper is None else self._stepper.time
 
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Detouring]) -> None:
-        limits, drive = self._context.problem.limits, drive_of(self._context.problem)
+        limits, drive = self._world.problem.limits, drive_of(self._world.problem)
         for piece in pieces:
             if isinstance(piece, Detouring):
-                play_way(self._context, stepper, piece.way)
+                play(self._world, stepper, JointPath(piece.way))
             elif len(piece.q) > 1:
                 stations, q, stops = round_corners(
-                    self._context.problem, self._path, piece.stations, piece.q,
-                    proximity=self._context.world, time=stepper.time,
+                    self._world.problem, self._path, piece.stations, piece.q,
+                    proximity=self._world.proximity, time=stepper.time,
                 )  # fmt: skip
                 period = _FINE_PERIOD if self._is_tight(q, stepper.time) else SAMPLE_PERIOD
                 for motion in time_stretch(
@@ -272,9 +294,9 @@ class _Along:
 
     def _is_tight(self, q: Matrix, time: float) -> bool:
         """Whether there is no room for what the chords between the usual samples deviate by."""
-        world = self._context.world
-        floor = world.clearance + _ROOM
-        return any(bool(np.any(world.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)
+        proximity = self._world.proximity
+        floor = proximity.clearance + _ROOM
+        return any(bool(np.any(proximity.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)
 
     # --- what went wrong ---------------------------------------------------------
 
@@ -294,7 +316,7 @@ class _Along:
             message += ", and detours are not allowed"
         else:
             message += ", and no way round was found"
-        if resolved.routes >= self._context.work.effort.routes:
+        if resolved.routes >= self._world.work.effort.routes:
             message += f"; none of {resolved.routes:,} routes that were tested leads to its end"
         return Outcome(trajectory, "blocked", message, details)
 

@@ -17,30 +17,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, nearest_name
-from backhoe_planner.law import run_iteration
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import (
     Problem,
-    TipPath,
     Trajectory,
     build_problem,
     drive_of,
-    progress,
     retimed,
-    time_polyline,
     trajectory_costs,
 )
-from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.goal_planning import find_goal_postures, plan_to_goal, swerve_to_goal
-from backhoe_planner.planning.law_planning import follow_with_law, follow_with_law_from_anywhere, reach_with_law
-from backhoe_planner.planning.moving_obstacles import Planned, changes, plan_over_time
-from backhoe_planner.planning.outcome import Outcome, bad_start, no_posture, standing
-from backhoe_planner.planning.path_planning import out_of_reach, plan_along_path
-from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
+from backhoe_planner.planning.goal_planning import ToGoal
+from backhoe_planner.planning.moving_obstacles import plan_over_time
+from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
+from backhoe_planner.planning.path_planning import AlongPath, plan_along_path, waypoint_out_of_reach
+from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.report.asked_speed import asked_speed
 from backhoe_planner.planning.report.comparison import compare_with_law
 from backhoe_planner.planning.result.plan import METHODS, Method, Plan, Reason
 from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, Brake, Effort, OutOfTime, Work, effort_named
+from backhoe_planner.planning.world import World
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
 
@@ -73,7 +68,7 @@ def plan(
     seed: of every random choice.
     effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may
         take. The same input, seed and effort give the same plan, however busy the machine.
-    budget: [s] after which whatever still runs is ended, with the reason ``budget``.
+    budget: computing time [s] after which whatever still runs is ended, with the reason ``budget``.
     watch: is shown every step while the planner works.
 
     Returns
@@ -161,29 +156,25 @@ def _drivable(
 
     Where time cannot be stretched, among what moves, it is planned anew with slower joints.
     """
-    asked = problem
+    slowed = problem
     for _ in range(_SLOWER):
-        context = Context(asked, seed=seed, work=Work(effort, brake), watch=watch)
-        try:
-            outcome = _Planning(context, method).run()
-        except OutOfTime as ended:
-            outcome = Outcome(standing(_somewhere(context)), "budget", str(ended))
-        outcome, certificate = _driven(problem, outcome)
+        outcome = _find_motion(World(slowed, seed=seed, work=Work(effort, brake), watch=watch), method)
+        outcome, certificate = _retimed(problem, outcome)
         loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
-        if not loads or not changes(problem) or outcome.reason:
+        if not loads or not problem.is_dynamic or outcome.reason:
             break
         over = max(use.ratio for use in loads)
         if any(use.at_rest > 1.0 for use in loads) or over > _TOO_MUCH:
             break
-        limits = asked.limits
-        asked = replace(
-            asked,
+        limits = slowed.limits
+        slowed = replace(
+            slowed,
             limits=replace(limits, velocity=limits.velocity / over, acceleration=limits.acceleration / over),
         )
     return outcome, certificate
 
 
-def _driven(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
+def _retimed(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     """The motion, slower where the machine could not drive it, and what is proven of it.
 
     Among what moves or appears, slower is a motion at other times: it is left as it was
@@ -191,99 +182,75 @@ def _driven(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     """
     slower = retimed(outcome.trajectory, problem.limits, drive=drive_of(problem))
     certificate = certify_problem(problem, slower)
-    if slower is outcome.trajectory or not changes(problem) or certificate.verified:
+    if slower is outcome.trajectory or not problem.is_dynamic or certificate.verified:
         return replace(outcome, trajectory=slower), certificate
     return outcome, certify_problem(problem, outcome.trajectory)
 
 
-def _somewhere(context: Context) -> Vector:
+def _find_motion(world: World, method: Method) -> Outcome:
+    """The motion, from the start that the scene asks for; where time runs out, none."""
+    try:
+        return _plan_task(world, method)
+    except OutOfTime as ended:
+        return Outcome(at_rest(_begin(world)), "budget", str(ended))
+
+
+def _plan_task(world: World, method: Method) -> Outcome:
+    problem = world.problem
+    if problem.path is not None:
+        failure = waypoint_out_of_reach(world, problem.path)
+        if failure is not None:
+            return failure
+        if problem.start_q is None and problem.start_target is None:
+            return _plan_from_anywhere(world, AlongPath(problem.path), method)
+    start = _start(world)
+    failure = start if isinstance(start, Outcome) else bad_start(world, start)
+    if failure is not None:
+        return failure
+    assert not isinstance(start, Outcome)
+    stepper = world.stepper(start)
+    task: ToGoal | AlongPath
+    if problem.goal is not None:
+        task = ToGoal(problem.goal)
+        if method == "paper":
+            return task.as_printed(world, stepper)
+    else:
+        assert problem.path is not None
+        task = AlongPath(problem.path)
+    return task.by_law(world, stepper) if method == "reactive" else plan_over_time(world, task, stepper)
+
+
+def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcome:
+    """Along a path, from the configuration on its beginning that suits it best."""
+    if method == "reactive":
+        return task.by_law(world, None)
+    outcome = plan_along_path(world, task.path, stepper=None)
+    if outcome.reason or not world.problem.is_dynamic:
+        return outcome
+    return plan_over_time(world, task, world.stepper(outcome.trajectory.q[0]))
+
+
+def _start(world: World) -> Vector | Outcome:
+    """(n,) where the joints stand at first; or why the tip cannot be where it is to start."""
+    problem = world.problem
+    if problem.start_q is not None:
+        return problem.start_q
+    assert problem.start_target is not None
+    found = world.postures.at(problem.start_target, count=_SEARCH * world.work.effort.starting_points)
+    return no_posture(world, found, problem.start_target, "start_in_collision", "start") or found.clear[0]
+
+
+def _begin(world: World) -> Vector:
     """(n,) where the motion would begin, clear where that is found at once."""
-    problem = context.problem
+    problem = world.problem
     if problem.start_q is not None:
         return problem.start_q
     target = problem.start_target
     if target is None:
         assert problem.path is not None
         target = problem.path.target(0.0)
-    found = context.postures.at(target)
+    found = world.postures.at(target)
     return found.clear[0] if found.clear else found.best.q
-
-
-class _Planning:
-    """One run of the planner, from the start that the scene asks for."""
-
-    def __init__(self, context: Context, method: Method) -> None:
-        self._context = context
-        self._problem = context.problem
-        self._method = method
-
-    def run(self) -> Outcome:
-        path = self._problem.path
-        if path is not None:
-            failure = out_of_reach(self._context, path)
-            if failure is not None:
-                return failure
-            if self._problem.start_q is None and self._problem.start_target is None:
-                outcome = self._follow(path, None)
-                if self._method == "reactive" or outcome.reason or not changes(self._problem):
-                    return outcome
-                return plan_over_time(self._context, self._asked(), self._context.stepper(outcome.trajectory.q[0]))
-        start = self._start()
-        if isinstance(start, Outcome):
-            return start
-        failure = bad_start(self._context, start)
-        if failure is not None:
-            return failure
-        stepper = self._context.stepper(start)
-        if self._method in ("auto", "optimal"):
-            return plan_over_time(self._context, self._asked(), stepper)
-        return self._reach(stepper) if path is None else self._follow(path, stepper)
-
-    def _asked(self) -> Planned:
-        """The task, as something that can be planned from any state of the motion."""
-        goal, path, task = self._problem.goal, self._problem.path, self._problem.scene.task.path
-        if goal is not None:
-            return Planned(
-                once=lambda context, stepper: plan_to_goal(context, stepper, goal),
-                swerve=lambda context, stepper: swerve_to_goal(context, stepper, goal),
-            )
-        assert path is not None
-        assert task is not None
-
-        def follow_on(context: Context, stepper: Stepper) -> Outcome:
-            since = progress(path, task.tolerance, stepper.trajectory(), context.kinematics)
-            return plan_along_path(context, path, stepper=stepper, since=since)
-
-        return Planned(once=follow_on, swerve=lambda context, stepper: None)
-
-    def _start(self) -> Vector | Outcome:
-        """(n,) where the joints stand at first."""
-        if self._problem.start_q is not None:
-            return self._problem.start_q
-        target = self._problem.start_target
-        assert target is not None
-        found = self._context.postures.at(target, count=_SEARCH * self._context.work.effort.starting_points)
-        return no_posture(self._context, found, target, "start_in_collision", "start") or found.clear[0]
-
-    def _reach(self, stepper: Stepper) -> Outcome:
-        context, goal = self._context, self._problem.goal
-        assert goal is not None
-        if self._method == "paper":
-            steps = run_iteration(
-                self._problem, stepper.q, goal, proximity=context.proximity, kinematics=context.kinematics
-            )
-            return Outcome(time_polyline(steps, self._problem.limits), details={"iterations": len(steps) - 1})
-        if self._method == "reactive":
-            found = find_goal_postures(context, stepper, goal)
-            return found if isinstance(found, Outcome) else reach_with_law(context, stepper, goal, found.clear)
-        return plan_to_goal(context, stepper, goal)
-
-    def _follow(self, path: TipPath, stepper: Stepper | None) -> Outcome:
-        if self._method != "reactive":
-            return plan_along_path(self._context, path, stepper=stepper)
-        if stepper is None:
-            return follow_with_law_from_anywhere(self._context, path)
-        return follow_with_law(self._context, stepper, path)
 
 
 def motion_metrics(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine import Robot, travel_bounds
 from backhoe_planner.motion import SmoothWay, Trajectory, chord_sagitta, time_way
 from backhoe_planner.motion.timing import timing
-from backhoe_planner.planning import MotionCheck, Way, Work, blend, sample_way, shorten
+from backhoe_planner.planning import JointPath, MotionCheck, Work, blend, sample_path, shorten
 from backhoe_planner.site import Proximity
 
 Vector = NDArray[np.float64]
@@ -39,7 +39,7 @@ def open_field(robot: Robot, *, keep: Callable[[Vector], bool] | None = None) ->
 
 @pytest.fixture(scope="module")
 def smooth(planar4: Robot) -> SmoothWay:
-    return blend(open_field(planar4), Way(CORNERS.copy()))
+    return blend(open_field(planar4), JointPath(CORNERS.copy()))
 
 
 def on_polyline(q: Vector) -> bool:
@@ -68,7 +68,7 @@ def test_a_right_angle_is_cut_as_by_hand(planar4: Robot) -> None:
     corners = np.zeros((3, 4))
     corners[1:, 0] = rate[0]
     corners[2, 1] = rate[1]
-    way = blend(open_field(planar4), Way(corners))
+    way = blend(open_field(planar4), JointPath(corners))
     np.testing.assert_allclose(way.stations, [0.0, 1.0, 2.0])
     np.testing.assert_allclose(way.cuts, [0.0, 0.95, 0.0])
     np.testing.assert_allclose(way.knots, [0.0, 0.05, 1.95, 2.0])
@@ -115,7 +115,7 @@ def test_a_corner_next_to_an_obstacle_is_cut_less(planar4: Robot) -> None:
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
     tighter = 0
     for seed in range(4):
-        way = sample_way(check, STRETCHED, [TURNED], seed=seed, work=Work())
+        way = sample_path(check, STRETCHED, [TURNED], seed=seed, work=Work())
         assert way is not None
         way = shorten(check, way, seed=seed)
         near, free = blend(check, way), blend(open_field(planar4), way)
@@ -128,7 +128,7 @@ def test_a_corner_next_to_an_obstacle_is_cut_less(planar4: Robot) -> None:
 
 
 def test_where_no_cut_is_clear_the_way_stops_in_the_corner(planar4: Robot) -> None:
-    way = blend(open_field(planar4, keep=on_polyline), Way(CORNERS.copy()))
+    way = blend(open_field(planar4, keep=on_polyline), JointPath(CORNERS.copy()))
     np.testing.assert_array_equal(way.cuts, 0.0)
     np.testing.assert_array_equal(way.stops, way.stations)
     trajectory = time_way(way, planar4.limits)
@@ -141,7 +141,7 @@ def test_where_no_cut_is_clear_the_way_stops_in_the_corner(planar4: Robot) -> No
 
 
 def test_a_way_that_stays_where_it_is(planar4: Robot) -> None:
-    way = blend(open_field(planar4), Way(np.array([STRETCHED, STRETCHED])))
+    way = blend(open_field(planar4), JointPath(np.array([STRETCHED, STRETCHED])))
     trajectory = time_way(way, planar4.limits)
     assert trajectory.duration == 0.0
     np.testing.assert_array_equal(trajectory.q, [STRETCHED])
@@ -154,7 +154,7 @@ def test_a_way_that_stays_where_it_is(planar4: Robot) -> None:
 def test_a_straight_way_takes_as_long_as_calculated_by_hand(planar4: Robot, angle: float) -> None:
     """Joint 1 alone, from rest to rest, at full acceleration and at most full rate."""
     goal = np.array([angle, 0.0, 0.0, 0.0])
-    way = blend(open_field(planar4), Way(np.array([STRETCHED, goal])))
+    way = blend(open_field(planar4), JointPath(np.array([STRETCHED, goal])))
     trajectory = time_way(way, planar4.limits)
     rate, gain = planar4.limits.velocity[0], planar4.limits.acceleration[0]
     reached = min(rate, np.sqrt(gain * angle))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.motion import Problem, build_problem, limit_usage
-from backhoe_planner.planning import Context, Stepper, Work, approach_goal, as_fast_as_allowed, places_on, shortest_time
+from backhoe_planner.planning import Stepper, Work, World, approach_goal, as_fast_as_allowed, places_on, shortest_time
 
 Array = NDArray[np.float64]
 
@@ -26,14 +26,13 @@ CAGE = """<robot name="lift">
 </robot>"""
 
 
-def by_law(problem: Problem, q: Array) -> tuple[Context, Stepper, Stepper]:
+def by_law(problem: Problem, q: Array) -> tuple[Stepper, Stepper]:
     """A motion at rest at q, and the law's straight for the goal from there."""
     assert problem.goal is not None
-    context = Context(problem, seed=0, work=Work(), watch=None)
-    begun = context.stepper(q)
+    begun = World(problem, seed=0, work=Work()).stepper(q)
     attempt = next(iter(approach_goal(begun, problem.goal, (), work=Work())))
     assert attempt.arrived
-    return context, begun, attempt.stepper
+    return begun, attempt.stepper
 
 
 def free_goal(robot: bp.Robot, seed: int) -> tuple[Array, bp.Scene]:
@@ -82,8 +81,8 @@ def test_a_slide_runs_the_trapezium_of_the_textbook(tmp_path: Path) -> None:
 def test_the_same_way_in_less_time_with_a_limit_at_nearly_every_moment(backhoe: bp.Robot, seed: int) -> None:
     q, scene = free_goal(backhoe, seed)
     problem = build_problem(backhoe, scene)
-    context, begun, arrived = by_law(problem, q)
-    slow, quick = arrived.trajectory(), as_fast_as_allowed(context, begun, arrived).trajectory()
+    begun, arrived = by_law(problem, q)
+    slow, quick = arrived.trajectory(), as_fast_as_allowed(begun, arrived).trajectory()
     assert shortest_time(slow.q, problem.limits) * 0.97 <= quick.duration < slow.duration
     np.testing.assert_array_equal(quick.q[[0, -1]], slow.q[[0, -1]])
     assert off(quick.q, slow.q) < 0.03
@@ -111,8 +110,8 @@ def test_among_what_moves_the_times_are_left(backhoe: bp.Robot) -> None:
     content["obstacles"] = [
         {"name": "bird", "shape": "sphere", "radius": 0.1, "position": [0, 30, 20], "velocity": [0, 1, 0]}
     ]
-    context, begun, arrived = by_law(build_problem(backhoe, bp.scene_from_dict(content)), q)
-    assert as_fast_as_allowed(context, begun, arrived) is arrived
+    begun, arrived = by_law(build_problem(backhoe, bp.scene_from_dict(content)), q)
+    assert as_fast_as_allowed(begun, arrived) is arrived
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -120,7 +119,7 @@ def test_no_goal_takes_longer_than_the_laws_own_motion_or_the_joints_straight_on
     q, scene = free_goal(backhoe, seed)
     plan = bp.plan(backhoe, scene)
     assert plan.verified, plan.message
-    _, _, arrived = by_law(build_problem(backhoe, scene), q)
+    _, arrived = by_law(build_problem(backhoe, scene), q)
     assert plan.trajectory.duration <= arrived.trajectory().duration + 1e-9
     reactive = bp.plan(backhoe, scene, method="reactive")
     assert plan.trajectory.duration <= reactive.trajectory.duration + 1e-9

@@ -23,12 +23,12 @@ from backhoe_planner.planning import (
     EFFORTS,
     Brake,
     Effort,
+    JointPath,
     MotionCheck,
     OutOfTime,
-    Way,
     Work,
     blend,
-    sample_way,
+    sample_path,
     shorten,
 )
 from backhoe_planner.proof import certify_problem
@@ -51,10 +51,10 @@ def find_way(
     spare: float,
     time: float = 0.0,
     keep: Callable[[Vector], bool] | None = None,
-) -> Way | None:
+) -> JointPath | None:
     ends = [np.array(q, dtype=float) for q in (start, *goals)]
     check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, brake=brake)
-    return sample_way(check, ends[0], ends[1:], seed=seed, work=Work(effort, brake))
+    return sample_path(check, ends[0], ends[1:], seed=seed, work=Work(effort, brake))
 
 
 def least_margin(proximity: Proximity, q: Matrix, *, time: float = 0.0, pieces: int = 60) -> float:
@@ -174,18 +174,18 @@ def test_a_search_ends_after_the_motions_that_it_may_look_at(planar4: Robot) -> 
     problem, proximity = across_bar(planar4)
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, keep=cut_off)
     work = Work(replace(EFFORTS["normal"], motions_per_search=300, motions=500))
-    assert sample_way(check, STRETCHED, [TURNED], seed=0, work=work) is None
+    assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
     assert 195 <= work.motions <= 200  # a tree may look at a motion or two more before OMPL asks whether to end
-    assert sample_way(check, STRETCHED, [TURNED], seed=0, work=work) is None
+    assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
     assert -5 <= work.motions <= 0  # what the first search left
     before = work.motions
-    assert sample_way(check, STRETCHED, [TURNED], seed=0, work=work) is None
+    assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
     assert work.motions == before
 
 
 def test_the_brake_ends_a_search(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
-    with pytest.raises(OutOfTime, match=r"after 1e-09 s; --budget"):
+    with pytest.raises(OutOfTime, match=r"after 1e-09 s of computing; --budget"):
         find_way(problem, proximity, STRETCHED, [TURNED], seed=0, brake=Brake(1e-9), spare=0.0)
     brake = Brake(0.05)
     endless = replace(EFFORTS["normal"], motions_per_search=10**9, motions=10**9)
@@ -235,7 +235,7 @@ from dataclasses import replace
 import numpy as np
 import backhoe_planner as bp
 from backhoe_planner.motion import time_way
-from backhoe_planner.planning import EFFORTS, MotionCheck, Work, blend, sample_way, shorten
+from backhoe_planner.planning import EFFORTS, MotionCheck, Work, blend, sample_path, shorten
 from bar_scenes import STRETCHED, TURNED, across_bar
 
 def cut_off(q):
@@ -250,7 +250,7 @@ def run(mode):
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01, keep=keep)
     if mode == "interrupt":
         threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-    way = sample_way(check, STRETCHED, [TURNED], seed=3, work=Work(effort))
+    way = sample_path(check, STRETCHED, [TURNED], seed=3, work=Work(effort))
     if mode == "fail":
         assert way is None
         return
@@ -280,7 +280,7 @@ def test_the_same_seed_gives_the_same_way_bit_for_bit(planar4: Robot, tmp_path: 
     def plan(seed: int) -> Matrix:
         problem, proximity = across_bar(planar4)
         check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
-        way = sample_way(check, STRETCHED, [TURNED], seed=seed, work=Work())
+        way = sample_path(check, STRETCHED, [TURNED], seed=seed, work=Work())
         assert way is not None
         return np.vstack((way.q, blend(check, shorten(check, way, seed=seed)).corners))
 
@@ -375,7 +375,7 @@ def test_shortening_keeps_ends_and_clearance_and_never_lengthens(planar4: Robot)
     check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01)
     gains = []
     for seed in range(4):
-        way = sample_way(check, STRETCHED, [TURNED], seed=seed, work=Work())
+        way = sample_path(check, STRETCHED, [TURNED], seed=seed, work=Work())
         assert way is not None
         short = shorten(check, way, seed=seed)
         np.testing.assert_array_equal(short.q[[0, -1]], way.q[[0, -1]])
@@ -389,9 +389,9 @@ def test_shortening_keeps_ends_and_clearance_and_never_lengthens(planar4: Robot)
 def test_a_straight_way_is_not_changed(planar4: Robot) -> None:
     problem = problem_of(planar4, STRETCHED, TURNED, [])
     check = MotionCheck(problem, Proximity(planar4, ()), [STRETCHED, TURNED], spare=0.0)
-    way = Way(np.array([STRETCHED, TURNED]))
+    way = JointPath(np.array([STRETCHED, TURNED]))
     assert shorten(check, way, seed=0) is way
-    needless = Way(np.array([STRETCHED, [0.3, 0.9, 0.0, 0.0], TURNED]))
+    needless = JointPath(np.array([STRETCHED, [0.3, 0.9, 0.0, 0.0], TURNED]))
     np.testing.assert_array_equal(shorten(check, needless, seed=0).q, way.q)
 
 
@@ -448,7 +448,7 @@ def test_what_comes_out_in_the_end_is_verified(name: str, request: pytest.Fixtur
     proximity = Proximity(problem.robot, problem.obstacles)
     check = MotionCheck(problem, proximity, [start, goal], spare=0.01)
     assert not check.segment_is_clear(start, goal)  # the straight line is not the answer
-    way = sample_way(check, start, [goal], seed=0, work=Work())
+    way = sample_path(check, start, [goal], seed=0, work=Work())
     assert way is not None
     trajectory = time_way(blend(check, shorten(check, way, seed=0)), problem.limits, drive=drive_of(problem))
     certificate = certify_problem(problem, trajectory)

@@ -336,5 +336,5 @@ def _attempt(stepper: Stepper, goal: TipTarget, arrived: bool, way: str) -> Atte
     obstruction = None
     if len(nearby):
         row = int(np.argmin(nearby.margin))
-        obstruction = stepper.pair(int(nearby.pair[row])).at(float(nearby.distance[row]), time=stepper.time)
+        obstruction = stepper.proximity.pairs[int(nearby.pair[row])].at(float(nearby.distance[row]), time=stepper.time)
     return Attempt(arrived, stepper, goal.distances(at)[0], obstruction, way)

@@ -19,7 +19,7 @@ from backhoe_planner.law import Shield, Shielded
 from backhoe_planner.machine import Configuration, Kinematics
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import segment_is_clear
-from backhoe_planner.site import Nearby, Pair, Proximity
+from backhoe_planner.site import Nearby, Proximity
 
 __all__ = ["Step", "Stepper", "Watcher"]
 
@@ -58,6 +58,7 @@ class Stepper:
     Attributes
     ----------
     q, v: (n,) where the joints are, and their velocity in the last step.
+    proximity: to what the motion keeps clear of, where it is at the time of each step.
     time: [s]
     shielded: what the shield said to the last step, None before the first.
     """
@@ -78,7 +79,7 @@ class Stepper:
         self.time = 0.0
         self.shielded: Shielded | None = None
         self.attempt = attempt
-        self._proximity = proximity
+        self.proximity = proximity
         self._kinematics = kinematics
         self._shield = Shield(problem.limits)
         self._last_dt = STEP
@@ -94,7 +95,7 @@ class Stepper:
         proximity: what it is to keep clear of from now on; by default the same.
         """
         other = copy.copy(self)
-        other._proximity = proximity or self._proximity
+        other.proximity = proximity or self.proximity
         other.attempt = attempt
         other._times, other._path = list(self._times), list(self._path)
         return other
@@ -105,7 +106,7 @@ class Stepper:
         Those are the pairs within the influence distance, and those that could be
         reached before the machine stops.
         """
-        nearby = self._proximity.at(
+        nearby = self.proximity.at(
             self.q, time=self.time, margin=np.maximum(self._stopping_distances(), self.problem.scene.influence)
         )
         return self._kinematics.at(self.q), nearby
@@ -127,7 +128,7 @@ class Stepper:
                     wish, q=self.q, v_before=self.v, dt=span, nearby=nearby, J_tip=J_tip, extra_margin=extra
                 )
                 q = self._within_limits(self.q + shielded.v * dt)
-                if segment_is_clear(self._proximity, self.q, q, time=self.time, dt=dt):
+                if segment_is_clear(self.proximity, self.q, q, time=self.time, dt=dt):
                     self._take(q, dt, shielded)
                     return True
                 extra = extra + self._shortfall(q, dt, nearby)
@@ -199,10 +200,6 @@ class Stepper:
                 return False
         return True
 
-    def pair(self, index: int) -> Pair:
-        """The pair that a `Nearby` names by its index."""
-        return self._proximity.pairs[index]
-
     def trajectory(self) -> Trajectory:
         """The motion so far."""
         return Trajectory.from_steps(np.array(self._times), np.array(self._path))
@@ -211,7 +208,7 @@ class Stepper:
         """(P,) how much nearer each pair can come before the machine stops [m]."""
         fastest = np.abs(self.v) + self.problem.limits.acceleration * STEP
         time = self._shield.stopping_time(fastest)
-        return np.asarray(time * (self._proximity.travel @ fastest + self._proximity.speed))
+        return np.asarray(time * (self.proximity.travel @ fastest + self.proximity.speed))
 
     def _take(self, q: Vector, dt: float, shielded: Shielded | None) -> None:
         self.v = (q - self.q) / dt
@@ -230,7 +227,7 @@ class Stepper:
         span = 0.5 * (dt + self._last_dt)
         v = self.v * max(1.0 - span / time, 0.0) if time > 0.0 else self.v
         q = self._within_limits(self.q + v * dt)
-        if not segment_is_clear(self._proximity, self.q, q, time=self.time, dt=dt):
+        if not segment_is_clear(self.proximity, self.q, q, time=self.time, dt=dt):
             return False
         self._take(q, dt, None)
         return True
@@ -246,8 +243,8 @@ class Stepper:
         """(K,) how much further from each nearby pair the step must keep [m]."""
         found = np.zeros(len(nearby))
         for row, pair in enumerate(nearby.pair):
-            reached = self._proximity.distance_of(int(pair), q, time=self.time + dt)
-            missing = self._proximity.clearance[pair] + 0.5 * _BUFFER - reached
+            reached = self.proximity.distance_of(int(pair), q, time=self.time + dt)
+            missing = self.proximity.clearance[pair] + 0.5 * _BUFFER - reached
             if missing > 0.0:
                 found[row] = 2.0 * missing + _BUFFER
         return found

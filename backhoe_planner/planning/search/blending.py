@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.motion import SmoothWay, chord_sagitta
 from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.sampling import Way
+from backhoe_planner.planning.search.sampling import JointPath
 
 __all__ = ["blend"]
 
@@ -19,7 +19,7 @@ _SHARED = 0.5  # part of a leg that each of two corners may take
 _ALONE = 0.95  # part of a leg that the only corner on it may take
 
 
-def blend(check: MotionCheck, way: Way) -> SmoothWay:
+def blend(check: MotionCheck, way: JointPath) -> SmoothWay:
     """Cut every corner of `way` as far as the cut is proven clear; stop where none is.
 
     Parameters

@@ -103,7 +103,10 @@ class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not a
 
 
 class Brake:
-    """Ends what runs away: a time budget, counted from when the brake is made.
+    """Ends what runs away: a budget of time, from when the brake is made.
+
+    It is computing time of the thread in which the brake is made and checked: what else
+    runs on the machine does not use it up.
 
     Attributes
     ----------
@@ -112,7 +115,7 @@ class Brake:
 
     def __init__(self, budget: float = np.inf) -> None:
         self.budget = budget
-        self._deadline = clock.monotonic() + budget
+        self._deadline = clock.thread_time() + budget
 
     def check(self) -> None:
         """Go on only while there is time.
@@ -121,8 +124,10 @@ class Brake:
         ------
         OutOfTime: the budget is used up.
         """
-        if clock.monotonic() > self._deadline:
-            raise OutOfTime(f"time ran out after {self.budget:g} s; --budget gives more, a lower --effort needs less")
+        if clock.thread_time() > self._deadline:
+            raise OutOfTime(
+                f"time ran out after {self.budget:g} s of computing; --budget gives more, a lower --effort needs less"
+            )
 
 
 class Work:

@@ -20,7 +20,7 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
-__all__ = ["Way", "sample_way"]
+__all__ = ["JointPath", "sample_path"]
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -30,7 +30,7 @@ _MOST_OF_BOX = 0.4  # and at most this part of the box's diagonal
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class JointPath:
     """Straight motions from configuration to configuration.
 
     Attributes
@@ -48,7 +48,7 @@ class Way:
         return float(np.sum(np.linalg.norm(np.diff(self.q, axis=0) / limits.velocity, axis=1)))
 
 
-def sample_way(
+def sample_path(
     check: MotionCheck,
     start: Vector,
     goals: Sequence[Vector],
@@ -56,7 +56,7 @@ def sample_way(
     seed: int,
     work: Work,
     most_motions: int | None = None,
-) -> Way | None:
+) -> JointPath | None:
     """A way that provably keeps every clearance and joint limit, or None.
 
     The same input and seed give the same way. OMPL's global seed is set.
@@ -87,7 +87,7 @@ def sample_way(
     open_goals = [goals[index] for index in order]
     for goal in open_goals:
         if check.segment_is_clear(start, goal):
-            return Way(np.array([start, goal]))
+            return JointPath(np.array([start, goal]))
     most_motions = work.effort.motions_per_search if most_motions is None else most_motions
     if not open_goals or min(most_motions, work.motions) <= 0:
         return None
@@ -122,7 +122,7 @@ class _Search:
         self._rate = check.rate
         self._raised: BaseException | None = None
 
-    def run(self, start: Vector, goals: list[Vector], seed: int) -> Way | None:
+    def run(self, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
         try:
             found = self._solve(start, goals, seed)
         finally:
@@ -131,7 +131,7 @@ class _Search:
             raise raised
         return found
 
-    def _solve(self, start: Vector, goals: list[Vector], seed: int) -> Way | None:
+    def _solve(self, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
         from ompl import base, geometric, util
 
         util.RNG.setSeed(seed + 1)  # 0 would mean: whatever the clock says
@@ -166,10 +166,10 @@ class _Search:
         q[-1] = min(goals, key=lambda goal: float(np.max(np.abs(goal - q[-1]))))
         return self._proven(q)
 
-    def _proven(self, q: Matrix) -> Way | None:
+    def _proven(self, q: Matrix) -> JointPath | None:
         """The way, if it is still proven where the rounding of the scaling has moved its ends."""
         clear = all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
-        return Way(q) if clear else None
+        return JointPath(q) if clear else None
 
     def _box(self, ends: list[Vector]) -> tuple[Vector, Vector]:
         """Limits in joint times; a continuous joint may turn once beyond the ends."""

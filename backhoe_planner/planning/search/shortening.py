@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.planning.search.motion_check import MotionCheck
-from backhoe_planner.planning.search.sampling import Way
+from backhoe_planner.planning.search.sampling import JointPath
 
 __all__ = ["shorten"]
 
@@ -26,7 +26,7 @@ _ONE_JOINT = 0.4  # part of the tries
 _SHORTEST = 1e-6  # s between two corners
 
 
-def shorten(check: MotionCheck, way: Way, *, seed: int, tries: int = _TRIES) -> Way:
+def shorten(check: MotionCheck, way: JointPath, *, seed: int, tries: int = _TRIES) -> JointPath:
     """A way with the same ends that is not longer, and as well proven.
 
     Parameters
@@ -46,7 +46,7 @@ def shorten(check: MotionCheck, way: Way, *, seed: int, tries: int = _TRIES) -> 
         missed = missed + 1 if shorter is None else 0
         q = q if shorter is None else shorter
     q = _without_corners(check, q)
-    return Way(q) if _length(q, check.rate) < _length(way.q, check.rate) else way
+    return JointPath(q) if _length(q, check.rate) < _length(way.q, check.rate) else way
 
 
 def _length(q: Matrix, rate: Vector) -> float:

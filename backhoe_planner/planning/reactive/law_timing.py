@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Trajectory, drive_of, retimed, time_along
-from backhoe_planner.planning.context import Context
-from backhoe_planner.planning.moving_obstacles import changes
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.proof import segment_is_clear
 
@@ -30,7 +28,7 @@ _INTERVALS = 300  # on a way, at whose ends limits are looked at
 _GAIN = 0.01  # of the time, below which a motion is left as it is
 
 
-def as_fast_as_allowed(context: Context, begun: Stepper, arrived: Stepper) -> Stepper:
+def as_fast_as_allowed(begun: Stepper, arrived: Stepper) -> Stepper:
     """The same way from rest to rest in less time; `arrived` itself where none is proven clear.
 
     Where anything moves or appears the times belong to the proof, and are left.
@@ -40,11 +38,11 @@ def as_fast_as_allowed(context: Context, begun: Stepper, arrived: Stepper) -> St
     begun: the motion before, at rest.
     arrived: the same with the law's way after it, at rest.
     """
-    motion = arrived.trajectory()
+    problem, motion = begun.problem, arrived.trajectory()
     first = int(np.searchsorted(motion.time, begun.time - 1e-9))
-    if changes(context.problem) or len(motion) - first < 3:
+    if problem.is_dynamic or len(motion) - first < 3:
         return arrived
-    limits, drive = context.problem.limits, drive_of(context.problem)
+    limits, drive = problem.limits, drive_of(problem)
     q, took = motion.q[first:], motion.time[-1] - motion.time[first]
     for spacing in _SPACINGS:
         along, places = places_on(q, limits.velocity, spacing)
@@ -57,7 +55,7 @@ def as_fast_as_allowed(context: Context, begun: Stepper, arrived: Stepper) -> St
             took = retimed(own, limits, drive=drive).duration
             if quick.duration > (1.0 - _GAIN) * took:
                 continue
-        if all(segment_is_clear(context.proximity, a, b, time=begun.time) for a, b in pairwise(quick.q)):
+        if all(segment_is_clear(begun.proximity, a, b, time=begun.time) for a, b in pairwise(quick.q)):
             branch = begun.branch(attempt=arrived.attempt)
             branch.play(quick)
             return branch

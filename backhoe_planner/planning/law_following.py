@@ -1,0 +1,177 @@
+"""Following a bucket path with the completed law, and leaving it around an obstacle.
+
+The law resolves the path as far as it can. Where it is blocked, the machine stops, and
+goes on from the first point of the path ahead that it can stand on: it is brought there
+as to any goal, and the law goes on. So the path is left as late and rejoined as early
+as the local law can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.motion import TipPath, drive_of
+from backhoe_planner.planning.goal_planning import describe_attempts
+from backhoe_planner.planning.outcome import Outcome, no_posture, obstruction_details
+from backhoe_planner.planning.paths.corners import time_stretch
+from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
+from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed
+from backhoe_planner.planning.reactive.reaching import approach_goal
+from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.world import World
+from backhoe_planner.site import Obstruction
+
+__all__ = ["follow_with_law"]
+
+Vector = NDArray[np.float64]
+
+_RASTER = 0.05  # m on which the path ahead is searched for a point to rejoin at
+_COARSE = 0.25  # m to the next such point, once one was found that cannot be got to
+_MOST_DETOURS = 8
+_MOST_REJOINS = 4  # points of the path that are tried for one detour
+_POSTURES = 4  # tried per point
+_STARTS = 8  # configurations on the beginning of the path that are tried,
+_FREE_STARTS = 3  # and from which it is followed where the machine may begin in any
+_ON_PATH = 1e-6  # m and rad
+
+
+def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Outcome:
+    """To the beginning of the path as to a goal, then along it.
+
+    Parameters
+    ----------
+    stepper: a motion that is at rest; None where the machine may begin in any
+        configuration on the beginning of the path: then in the one from which the law gets furthest.
+    """
+    follower = _Follower(world, path)
+    target = path.target(0.0)
+    if stepper is not None and max(target.distances(stepper.look()[0])) < _ON_PATH:
+        return follower.follow(stepper)
+    near = None if stepper is None else stepper.q
+    found = world.postures.at(target, near=near, count=world.work.effort.starting_points)
+    failure = no_posture(world, found, target, "goal_in_collision", "beginning of the path")
+    if failure is not None:
+        return failure
+    starts = follower.furthest(stepper or world.stepper(found.clear[0]), 0.0, found.clear[:_STARTS])
+    if stepper is None:
+        return _first_success(follower.follow(world.stepper(start)) for start in starts[:_FREE_STARTS])
+    attempts = []
+    outcome: Outcome | None = None
+    for attempt in approach_goal(stepper, target, starts, work=world.work, all_ways=True):
+        attempts.append(attempt)
+        if not attempt.arrived:
+            continue
+        reached = follower.follow(as_fast_as_allowed(stepper, attempt.stepper))
+        if not reached.reason:
+            return reached
+        outcome = outcome or reached
+    return outcome or describe_attempts(attempts)
+
+
+def _first_success(outcomes: Iterator[Outcome]) -> Outcome:
+    """The first without a reason to fail, else the first."""
+    first = None
+    for outcome in outcomes:
+        if not outcome.reason:
+            return outcome
+        first = first or outcome
+    assert first is not None
+    return first
+
+
+class _Follower:
+    """Follows one path among the obstacles of one world."""
+
+    def __init__(self, world: World, path: TipPath) -> None:
+        self._world = world
+        self._path = path
+        task = world.problem.scene.task.path
+        assert task is not None
+        self._speed, self._may_leave = task.speed, task.detour
+
+    def furthest(self, stepper: Stepper, s: float, candidates: Sequence[Vector]) -> list[Vector]:
+        """Configurations at arc length `s`, the one from which the law gets furthest first."""
+        reached = [self._resolve(stepper, s, q).reached for q in candidates]
+        order = sorted(range(len(candidates)), key=lambda index: (-round(reached[index], 3), index))
+        return [candidates[index] for index in order]
+
+    def follow(self, stepper: Stepper) -> Outcome:
+        """Go along the path from a motion that is at rest on its beginning."""
+        s = 0.0
+        for _ in range(_MOST_DETOURS):
+            resolution = self._resolve(stepper, s, stepper.q)
+            self._play(stepper, resolution)
+            if resolution.complete:
+                return Outcome(stepper.trajectory())
+            rejoined = self._rejoin(stepper, resolution)
+            if isinstance(rejoined, Outcome):
+                return rejoined
+            stepper, s = rejoined
+        return self._blocked(stepper, s, self._path.length, resolution.obstruction)
+
+    def _resolve(self, stepper: Stepper, s: float, q: Vector) -> Resolution:
+        return resolve_along(
+            self._world.problem, self._path, s, q,
+            proximity=self._world.proximity, kinematics=self._world.kinematics, time=stepper.time,
+        )  # fmt: skip
+
+    def _play(self, stepper: Stepper, resolution: Resolution) -> None:
+        problem = self._world.problem
+        for piece in time_stretch(
+            self._path, resolution.stations, resolution.q, problem.limits, speed=self._speed, drive=drive_of(problem)
+        ):
+            stepper.play(piece)
+
+    def _rejoin(self, stepper: Stepper, resolution: Resolution) -> tuple[Stepper, float] | Outcome:
+        """A motion that is back on the path behind what blocks it, and where [m]; or why there is none."""
+        left, end = resolution.reached, self._path.length
+        if not self._may_leave:
+            return self._blocked(stepper, left, self._free_again(stepper, left), resolution.obstruction)
+        furthest = end
+        rejoins = 0
+        s = left
+        while s <= end and rejoins < _MOST_REJOINS:
+            self._world.work.brake.check()
+            found = self._world.postures.at(self._path.target(s), near=stepper.q, count=12, time=stepper.time)
+            # where it stands it has just been stuck
+            fresh = [q for q in found.clear if s > left or np.max(np.abs(q - stepper.q)) > 0.1]
+            if fresh:
+                furthest = s
+                rejoins += 1
+                for branch in self._ways(stepper, s, fresh):
+                    if self._resolve(branch, s, branch.q).reached > s + 1e-6 or s >= end - 1e-9:
+                        return branch, s
+            if s >= end:
+                break
+            s = min(s + (_COARSE if fresh else _RASTER), end)
+        return self._blocked(stepper, left, furthest, resolution.obstruction)
+
+    def _free_again(self, stepper: Stepper, left: float) -> float:
+        """The first point of the path behind `left` that the machine can stand on, else its end [m]."""
+        s = left + _RASTER
+        while s < self._path.length:
+            self._world.work.brake.check()
+            if self._world.postures.at(self._path.target(s), near=stepper.q, count=6, time=stepper.time).clear:
+                return s
+            s += _RASTER
+        return self._path.length
+
+    def _ways(self, stepper: Stepper, s: float, postures: Sequence[Vector]) -> Iterator[Stepper]:
+        """Motions that arrive on the path at `s`."""
+        ordered = self.furthest(stepper, s, postures[:_POSTURES])
+        for attempt in approach_goal(stepper, self._path.target(s), ordered, work=self._world.work):
+            if attempt.arrived:
+                yield attempt.stepper
+
+    def _blocked(self, stepper: Stepper, low: float, high: float, obstruction: Obstruction | None) -> Outcome:
+        """The motion so far, and what is in the way from `low` to `high` [m]."""
+        assert obstruction is not None
+        details: dict[str, Any] = {"path_from": low, "path_to": high} | obstruction_details(obstruction)
+        message = f"the path is blocked from {low:.2f} m to {high:.2f} m of {self._path.length:.2f} m by {obstruction}"
+        if not self._may_leave:
+            message += ", and detours are not allowed"
+        return Outcome(stepper.trajectory(), "blocked", message, details)
