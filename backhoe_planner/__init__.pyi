@@ -8,6 +8,7 @@ from .errors import (
 )
 from .law import (
     CompletedLaw,
+    CriticalRows,
     Shield,
     Shielded,
     TaskInverse,
@@ -84,6 +85,7 @@ __all__ = [
     "Command",
     "CompletedLaw",
     "Configuration",
+    "CriticalRows",
     "Cylinder",
     "Detour",
     "DiggingForces",

@@ -76,7 +76,7 @@ def annotated(thing: Any) -> Iterator[Any]:
 @pytest.mark.parametrize("name", sorted(PUBLIC))
 def test_what_a_public_name_takes_and_returns_is_public(name: str) -> None:
     for thing in annotated(PUBLIC[name]):
-        for field, hint in typing.get_type_hints(thing).items():
+        for field, hint in typing.get_type_hints(thing, localns={"Self": Any}).items():
             for part in () if field.startswith("_") else parts(hint):
                 own = part.__module__.startswith("backhoe_planner.") and not part.__module__.startswith(FILE_ENTRIES)
                 if own and not getattr(part, "_is_protocol", False):
