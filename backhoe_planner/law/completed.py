@@ -33,7 +33,7 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.law.directionality import all_link_jacobians, all_link_velocities
+from backhoe_planner.law.directionality import all_link_jacobians, link_chain, link_velocities
 from backhoe_planner.law.null_line import resolve_on_null_line
 from backhoe_planner.law.null_space import TaskInverse, resolve
 from backhoe_planner.machine import Configuration, Robot
@@ -259,7 +259,14 @@ class CompletedLaw:
     def _add_turns(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> None:
         """Add the rows s_k |J_k (v_e + H) - xdot_k|^2."""
         J = all_link_jacobians(at)
-        turns = all_link_velocities(at, at.jacobian[:3] @ primary, np.ones(self.robot.n - 1)).ravel()
+        turns = link_velocities(
+            link_chain(at),
+            at.jacobian[:3] @ primary,
+            D=np.ones(self.robot.n - 1),
+            magnification="norm_preserving",
+            follow_bend=True,
+            as_rates=True,
+        ).ravel()
         row = J @ N
         weighted = row.T * self._s_k
         A += weighted @ row

@@ -47,7 +47,6 @@ __all__ = [
     "Magnification",
     "Reference",
     "all_link_jacobians",
-    "all_link_velocities",
     "link_chain",
     "link_jacobian",
     "link_velocities",
@@ -100,6 +99,7 @@ def link_velocities(
     D: Vector,
     magnification: Magnification = "printed",
     follow_bend: bool = False,
+    as_rates: bool = False,
 ) -> Matrix:
     """(n - 1, 3) xdot_k of equation (13) for k = 1 .. n-1 [m/s], world.
 
@@ -108,29 +108,38 @@ def link_velocities(
     xdot_e: (3,) velocity of the tip [m/s].
     D: (n - 1,) directional operator of equation (15), +1 or -1 (or between).
     magnification, follow_bend: see the module's text.
+    as_rates: dtheta' is the rate |P_e^k x xdot_e| / |P_e^k|^2, the limit of (14) for small
+        steps, instead of the angle that one whole step of length xdot_e would make.
+
+    Written out in floats: for a handful of links that is several times faster than arrays.
     """
-    count = len(chain.points) - 2
-    found = np.zeros((count, 3))
-    before = np.zeros(3)
-    for k in range(1, count + 1):
-        axis = chain.axes[k - 1]
-        found[k - 1] = before
-        if not np.any(axis):
-            continue
-        link = _across(chain.points[k] - chain.points[k - 1], axis)
-        to_tip = _across(chain.points[-1] - chain.points[k], axis)
-        rate = -D[k - 1] * _predicted_turn(to_tip, _across(xdot_e, axis))
-        length, reach = np.sqrt(link @ link), np.sqrt(to_tip @ to_tip)
-        if length < _SHORT or reach < _SHORT:
-            continue
-        M = reach / length
-        rate *= M if magnification == "norm_preserving" else 1.0 / M
-        if follow_bend:
-            bend = _triple(axis, link, to_tip)
-            rate *= -np.sign(bend) * (abs(bend) > _STRAIGHT * length * reach)
-        found[k - 1] = before + rate * _cross(axis, link)
-        before = found[k - 1]
-    return found
+    points, axes = chain.points.tolist(), chain.axes.tolist()
+    vx, vy, vz = xdot_e.tolist()
+    ex, ey, ez = points[-1]
+    found = []
+    sx = sy = sz = 0.0
+    for (ax, ay, az), (bx, by, bz), (px, py, pz), d in zip(axes, points, points[1:-1], D.tolist(), strict=False):
+        lx, ly, lz = px - bx, py - by, pz - bz
+        tx, ty, tz = ex - px, ey - py, ez - pz
+        # a x P_k^{k-1} and a x P_e^k: as long as the vectors across the axis
+        clx, cly, clz = ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx
+        ctx, cty, ctz = ay * tz - az * ty, az * tx - ax * tz, ax * ty - ay * tx
+        length2 = clx * clx + cly * cly + clz * clz
+        reach2 = ctx * ctx + cty * cty + ctz * ctz
+        if length2 > _SHORT * _SHORT and reach2 > _SHORT * _SHORT:
+            outward = tx * vx + ty * vy + tz * vz - (ax * tx + ay * ty + az * tz) * (ax * vx + ay * vy + az * vz)
+            sideways = abs(ctx * vx + cty * vy + ctz * vz)
+            turn = sideways / reach2 if as_rates else math.atan2(sideways, reach2 + outward)
+            M = math.sqrt(reach2 / length2)
+            rate = -d * turn * (M if magnification == "norm_preserving" else 1.0 / M)
+            rate *= (outward > 0.0) - (outward < 0.0)
+            if follow_bend:
+                bend = clx * tx + cly * ty + clz * tz
+                straight = abs(bend) <= _STRAIGHT * math.sqrt(length2 * reach2)
+                rate *= 0.0 if straight else -math.copysign(1.0, bend)
+            sx, sy, sz = sx + rate * clx, sy + rate * cly, sz + rate * clz
+        found.append((sx, sy, sz))
+    return np.array(found).reshape(-1, 3)
 
 
 def all_link_jacobians(at: Configuration) -> Matrix:
@@ -157,60 +166,3 @@ def _inner_joints(n: int) -> Matrix:
     mask = np.tri(n - 1, n)[:, None, :]
     mask.setflags(write=False)
     return mask
-
-
-def all_link_velocities(at: Configuration, xdot_e: Vector, D: Vector) -> Matrix:
-    """(n - 1, 3) xdot_k of equation (13) as rates: the limit of (14) for small steps.
-
-    The same as `link_velocities` with ``"norm_preserving"`` and `follow_bend`, where
-    dtheta' is taken as the rate |P_e^k x xdot_e| / |P_e^k|^2 instead of the angle that
-    one whole step of length xdot_e would make. Written out in floats: for a handful of
-    links that is several times faster than arrays.
-    """
-    points = at.points.tolist()
-    axes = at.J_world[3:].T.tolist()
-    vx, vy, vz = xdot_e.tolist()
-    ex, ey, ez = points[-1]
-    found = []
-    sx = sy = sz = 0.0
-    for (ax, ay, az), (bx, by, bz), (px, py, pz), hold in zip(axes, points, points[1:-1], D.tolist(), strict=False):
-        lx, ly, lz = px - bx, py - by, pz - bz
-        tx, ty, tz = ex - px, ey - py, ez - pz
-        # a x link and a x (P_e - P_k): both lie across the axis
-        clx, cly, clz = ay * lz - az * ly, az * lx - ax * lz, ax * ly - ay * lx
-        ctx, cty, ctz = ay * tz - az * ty, az * tx - ax * tz, ax * ty - ay * tx
-        length2 = clx * clx + cly * cly + clz * clz
-        reach2 = ctx * ctx + cty * cty + ctz * ctz
-        if length2 > _SHORT * _SHORT and reach2 > _SHORT * _SHORT:
-            outward = tx * vx + ty * vy + tz * vz - (ax * tx + ay * ty + az * tz) * (ax * vx + ay * vy + az * vz)
-            counter_clockwise = clx * tx + cly * ty + clz * tz
-            turn = abs(ctx * vx + cty * vy + ctz * vz) / reach2
-            rate = hold * turn * math.sqrt(reach2 / length2)
-            if (outward > 0.0) != (counter_clockwise > 0.0):
-                rate = -rate
-            if outward == 0.0 or abs(counter_clockwise) <= _STRAIGHT * math.sqrt(length2 * reach2):
-                rate = 0.0
-            # -D * bend * outward with bend = -sgn(counter_clockwise)
-            sx, sy, sz = sx + rate * clx, sy + rate * cly, sz + rate * clz
-        found.append((sx, sy, sz))
-    return np.array(found).reshape(-1, 3)
-
-
-def _predicted_turn(to_tip: Vector, xdot_e: Vector) -> float:
-    """sgn(P_e^k . xdot_e) dtheta' of equations (13) and (14) [rad]."""
-    ahead = to_tip + xdot_e
-    cross = _cross(to_tip, ahead)
-    turn = np.arctan2(np.sqrt(cross @ cross), to_tip @ ahead)
-    return float(np.sign(to_tip @ xdot_e) * turn)
-
-
-def _across(vector: Vector, axis: Vector) -> Vector:
-    return np.asarray(vector - (vector @ axis) * axis)
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _triple(axis: Vector, a: Vector, b: Vector) -> float:
-    return float(axis @ _cross(a, b))
