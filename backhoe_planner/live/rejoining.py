@@ -37,7 +37,7 @@ __all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_s
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_EFFORTS = ("quick", "normal")  # of the sampling, at the first attempt and at the further ones
+_EFFORTS = (EFFORTS["quick"], EFFORTS["normal"])  # of the sampling, at the first attempt and at the further ones
 _EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
 _HARD = (0.003, 0.01)  # further ones in turn
 _ROOMY = 0.01  # m beyond every clearance that a place to rejoin at is to have,
@@ -123,7 +123,7 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
         goal=None,
         path=None,
     )
-    work = Work(EFFORTS[_EFFORTS[min(query.attempt, len(_EFFORTS) - 1)]], Brake(_LONGEST))
+    work = Work(_EFFORTS[min(query.attempt, len(_EFFORTS) - 1)], Brake(_LONGEST))
     try:
         return _Search(query, problem, work).run()
     except OutOfTime as ended:

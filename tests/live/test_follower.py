@@ -6,6 +6,7 @@ import pickle
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from backhoe_planner.live import (
 )
 from backhoe_planner.live import follower as follower_module
 from backhoe_planner.machine import Robot
+from backhoe_planner.planning import EFFORTS
 from backhoe_planner.site import Proximity, build_obstacles
 
 START = [-0.3, 0.3, -0.9, -0.5]
@@ -268,7 +270,8 @@ def test_before_a_wall_without_a_way_round_it_is_blocked_until_there_is_one(
     """The wall reaches beyond the machine's reach and height; searched with more and more effort, in vain."""
     executor = Immediate()
     assert least_margin_of(backhoe, [START, END], WALL) > 0.05
-    monkeypatch.setattr(rejoining, "_EFFORTS", (100, 200, 400))
+    efforts = [replace(EFFORTS["quick"], motions_per_search=count) for count in (100, 200, 400)]
+    monkeypatch.setattr(rejoining, "_EFFORTS", efforts)
     servo = Servo(backhoe, site(backhoe), DT)
     follower = PlanFollower(servo, smooth_motion(), executor=executor)
     followed(follower, 200)
