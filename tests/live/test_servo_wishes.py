@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.live import Servo, ServoState, Status
+from backhoe_planner.law import Rows, solve_program
+from backhoe_planner.live import Servo, ServoState, Status, VelocityRange, VelocityWish, velocity_program
 from backhoe_planner.machine import Robot
 
 ONE_HINGE = """<robot name="gate">
@@ -144,3 +145,24 @@ def test_joints_that_share_a_pump_are_cut_back_together(backhoe: Robot) -> None:
     along = np.array([state.tip_velocity for state in shared[200:400]])
     np.testing.assert_allclose(along[:, 2], 0.0, atol=0.02)
     assert np.all(along[:, 1] > 0.1)
+
+
+def test_the_problem_of_a_step_by_hand() -> None:
+    """Two joints that move the tip alike: of the target the tip's 0.6 m/s are asked, of each joint only a little."""
+    none, wide = np.zeros(2), np.full(2, 10.0)
+    within = VelocityRange(-wide, wide, -wide, wide, look=0.1, cuts_wish=False)
+    target = np.array([0.4, 0.2])
+    wish = VelocityWish(v=target, target=target, task=np.ones((1, 2)), null=none, for_tip=True, range=within)
+    stop = Rows("braking", np.array([[1.0, 0.0]]), np.array([0.1]))
+    program = velocity_program(wish, target, -wide, wide, (stop,))
+    np.testing.assert_allclose(program.H, [[1.005, 1.0], [1.0, 1.005]])
+    np.testing.assert_allclose(program.f, [-0.6, -0.6])
+    assert [block.name for block in program.rows] == ["braking"]
+    solution = solve_program(program)
+    assert solution is not None
+    assert solution.residual < 1e-6
+    # the first joint is held at 0.1; the second makes up for it: (0.6 - 0.1) / 1.005
+    np.testing.assert_allclose(solution.x, [0.1, 0.5 / 1.005], atol=1e-5)
+    joints = velocity_program(wish._replace(task=None), target, -wide, wide, (stop,))
+    np.testing.assert_array_equal(joints.H, np.eye(2))
+    np.testing.assert_array_equal(joints.f, -target)

@@ -164,7 +164,6 @@ class Separation:
         self.joint = self._joint_of[self.piece]
         self.other = np.where(self.other_piece >= 0, self._joint_of[self.other_piece], 0)
         self.mask = self.robot.support[self.joint] - self.robot.support[self.other]
-        self.itself = self.owner == MACHINE
         self.some_relative = bool(self.other.any())
         self._corners_of = self._corners4[self.piece]
         self._fat_of = self._fat[self.piece]

@@ -41,7 +41,6 @@ class Surroundings:
 
     Attributes
     ----------
-    moving_pairs: indices of the pairs whose obstacle moves.
     stands: (P,) of every pair whether its obstacle stands still.
     speed: (P,) of every pair's obstacle [m/s].
     anything_moves: whether any obstacle does, also one that no link minds.
@@ -55,7 +54,6 @@ class Surroundings:
         self._next_number = 0
         self._name_of: dict[int, str] = {}
         self._movers: list[_Placed] = []
-        self.moving_pairs: Indices
         self.stands: NDArray[np.bool_]
         self.speed: Vector
         self.revision = 0
@@ -216,9 +214,7 @@ class Surroundings:
     def _sort(self) -> None:
         """Tell what moves from what stands."""
         velocity = self._separation.velocity
-        self.moving_pairs = np.flatnonzero(velocity.any(axis=1))
-        self.stands = np.ones(len(self._separation), dtype=bool)
-        self.stands[self.moving_pairs] = False
+        self.stands = np.asarray(~velocity.any(axis=1))
         self.speed = np.sqrt((velocity**2).sum(axis=1))
         for placed in self._movers:
             self._stands_at(placed, placed.shift.copy())
