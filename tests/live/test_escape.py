@@ -48,6 +48,7 @@ class Violation:
 
 
 def search_from(servo: Servo) -> EscapeSearch:
+    # opens the wall: the ceiling is that of the servo's own start
     separation, inside = servo._separation, servo._bounds.inside
     ceiling = np.full(len(separation), np.max(separation.clearance[inside] - servo._bounds._distance[inside]))
     return EscapeSearch(

@@ -579,6 +579,7 @@ def test_where_the_law_fails_it_brakes_on_the_path_that_was_proven(
     def fails(*_: object) -> None:
         raise ZeroDivisionError
 
+    # opens the wall: the fast way must be seen not to be taken
     monkeypatch.setattr(servo._tip.law, "wish_on_null_line", fails)
     states = pushed(servo, {"tip_velocity": [0.0, 0.6, 0.2]}, 1500)
     keeps_limits(servo, states, moving.v)
@@ -593,6 +594,7 @@ def test_activation_row_by_row_is_activation(backhoe: Robot) -> None:
     law = CompletedLaw(backhoe, influence=0.3)
     margins = np.linspace(-0.1, 0.5, 61)
     expected = activation(margins, law.unity, law.influence)
+    # opens the wall: the scalar path equals the public vector one
     np.testing.assert_allclose([law._activation(margin) for margin in margins.tolist()], expected, atol=1e-15)
 
 

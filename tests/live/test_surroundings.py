@@ -118,6 +118,7 @@ def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch:
 
     servo.add({**BALL, "position": [4.7, 0.7, -0.6]})
     near = servo.step([0.0, 0.1, 0.0])
+    # opens the wall: a fault in the middle of a step, which nothing outside can cause
     monkeypatch.setattr(servo._tip, "wish", fails)
     state = servo.step([0.0, 0.1, 0.0])
     assert isinstance(servo.last_error, ZeroDivisionError)
@@ -155,6 +156,7 @@ def test_whatever_comes_and_goes_the_books_agree(servo: Servo, seed: int) -> Non
             there[known] = there[known] + 0.005 * speed[known]
             np.testing.assert_allclose(servo.shift_of(known), there[known], atol=1e-9)
         assert set(servo.obstacles) == set(there)
+        # opens the wall: arrays that stay long when an obstacle goes show only here
         bounds = servo._bounds
         for array in (bounds._proven, bounds._distance, bounds.required, bounds._renewed_at, bounds._reach):
             assert len(array) == len(servo._separation)

@@ -839,6 +839,7 @@ def test_who_does_not_read_is_shut_out(
             for _ in range(600):
                 writer.write((b"\x81%c" % (128 + len(said)) + bytes(4) + said) * 100)
                 await asyncio.wait_for(writer.drain(), PATIENCE)
+                # opens the wall: how much is kept for a page that does not read is nobody else's business
                 largest = max(largest, *(page._unread for page in list(server._pages)))
         while len(server.session.snapshot().pages) > 1 and clock.monotonic() < deadline:
             await asyncio.sleep(0.01)
@@ -878,6 +879,7 @@ def test_the_machine_is_driven_on_when_it_cannot_be_drawn(
         done(session, page, type="take")
 
         def told(kind: str) -> list[Data]:
+            # opens the wall: the messages as every page gets them, without a browser
             found = [json.loads(m) for m in station._server.display.messages().values() if isinstance(m, str)]
             return [content for content in found if content["type"] == kind]
 

@@ -215,6 +215,7 @@ def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser
         assert all(words[1].startswith("near ground") for words in seen)
 
         # what went wrong stays to be read
+        # opens the wall: no scene that can be loaded makes drawing fail
         station._server.display.tell("trouble", {"text": "a rock cannot be drawn: Error"})
         page.wait_for_selector("#trouble")
         assert page.locator("#trouble").inner_text() == "A rock cannot be drawn: Error"
