@@ -28,7 +28,7 @@ from backhoe_planner.planning import DEFAULT_BUDGET
 
 if TYPE_CHECKING:
     from backhoe_planner.motion import Detour
-    from backhoe_planner.planning import Plan
+    from backhoe_planner.planning import AskedSpeed, LawComparison, Plan
 
 __all__ = ["app", "main"]
 
@@ -355,7 +355,6 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
         from backhoe_planner.planning import plan_to_dict
 
         content = plan_to_dict(found)
-        del content["dynamics"]  # sample by sample, as the trajectory is
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
@@ -371,41 +370,40 @@ def _tell(found: Plan, output: Path, as_json: bool) -> None:
         )
     tracking = certificate.tracking
     if len(found.trajectory) < 2:
-        _out.print(f"planned in    {found.metrics['planning_time']:.2f} s")
+        _out.print(f"planned in    {found.metrics.planning_time:.2f} s")
         _out.print(f"plan          {output}")
         return
     angle = f", {_DEGREES * tracking.max_angle_error:.2f} deg" if _asks_angle(found) else ""
     _out.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{angle} at most")
-    for detour in tracking.detours:
+    for detour in found.metrics.detours:
         _out.print(
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
-            f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off{_because(found, detour)}"
+            f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off{_around(detour)}"
         )
-    if "waits" in found.details:
-        _out.print(f"waits         {found.details['waits']:.2f} s for what moves to pass")
-    for reaction in found.details.get("reactions", ()):
-        stopped = f", stopped at {reaction['stopped_at']:.2f} s" if "stopped_at" in reaction else ""
+    if found.findings.waits > 0.0:
+        _out.print(f"waits         {found.findings.waits:.2f} s for what moves to pass")
+    for reaction in found.findings.reactions:
+        stopped = f", stopped at {reaction.stopped_at:.2f} s" if reaction.stopped_at is not None else ""
         _out.print(
-            f"reaction      {reaction['obstacle']} appears at {reaction['appears_at']:.2f} s: "
-            f"{reaction.get('way', 'no way to stop in time')}{stopped}"
+            f"reaction      {reaction.obstacle} appears at {reaction.appears_at:.2f} s: "
+            f"{reaction.way or 'no way to stop in time'}{stopped}"
         )
     _tell_zones(found)
     metrics = found.metrics
-    _out.print(f"duration      {metrics['duration']:.2f} s ({len(found.trajectory)} samples)")
-    _out.print(f"work          {_quantity(metrics['energy']['work'], 'J')} ({_loads(found)})")
-    _tell_saving(metrics.get("objective"))
-    _tell_speed(metrics.get("asked_speed"))
-    _out.print(f"planned in    {metrics['planning_time']:.2f} s")
+    _out.print(f"duration      {metrics.duration:.2f} s ({len(found.trajectory)} samples)")
+    _out.print(f"work          {_quantity(metrics.energy['work'], 'J')} ({_loads(found)})")
+    _tell_saving(metrics.objective)
+    _tell_speed(metrics.asked_speed)
+    _out.print(f"planned in    {metrics.planning_time:.2f} s")
     _out.print(f"plan          {output}")
 
 
-def _because(found: Plan, detour: Detour) -> str:
-    """What the planner left the path for, where it says so."""
-    middle = 0.5 * (detour.path_from + detour.path_to)
-    for known in found.details.get("detours", ()):
-        if known["path_from"] - 0.05 <= middle <= known["path_to"] + 0.05:
-            return f", for {known['name']}" if not known["link"] else f", around {known['name']}"
-    return ""
+def _around(detour: Detour) -> str:
+    """What a detour goes round, where the planner says so."""
+    found = detour.obstruction
+    if found is None:
+        return ""
+    return f", for {found.name}" if found.kind == "joint" else f", around {found.name}"
 
 
 def _loads(found: Plan) -> str:
@@ -415,45 +413,41 @@ def _loads(found: Plan) -> str:
     return f"{', '.join(loads[:-1])} and {loads[-1]}"
 
 
-def _tell_saving(compared: dict[str, Any] | None) -> None:
-    """One line: the objective along the path, and what the local law needs."""
+def _tell_saving(compared: LawComparison | None) -> None:
+    """The objective along the path, and what the local law needs."""
     if compared is None:
         return
     from backhoe_planner.motion import OBJECTIVES
 
-    unit = OBJECTIVES[compared["name"]].unit
-    breaks = compared["law_breaks"]
-    told = f"{compared['name']} {_quantity(compared['value'], unit)} along the path"
-    if compared["law"] is not None:
-        told += f"; the local law {_quantity(compared['law'], unit)}"
-        if compared["saving_percent"] is not None:
-            told += f" (saves {compared['saving_percent']:.0f} %)"
-        if breaks is not None:
-            told += f", and it breaks {breaks}"
-    elif breaks is not None:
-        told += f"; the local law does not get along it: {breaks}"
-    _out.print(f"objective     {told}")
-    if compared["whole"] > compared["value"] * (1.0 + 1e-3):
-        told = f"{_quantity(compared['whole'], unit)} with the approach to it"
-        if compared["saving_percent_whole"] is not None:
-            told += f"; the local law after the same approach {_quantity(compared['law_whole'], unit)}"
-            told += f" (saves {compared['saving_percent_whole']:.0f} %)"
-        _out.print(f"              {told}")
+    unit = OBJECTIVES[compared.name].unit
+    line = f"{compared.name} {_quantity(compared.value, unit)} along the path"
+    if compared.law is not None:
+        line += f"; the local law {_quantity(compared.law, unit)}"
+        if compared.saving_percent is not None:
+            line += f" (saves {compared.saving_percent:.0f} %)"
+        if compared.law_breaks is not None:
+            line += f", and it breaks {compared.law_breaks}"
+    elif compared.law_breaks is not None:
+        line += f"; the local law does not get along it: {compared.law_breaks}"
+    _out.print(f"objective     {line}")
+    if compared.whole > compared.value * (1.0 + 1e-3):
+        line = f"{_quantity(compared.whole, unit)} with the approach to it"
+        if compared.law_whole is not None and compared.saving_percent_whole is not None:
+            line += f"; the local law after the same approach {_quantity(compared.law_whole, unit)}"
+            line += f" (saves {compared.saving_percent_whole:.0f} %)"
+        _out.print(f"              {line}")
 
 
-def _tell_speed(asked: dict[str, Any] | None) -> None:
-    """One line: on how much of the path the asked speed is kept, and what it waits for elsewhere."""
-    if asked is None:
+def _tell_speed(kept: AskedSpeed | None) -> None:
+    """On how much of the path the asked speed is kept, and which limit is in the way elsewhere."""
+    if kept is None:
         return
-    told = f"{asked['asked']:g} m/s kept on {asked['kept_percent']:.0f} % of the path"
-    slower = asked["slower"]
-    if slower:
-        parts = [
-            f"{part['path_from']:.2f} to {part['path_to']:.2f} m ({part['limit']})" for part in slower[:_MOST_PARTS]
-        ]
-        more = f" and {len(slower) - _MOST_PARTS} more" if len(slower) > _MOST_PARTS else ""
-        told += f"; slower from {', '.join(parts)}{more}"
-    _out.print(f"asked speed   {told}")
+    line = f"{kept.asked:g} m/s kept on {kept.kept_percent:.0f} % of the path"
+    if kept.slower:
+        parts = [f"{part.path_from:.2f} to {part.path_to:.2f} m ({part.limit})" for part in kept.slower[:_MOST_PARTS]]
+        more = f" and {len(kept.slower) - _MOST_PARTS} more" if len(kept.slower) > _MOST_PARTS else ""
+        line += f"; slower from {', '.join(parts)}{more}"
+    _out.print(f"asked speed   {line}")
 
 
 def _quantity(value: float, unit: str) -> str:

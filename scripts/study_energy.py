@@ -256,7 +256,7 @@ def timing(robot: bp.Robot) -> None:
         given = "start left free" if start is None else "start given"
         print(
             f"200 samples, 5 obstacles, {given}: {found.verdict}, {busy:.2f} s of one core with the comparison "
-            f"({taken:.2f} s on the clock, {found.metrics['planning_time']:.2f} s without)"
+            f"({taken:.2f} s on the clock, {found.metrics.planning_time:.2f} s without)"
         )
 
 

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.law import CompletedLaw, run_iteration
 from backhoe_planner.motion import Problem, build_problem
-from backhoe_planner.planning import Plan, Stepper, Work, approach_goal
+from backhoe_planner.planning import Plan, Stepper, Work, approach_goal, measure_motion
 from backhoe_planner.planning.reactive.stepping import STEP
 from backhoe_planner.proof import certify_problem
 from validation.independent_check import least_distances, refutations
@@ -88,7 +88,7 @@ def run_scene(index: int, seed: int) -> list[Row]:
 
 def _touches(problem: Problem, motion: bp.Trajectory) -> bool:
     certificate = certify_problem(problem, motion)
-    plan = Plan("failed", "blocked", "", problem.robot, problem.scene, "reactive", 0, motion, certificate, {})
+    plan = Plan(problem, "reactive", 0, motion, certificate, measure_motion(problem, motion, certificate))
     # the paper's iterations are few and far apart, the others are samples 20 ms apart
     refine = 10 if len(motion) <= 101 else 2
     return any(least.distance < 0.0 for least in least_distances(plan, refine=refine))

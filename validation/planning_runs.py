@@ -181,8 +181,8 @@ def run_site(key: SiteKey, settings: Settings) -> Row:
         found: dict[str, Any] = {}
         if plan.verified:
             found = {
-                "duration": float(plan.metrics["duration"]),
-                "tip_length": float(plan.metrics["tip_length"]),
+                "duration": plan.metrics.duration,
+                "tip_length": plan.metrics.tip_length,
                 "margin": None if least is None else float(least.margin),
                 "refuted": refutations(plan) if settings.refute else None,
             }

@@ -252,7 +252,7 @@ def count_point_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
         problem = build_problem(robot, as_scene(robot, scene))
         plan = bp.plan(robot, problem.scene, method="reactive")
         planned = np.asarray(plan.trajectory.q)
-        straight = planned if plan.details.get("way") == "straight" else first_attempt(problem)[0].q
+        straight = planned if plan.findings.way == "straight" else first_attempt(problem)[0].q
         runs[first].append(measure(kinematics, scene, straight))
         runs[all_ways].append(measure(kinematics, scene, planned))
     return [summary(name, found) for name, found in runs.items()]

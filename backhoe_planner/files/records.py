@@ -7,17 +7,30 @@ allowed, with the nearest name for a key that does not exist.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from backhoe_planner.errors import nearest_name
 from backhoe_planner.files.yaml_text import KeyPath
 
-__all__ = ["Record", "describe", "exactly_one", "explain"]
+__all__ = ["Figure", "Record", "describe", "exactly_one", "explain"]
+
+_LARGEST_FIGURE = 1e30  # in any unit: squares of it are still numbers
 
 _BRIEF = 80  # characters: a value that is longer is not repeated in a message
+
+
+def _figure(found: Any) -> Any:
+    if isinstance(found, float) and _LARGEST_FIGURE < abs(found) < math.inf:
+        raise ValueError(f"is {found:g}; allowed: at most {_LARGEST_FIGURE:g} either way")
+    return math.nan if found is None else found
+
+
+# what was computed and may not be a number, which JSON calls null
+Figure = Annotated[float, Field(strict=True), BeforeValidator(_figure)]
 
 
 class Record(BaseModel):
@@ -87,6 +100,10 @@ def describe(detail: Any) -> str:
     if kind == "too_long":
         return f"has {detail['ctx']['actual_length']} entries, allowed: at most {detail['ctx']['max_length']}{brief}"
     shown = brief if isinstance(found, (Mapping, list)) else f"; found {found!r}"
+    if kind == "literal_error":
+        return f"is not one of those that there are{shown}; allowed: {detail['ctx']['expected']}"
+    if kind in ("model_type", "dict_type"):
+        return f"does not hold keys and values{shown}"
     if kind == "tuple_type":
         return f"is not a list{shown}"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"

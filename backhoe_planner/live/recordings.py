@@ -12,9 +12,9 @@ from typing import Any
 
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem
-from backhoe_planner.planning import Plan, Reason, judged, motion_metrics
+from backhoe_planner.planning import Findings, Plan, RecordingNotes, measure_motion
 from backhoe_planner.proof import certify_problem
-from backhoe_planner.site import Scene, scene_from_dict
+from backhoe_planner.site import Scene, Transgression, scene_from_dict
 
 __all__ = ["is_recording", "plan_from_recording", "problem_to_show", "unrecorded_changes"]
 
@@ -25,7 +25,8 @@ def plan_from_recording(
     trajectory: Trajectory,
     *,
     obstacles: Sequence[Mapping[str, Any]] | None = None,
-    details: Mapping[str, Any] | None = None,
+    recording: RecordingNotes | None = None,
+    zones: Sequence[Transgression] = (),
 ) -> Plan:
     """The plan that a recorded motion is.
 
@@ -33,7 +34,7 @@ def plan_from_recording(
     ----------
     scene: in which it was driven; its start and task are replaced.
     obstacles: as they were during the recording; the scene's by default.
-    details: to be kept in the plan file.
+    recording: what it leaves out; zones: its visits to them. Kept in the plan file.
 
     Raises
     ------
@@ -48,22 +49,14 @@ def plan_from_recording(
     done = scene_from_dict(content, folder=scene.folder, file=scene.file)
     problem = build_problem(robot, done)
     certificate = certify_problem(problem, trajectory)
-    reason: Reason = ""
-    message = ""
-    if not certificate.verified:
-        reason, message = judged(problem, certificate)
     return Plan(
-        verdict="verified" if certificate.verified else "failed",
-        reason=reason,
-        message=message,
-        robot=problem.robot,
-        scene=done,
+        problem=problem,
         method="teleop",
         seed=0,
         trajectory=trajectory,
         certificate=certificate,
-        metrics=motion_metrics(problem, trajectory, certificate, 0.0, method="teleop"),
-        details={} if details is None else details,
+        metrics=measure_motion(problem, trajectory, certificate),
+        findings=Findings(recording=recording, zones=tuple(zones)),
     )
 
 
@@ -74,12 +67,10 @@ def is_recording(plan: Plan) -> bool:
 
 def unrecorded_changes(plan: Plan) -> tuple[str, ...]:
     """Changes of the site during a recording that a scene file cannot hold, in words; none for other plans."""
-    recorded = plan.details.get("recorded") if is_recording(plan) and isinstance(plan.details, Mapping) else None
-    notes = recorded.get("notes") if isinstance(recorded, Mapping) else None
-    return tuple(str(note) for note in notes) if isinstance(notes, (list, tuple)) else ()
+    recording = plan.findings.recording
+    return recording.notes if is_recording(plan) and recording is not None else ()
 
 
 def problem_to_show(plan: Plan) -> Problem:
     """The problem of a plan for pictures and pages: that of a recording has no goal."""
-    problem = build_problem(plan.robot, plan.scene)
-    return replace(problem, goal=None, path=None) if is_recording(plan) else problem
+    return replace(plan.problem, goal=None, path=None) if is_recording(plan) else plan.problem

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from backhoe_planner.machine import Kinematics, TipTarget
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.site import Obstruction
 
 __all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "progress", "track_goal", "track_path"]
 
@@ -38,6 +39,7 @@ class Detour:
     path_from, path_to: where the tip leaves the path and where it rejoins it [m].
     length: way of the tip in between [m].
     max_deviation: largest distance from the path [m].
+    obstruction: what it goes round, where a planner says so; a certificate does not know.
     """
 
     time_from: float
@@ -46,6 +48,7 @@ class Detour:
     path_to: float
     length: float
     max_deviation: float
+    obstruction: Obstruction | None = None
 
 
 @dataclass(frozen=True)

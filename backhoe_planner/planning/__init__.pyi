@@ -5,15 +5,25 @@ from .paths.local_resolution import resolve_along
 from .paths.path_layers import PathLayers, redundancy_of
 from .paths.path_resolution import PathResolver, Stretch
 from .paths.smoothing import smooth_stretch, stretch_cost
-from .planner import judged, motion_metrics, plan
+from .planner import plan
 from .reactive.law_timing import as_fast_as_allowed, places_on, shortest_time
 from .reactive.reaching import approach_goal
 from .reactive.stepping import Step, Stepper
-from .report.asked_speed import asked_speed
-from .report.comparison import compare_with_law, joined, law_motion, least_norm_resolution, part_on_path, stations_of
+from .report.asked_speed import AskedSpeed, asked_speed
+from .report.comparison import (
+    LawComparison,
+    compare_with_law,
+    joined,
+    law_motion,
+    least_norm_resolution,
+    part_on_path,
+    stations_of,
+)
 from .result.export import export_plan
-from .result.plan import Plan, Reason
-from .result.plan_file import load_plan, plan_to_dict
+from .result.findings import NOTHING, Findings, NearestPose, Reaction, RecordingNotes
+from .result.metrics import DetourTotal, Metrics, measure_motion
+from .result.plan import Plan, load_plan, plan_to_dict
+from .result.plan_file import Method, Reason
 from .search.blending import blend
 from .search.effort import DEFAULT_BUDGET, EFFORTS, Brake, Effort, OutOfTime, Work
 from .search.motion_check import MotionCheck
@@ -24,18 +34,28 @@ from .world import World
 __all__ = [
     "DEFAULT_BUDGET",
     "EFFORTS",
+    "NOTHING",
+    "AskedSpeed",
     "Brake",
+    "DetourTotal",
     "Edge",
     "EdgeKind",
     "Effort",
+    "Findings",
     "JointPath",
+    "LawComparison",
     "LayeredGraph",
+    "Method",
+    "Metrics",
     "MotionCheck",
+    "NearestPose",
     "OutOfTime",
     "PathLayers",
     "PathResolver",
     "Plan",
+    "Reaction",
     "Reason",
+    "RecordingNotes",
     "Step",
     "Stepper",
     "Stretch",
@@ -49,11 +69,10 @@ __all__ = [
     "compare_with_law",
     "export_plan",
     "joined",
-    "judged",
     "law_motion",
     "least_norm_resolution",
     "load_plan",
-    "motion_metrics",
+    "measure_motion",
     "part_on_path",
     "places_on",
     "plan",

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +11,11 @@ from numpy.typing import NDArray
 from backhoe_planner.law import run_iteration
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import drive_of, retimed, time_polyline
-from backhoe_planner.planning.outcome import Outcome, no_posture, obstruction_details
+from backhoe_planner.planning.outcome import Outcome, no_posture
 from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed, shortest_time
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
@@ -49,19 +49,16 @@ class ToGoal:
             return _faster(world, stepper, straight, found)
         transit = find_transit(world, stepper, found.clear)
         if transit.stepper is not None:
-            return Outcome(transit.stepper.trajectory(), details={"way": "sampled"})
+            return Outcome(transit.stepper.trajectory(), findings=Findings(way="sampled"))
         outcome = self._attempts(world, stepper, found.clear)
         if not outcome.reason:
             return outcome
-        message = f"{outcome.message}; {transit.failure}"
-        return Outcome(
-            outcome.trajectory, outcome.reason, message, dict(outcome.details) | {"sampled": transit.failure}
-        )
+        return replace(outcome, message=f"{outcome.message}; {transit.failure}")
 
     def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
         """Straight on by the law, from a motion that need not be at rest; None where it does not arrive."""
         attempt = next(approach_goal(stepper, self.goal, (), work=world.work))
-        return Outcome(attempt.stepper.trajectory(), details={"way": attempt.way}) if attempt.arrived else None
+        return Outcome(attempt.stepper.trajectory(), findings=Findings(way=attempt.way)) if attempt.arrived else None
 
     def by_law(self, world: World, stepper: Stepper) -> Outcome:
         """From rest by the completed law alone."""
@@ -73,7 +70,7 @@ class ToGoal:
         steps = run_iteration(
             world.problem, stepper.q, self.goal, proximity=world.proximity, kinematics=world.kinematics
         )
-        return Outcome(time_polyline(steps, world.problem.limits), details={"iterations": len(steps) - 1})
+        return Outcome(time_polyline(steps, world.problem.limits), findings=Findings(iterations=len(steps) - 1))
 
     def _postures(self, world: World, stepper: Stepper) -> Found | Outcome:
         """Clear configurations on the goal, the nearest first; or why there is none."""
@@ -89,7 +86,7 @@ class ToGoal:
         if not attempts[-1].arrived:
             return describe_attempts(attempts)
         arrived = as_fast_as_allowed(stepper, attempts[-1].stepper)
-        return Outcome(arrived.trajectory(), details=_details(attempts))
+        return Outcome(arrived.trajectory(), findings=_findings(attempts))
 
 
 def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> Outcome:
@@ -100,25 +97,26 @@ def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> 
     after = np.inf if joints is None else joints.duration - stepper.time
     way = straight.stepper.trajectory()
     if joints is not None and after <= shortest_time(way.q[way.time >= stepper.time - 1e-9], limits):
-        return Outcome(joints, details={"way": "straight for the joints"})
+        return Outcome(joints, findings=Findings(way="straight for the joints"))
     motion = as_fast_as_allowed(stepper, straight.stepper).trajectory()
     # the law runs the joints at rates that all of them together may not have
     if joints is not None and joints.duration < retimed(motion, limits, drive=drive).duration:
-        return Outcome(joints, details={"way": "straight for the joints"})
-    return Outcome(motion, details={"way": straight.way})
+        return Outcome(joints, findings=Findings(way="straight for the joints"))
+    return Outcome(motion, findings=Findings(way=straight.way))
 
 
 def describe_attempts(attempts: Sequence[Attempt]) -> Outcome:
     """The attempt that came nearest, and what held it back; none of `attempts` arrived."""
     nearest = min(attempts, key=lambda attempt: attempt.distance)
-    details = _details(attempts) | {"closest_distance": nearest.distance}
+    findings = _findings(attempts).model_copy(
+        update={"closest_distance": nearest.distance, "obstruction": nearest.obstruction}
+    )
     held = ""
     if nearest.obstruction is not None:
-        details |= obstruction_details(nearest.obstruction)
         held = f", where {nearest.obstruction.link} is held back by {nearest.obstruction.name}"
     message = f"of {len(attempts)} attempts the closest came to {nearest.distance:.3f} m of the goal{held}"
-    return Outcome(nearest.stepper.trajectory(), "blocked", message, details)
+    return Outcome(nearest.stepper.trajectory(), "blocked", message, findings)
 
 
-def _details(attempts: Sequence[Attempt]) -> dict[str, Any]:
-    return {"attempts": len(attempts), "way": attempts[-1].way}
+def _findings(attempts: Sequence[Attempt]) -> Findings:
+    return Findings(attempts=len(attempts), way=attempts[-1].way)

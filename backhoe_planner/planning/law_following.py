@@ -9,19 +9,20 @@ as the local law can.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.motion import TipPath, drive_of
 from backhoe_planner.planning.goal_planning import describe_attempts
-from backhoe_planner.planning.outcome import Outcome, no_posture, obstruction_details
+from backhoe_planner.planning.outcome import Outcome, no_posture
 from backhoe_planner.planning.paths.corners import time_stretch
 from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
 from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed
 from backhoe_planner.planning.reactive.reaching import approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
 
@@ -170,8 +171,8 @@ class _Follower:
     def _blocked(self, stepper: Stepper, low: float, high: float, obstruction: Obstruction | None) -> Outcome:
         """The motion so far, and what is in the way from `low` to `high` [m]."""
         assert obstruction is not None
-        details: dict[str, Any] = {"path_from": low, "path_to": high} | obstruction_details(obstruction)
+        found = replace(obstruction, path_from=low, path_to=high)
         message = f"the path is blocked from {low:.2f} m to {high:.2f} m of {self._path.length:.2f} m by {obstruction}"
         if not self._may_leave:
             message += ", and detours are not allowed"
-        return Outcome(stepper.trajectory(), "blocked", message, details)
+        return Outcome(stepper.trajectory(), "blocked", message, Findings(obstruction=found))

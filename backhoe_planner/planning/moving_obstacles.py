@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +24,17 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retimed
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.reactive.stepping import Stepper
+from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
 from backhoe_planner.proof import segment_is_clear
-from backhoe_planner.site import Obstacle, Proximity, swept
+from backhoe_planner.site import Obstacle, Obstruction, Proximity, swept
 
 __all__ = ["Task", "plan_over_time"]
 
 Vector = NDArray[np.float64]
+
+_Reacted = tuple[Outcome, str, float | None]  # how the motion goes on, and when the machine stands [s]
 
 _WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s
 _HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of what moves is kept free
@@ -73,7 +76,7 @@ class _OverTime:
 
     def plan(self, stepper: Stepper) -> Outcome:
         """A motion that reacts to every obstacle that appears while it lasts."""
-        reactions: list[dict[str, Any]] = []
+        reactions: list[Reaction] = []
         outcome = self._among_known(stepper)
         known_until = stepper.time
         for obstacle in sorted(self._world.problem.obstacles, key=lambda obstacle: obstacle.appears_at):
@@ -89,13 +92,12 @@ class _OverTime:
             known = self._known(moment)
             if _is_clear(known.proximity, motion, moment):
                 continue
-            outcome, reaction = self._react(known, motion, moment)
-            reactions.append({"obstacle": obstacle.name, "appears_at": moment} | reaction)
+            outcome, way, stopped_at = self._react(known, motion, moment)
+            reactions.append(Reaction(obstacle=obstacle.name, appears_at=moment, way=way, stopped_at=stopped_at))
             if outcome.reason:
                 outcome = replace(outcome, message=f"{_describe(reactions[-1])}, and {outcome.message}")
                 break
-        details = dict(outcome.details) | ({"reactions": reactions} if reactions else {})
-        return replace(outcome, details=details)
+        return outcome.adding(reactions=tuple(reactions))
 
     def _known(self, moment: float) -> World:
         """The world with nothing but the obstacles that have appeared by then."""
@@ -120,10 +122,13 @@ class _OverTime:
         assert first is not None
         if first.reason:
             return first
+        tried = first.trajectory
+        spots = [known.proximity.tightest(q, time=t) for q, t in zip(tried.q, tried.time.tolist(), strict=True)]
+        tightest = min((spot for spot in spots if spot is not None), key=lambda spot: spot.margin, default=None)
         held = known.stepper(stepper.q)
         held.replay(stepper.trajectory(), stepper.time)
         message = f"no motion was found that keeps clear of what moves ({moving[0]})"
-        return Outcome(held.trajectory(), "blocked", message, {"obstacle": moving[0]})
+        return Outcome(held.trajectory(), "blocked", message, Findings(obstruction=tightest))
 
     def _motions(self, stepper: Stepper, known: World, still: World) -> Iterator[Outcome]:
         """Motions that may be clear of what moves, the simplest first."""
@@ -145,27 +150,25 @@ class _OverTime:
 
     # --- what appears ---------------------------------------------------------------
 
-    def _react(self, known: World, motion: Trajectory, moment: float) -> tuple[Outcome, dict[str, Any]]:
-        """A motion that is `motion` up to `moment` and goes on otherwise; and what was done."""
+    def _react(self, known: World, motion: Trajectory, moment: float) -> _Reacted:
+        """A motion that is `motion` up to `moment` and goes on otherwise."""
         # it is seen at the next sample, where the motion may change without a shorter step
         moment = float(motion.time[np.searchsorted(motion.time, moment - 1e-9)])
         tightest = known.proximity.tightest(motion.at(moment), time=moment)
         if tightest is not None and tightest.margin < 0.0:
-            return self._halt(motion, moment, f"{tightest.describe()} from the first moment on")
+            return self._halt(motion, moment, f"{tightest.describe()} from the first moment on", tightest)
         moving = known.stepper(motion.q[0])
         moving.replay(motion, moment)
         swerved = self._task.in_motion(known, moving.branch(attempt=1))
         if swerved is not None and not _is_clear(known.proximity, swerved.trajectory, moment):
             swerved = None
-        again, reaction = self._stop_and_plan(known, moving, motion, moment)
+        again, way, stopped_at = self._stop_and_plan(known, moving, motion, moment)
         if swerved is not None and (again.reason or self._duration(swerved) <= self._duration(again)):
-            return swerved, {"way": "swerved"}
-        return again, reaction
+            return swerved, "swerved", None
+        return again, way, stopped_at
 
-    def _stop_and_plan(
-        self, known: World, moving: Stepper, motion: Trajectory, moment: float
-    ) -> tuple[Outcome, dict[str, Any]]:
-        """The motion up to `moment`, to rest, and on from there; and what was done."""
+    def _stop_and_plan(self, known: World, moving: Stepper, motion: Trajectory, moment: float) -> _Reacted:
+        """The motion up to `moment`, to rest, and on from there."""
         stopped = moving.branch(attempt=moving.attempt)
         braked = _braked(motion, moment, self._limits)
         if braked is not None and _is_clear(known.proximity, braked, moment):
@@ -176,21 +179,23 @@ class _OverTime:
         outcome = self._among_known(stopped)
         if outcome.reason and outcome.trajectory.duration < stopped.time:
             outcome = replace(outcome, trajectory=stopped.trajectory())
-        return outcome, {"way": "stopped and planned anew", "stopped_at": stopped.time}
+        return outcome, "stopped and planned anew", stopped.time
 
-    def _halt(self, motion: Trajectory, moment: float, why: str) -> tuple[Outcome, dict[str, Any]]:
+    def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reacted:
         """The motion up to `moment`, and to rest along its own way, be it clear or not."""
         halted = _braked(motion, moment, self._limits) or motion
-        return Outcome(halted, "blocked", why), {"stopped_at": halted.duration}
+        return Outcome(halted, "blocked", why, Findings(obstruction=obstruction)), "", halted.duration
 
     def _duration(self, outcome: Outcome) -> float:
         """How long a motion takes once torque, flow and power are looked at too [s]."""
         return retimed(outcome.trajectory, self._limits, drive=drive_of(self._world.problem)).duration
 
 
-def _describe(reaction: dict[str, Any]) -> str:
-    stopped = f"the machine stops at {reaction['stopped_at']:.2f} s" if "stopped_at" in reaction else "it cannot stop"
-    return f"{reaction['obstacle']} appears at {reaction['appears_at']:.2f} s in the way: {stopped}"
+def _describe(reaction: Reaction) -> str:
+    stopped = "it cannot stop"
+    if reaction.stopped_at is not None:
+        stopped = f"the machine stops at {reaction.stopped_at:.2f} s"
+    return f"{reaction.obstacle} appears at {reaction.appears_at:.2f} s in the way: {stopped}"
 
 
 def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None:
@@ -212,7 +217,7 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
         middle = 0.5 * (before + wait)
         before, wait = (before, middle) if clear(middle) else (middle, wait)
     motion = _delayed(direct.trajectory, stepper.time, wait)
-    return replace(direct, trajectory=motion, details=dict(direct.details) | {"waits": wait})
+    return replace(direct, trajectory=motion).adding(waits=wait)
 
 
 def _swept_world(known: World, since: float, horizon: float) -> World:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,12 @@ from numpy.typing import NDArray
 
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Trajectory
-from backhoe_planner.planning.result.plan import Reason
+from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
+from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.world import World
-from backhoe_planner.site import Obstruction
 
-__all__ = ["Outcome", "at_rest", "bad_start", "no_posture", "obstruction_details", "point"]
+__all__ = ["Outcome", "at_rest", "bad_start", "no_posture", "point"]
 
 Vector = NDArray[np.float64]
 
@@ -29,23 +28,22 @@ class Outcome:
     ----------
     trajectory: where planning failed, the best that was found.
     reason, message: empty where nothing is known to be wrong.
-    details: numbers behind them.
+    findings: the numbers behind them, and how the motion was found.
     """
 
     trajectory: Trajectory
     reason: Reason = ""
     message: str = ""
-    details: Mapping[str, Any] = field(default_factory=dict)
+    findings: Findings = NOTHING
+
+    def adding(self, **findings: Any) -> Outcome:
+        """The same with more findings, by their names."""
+        return replace(self, findings=self.findings.model_copy(update=findings))
 
 
 def at_rest(q: Vector) -> Trajectory:
     """A motion that stays at `q` (n,)."""
     return Trajectory.from_steps(np.zeros(1), np.array([q]))
-
-
-def obstruction_details(found: Obstruction) -> dict[str, Any]:
-    """An obstruction in numbers."""
-    return {"link": found.link, "obstacle": found.obstacle, "distance": found.distance, "depth": -found.distance}
 
 
 def point(position: Vector) -> str:
@@ -63,11 +61,11 @@ def bad_start(world: World, start: Vector) -> Outcome | None:
             f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} (radians or metres)"
             for j in outside
         )
-        return Outcome(at_rest(start), "outside_limits", words, {"joints": [names[j] for j in outside]})
+        return Outcome(at_rest(start), "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
     contact = world.proximity.tightest(start)
     if contact is not None and contact.margin < 0.0:
         message = f"at the start {contact.describe()}"
-        return Outcome(at_rest(start), "start_in_collision", message, obstruction_details(contact))
+        return Outcome(at_rest(start), "start_in_collision", message, Findings(obstruction=contact))
     return None
 
 
@@ -98,21 +96,17 @@ def no_posture(world: World, found: Found, target: TipTarget, reason: Reason, wh
             f"the nearest pose is {asked} away, at ({point(tip)})"
         )
         limits, names = world.problem.limits, world.problem.robot.joint_names
-        at_limit = [
+        at_limit = tuple(
             name for name, q, low, high in zip(names, best.q, limits.lower, limits.upper, strict=True)
             if min(q - low, high - q) < 1e-6
-        ]  # fmt: skip
+        )  # fmt: skip
         if at_limit:
             message += f", with {' and '.join(at_limit)} at the limit"
-        details = {
-            "nearest_q": best.q,
-            "nearest_position": tip,
-            "position_error": best.position_error,
-            "angle_error": best.angle_error,
-            "joints_at_limit": at_limit,
-        }
-        return Outcome(here, "unreachable", message, details)
+        nearest = NearestPose(
+            q=tuple(best.q), position=tuple(tip), position_error=best.position_error, angle_error=best.angle_error
+        )
+        return Outcome(here, "unreachable", message, Findings(nearest=nearest, joints=at_limit))
     contact = found.contact
     if contact is None:
         return Outcome(here, reason, f"no configuration for the {what} is free")
-    return Outcome(here, reason, f"at the {what} {contact.describe()}", obstruction_details(contact))
+    return Outcome(here, reason, f"at the {what} {contact.describe()}", Findings(obstruction=contact))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,10 +21,12 @@ from backhoe_planner.planning.paths.path_resolution import Detouring, PathResolv
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.report.comparison import law_motion, timed_alone
+from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world import World
+from backhoe_planner.site import Obstruction
 
 __all__ = ["AlongPath", "plan_along_path", "waypoint_out_of_reach"]
 
@@ -181,7 +183,7 @@ class _Along:
         detours = [piece for piece in pieces if isinstance(piece, Detouring)]
         if detours and not self._may_leave:
             return self._not_allowed(detours, stepper)
-        return Outcome(stepper.trajectory(), details=_details(detours))
+        return Outcome(stepper.trajectory(), findings=Findings(detours=tuple(_around(detour) for detour in detours)))
 
     def _price(self, nodes: Matrix) -> Vector:
         """(N,) what it costs to begin at each: how far the joints have to go to be there."""
@@ -198,7 +200,7 @@ class _Along:
         transit = find_transit(self._world, stepper, list(self._resolver.first_layer))
         if transit.stepper is None:
             message = f"no way was found to the beginning of the path: {failure}"
-            return Outcome(stepper.trajectory(), "blocked", message, {"path_from": 0.0, "path_to": 0.0})
+            return Outcome(stepper.trajectory(), "blocked", message)
         arrived = _Along(self._world, self._path, self._resolver, self._cost, transit.stepper)
         return arrived.plan(transit.stepper.q)
 
@@ -302,12 +304,7 @@ class _Along:
 
     def _blocked(self, resolved: Resolved, trajectory: Any) -> Outcome:
         assert resolved.obstruction is not None
-        details: dict[str, Any] = {
-            "path_from": resolved.blocked_from,
-            "path_to": resolved.blocked_to,
-            "link": resolved.obstruction.link,
-            "obstacle": resolved.obstruction.obstacle,
-        }
+        found = replace(resolved.obstruction, path_from=resolved.blocked_from, path_to=resolved.blocked_to)
         message = (
             f"the path is blocked from {resolved.blocked_from:.2f} m to {resolved.blocked_to:.2f} m "
             f"of {self._path.length:.2f} m by {resolved.obstruction}"
@@ -318,7 +315,7 @@ class _Along:
             message += ", and no way round was found"
         if resolved.routes >= self._world.work.effort.routes:
             message += f"; none of {resolved.routes:,} routes that were tested leads to its end"
-        return Outcome(trajectory, "blocked", message, details)
+        return Outcome(trajectory, "blocked", message, Findings(obstruction=found))
 
     def _not_allowed(self, detours: Sequence[Detouring], stepper: Stepper) -> Outcome:
         first = detours[0]
@@ -326,27 +323,11 @@ class _Along:
             f"the path is blocked from {first.path_from:.2f} m to {first.path_to:.2f} m "
             f"of {self._path.length:.2f} m by {first.obstruction}, and detours are not allowed"
         )
-        details = _details(detours) | {
-            "path_from": first.path_from,
-            "path_to": first.path_to,
-            "link": first.obstruction.link,
-            "obstacle": first.obstruction.obstacle,
-        }
-        return Outcome(stepper.trajectory(), "blocked", message, details)
+        around = tuple(_around(detour) for detour in detours)
+        findings = Findings(obstruction=around[0], detours=around)
+        return Outcome(stepper.trajectory(), "blocked", message, findings)
 
 
-def _details(detours: Sequence[Detouring]) -> dict[str, Any]:
-    if not detours:
-        return {}
-    return {
-        "detours": [
-            {
-                "path_from": detour.path_from,
-                "path_to": detour.path_to,
-                "link": detour.obstruction.link,
-                "obstacle": detour.obstruction.obstacle,
-                "name": detour.obstruction.name,
-            }
-            for detour in detours
-        ]
-    }
+def _around(detour: Detouring) -> Obstruction:
+    """What a detour goes round, and the part of the path that it leaves out."""
+    return replace(detour.obstruction, path_from=detour.path_from, path_to=detour.path_to)

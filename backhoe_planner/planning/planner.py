@@ -10,36 +10,33 @@ Every ending is a `Plan`: what can fail in normal use is a reason with its numbe
 from __future__ import annotations
 
 import time as clock
-from dataclasses import asdict, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, nearest_name
-from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.machine import Robot
 from backhoe_planner.motion import (
     Problem,
-    Trajectory,
     build_problem,
     drive_of,
     retimed,
-    trajectory_costs,
 )
 from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
 from backhoe_planner.planning.path_planning import AlongPath, plan_along_path, waypoint_out_of_reach
 from backhoe_planner.planning.reactive.stepping import Watcher
-from backhoe_planner.planning.report.asked_speed import asked_speed
-from backhoe_planner.planning.report.comparison import compare_with_law
-from backhoe_planner.planning.result.plan import METHODS, Method, Plan, Reason
+from backhoe_planner.planning.result.metrics import measure_motion
+from backhoe_planner.planning.result.plan import METHODS, Plan
+from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, Brake, Effort, OutOfTime, Work, effort_named
 from backhoe_planner.planning.world import World
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
 
-__all__ = ["judged", "motion_metrics", "plan"]
+__all__ = ["plan"]
 
 Vector = NDArray[np.float64]
 
@@ -104,27 +101,23 @@ def plan(
         )
     outcome, certificate = _drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
-    reason, message = outcome.reason, outcome.message
-    details = dict(outcome.details)
-    if not reason and not certificate.verified:
-        reason, message = judged(problem, certificate)
-        details |= {
-            kind: asdict(use)
-            for kind, use in (("effort", certificate.effort), ("hydraulics", certificate.hydraulics))
-            if use is not None and not use.kept
-        }
     return Plan(
-        verdict="failed" if reason else "verified",
-        reason=reason,
-        message=message,
-        robot=problem.robot,
-        scene=scene,
+        problem=problem,
         method=checked,
         seed=seed,
         trajectory=outcome.trajectory,
         certificate=certificate,
-        metrics=motion_metrics(problem, outcome.trajectory, certificate, planning_time, method=checked),
-        details=details,
+        metrics=measure_motion(
+            problem,
+            outcome.trajectory,
+            certificate,
+            planning_time=planning_time,
+            detours=outcome.findings.detours,
+            compare=checked in ("auto", "optimal"),
+        ),
+        findings=outcome.findings,
+        failure=outcome.reason,
+        note=outcome.message,
     )
 
 
@@ -140,13 +133,6 @@ def _checked_method(method: str) -> Method:
         allowed=", ".join(METHODS),
         hint=f"did you mean {near!r}?" if near else None,
     )
-
-
-def judged(problem: Problem, certificate: Certificate) -> tuple[Reason, str]:
-    """Why a finished motion is not verified, from the certificate alone."""
-    slow = certificate.tip_speed is None or certificate.tip_speed.kept
-    reason: Reason = "blocked" if certificate.limits_kept and slow else "outside_limits"
-    return reason, "; ".join(certificate.problems)
 
 
 def _drivable(
@@ -251,30 +237,3 @@ def _begin(world: World) -> Vector:
         target = problem.path.target(0.0)
     found = world.postures.at(target)
     return found.clear[0] if found.clear else found.best.q
-
-
-def motion_metrics(
-    problem: Problem, trajectory: Trajectory, certificate: Certificate, planning_time: float, *, method: Method
-) -> dict[str, Any]:
-    """Duration, lengths, energies and detours of a motion, as the plan file has them."""
-    kinematics = Kinematics(problem.robot)
-    tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
-    detours = certificate.detours
-    compared = compare_with_law(problem, trajectory, certificate) if method in ("auto", "optimal") else None
-    speed = None
-    if problem.path is not None and certificate.tracking.done:
-        speed = asked_speed(problem, trajectory, begun=certificate.tracking.approach_time)
-    more: dict[str, Any] = {} if compared is None else {"objective": compared.metrics()}
-    more |= {} if speed is None else {"asked_speed": speed.metrics()}
-    return {
-        "duration": trajectory.duration,
-        "planning_time": planning_time,
-        "tip_length": float(np.sum(np.linalg.norm(np.diff(tips, axis=0), axis=1))),
-        "joint_length": float(np.sum(np.linalg.norm(np.diff(trajectory.q, axis=0), axis=1))),
-        "energy": trajectory_costs(problem, trajectory),
-        "detour": {
-            "count": len(detours),
-            "length": float(sum(detour.length for detour in detours)),
-            "max_deviation": float(max((detour.max_deviation for detour in detours), default=0.0)),
-        },
-    } | more

@@ -3,6 +3,7 @@ from .limits import scaled_limits, within_sectors
 from .obstacles import Obstacle, build_obstacle, build_obstacles, swept
 from .obstruction import Obstruction
 from .proximity import Nearby, Pair, Proximity
+from .quantities import Finite
 from .scene_file import (
     Box,
     Capsule,
@@ -28,6 +29,7 @@ __all__ = [
     "Box",
     "Capsule",
     "ClearanceScreen",
+    "Finite",
     "Gains",
     "Goal",
     "HalfSpace",

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from pydantic import ConfigDict, with_config
+
 __all__ = ["Obstruction", "ObstructionKind"]
 
 ObstructionKind = Literal["obstacle", "machine", "joint"]
 
 
+@with_config(ConfigDict(extra="forbid"))
 @dataclass(frozen=True)
 class Obstruction:
     """The tightest spot between a link and what it must keep away from, or a joint at its limit.

@@ -245,5 +245,5 @@ def test_the_completed_law_verifies_it(planar4: Robot, paper_scene: Path) -> Non
 def test_the_law_as_printed_runs_on_it_and_is_judged(planar4: Robot, paper_scene: Path) -> None:
     found = plan(planar4, load_scene(paper_scene), method="paper")
     assert found.method == "paper"
-    assert found.details["iterations"] == ITERATIONS
+    assert found.findings.iterations == ITERATIONS
     assert found.verdict in ("verified", "failed")

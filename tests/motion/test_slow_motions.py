@@ -52,7 +52,7 @@ def test_waypoints_that_stand_twice_change_nothing(backhoe: bp.Robot, method: st
     assert once.verified
     assert twice.verified
     np.testing.assert_array_equal(twice.trajectory.q, once.trajectory.q)
-    assert twice.metrics.get("objective") == once.metrics.get("objective")
+    assert twice.metrics.objective == once.metrics.objective
 
 
 def test_law_takes_a_leg_without_length_in_its_stride(backhoe: bp.Robot) -> None:

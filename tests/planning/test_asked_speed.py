@@ -33,15 +33,16 @@ def test_a_planned_lift_is_slow_where_it_gathers_way_and_brakes(tmp_path: Path) 
     problem = lift(tmp_path, speed=0.4)
     plan = bp.plan(problem.robot, problem.scene)
     assert plan.verified, plan.message
-    told = plan.metrics["asked_speed"]
-    assert told["asked"] == 0.4
-    assert told["kept_percent"] == pytest.approx(100.0 * (1.0 - 2.0 * 0.0324 / 1.5), abs=0.7)
-    first, last = told["slower"]
-    assert first["path_from"] == pytest.approx(0.0, abs=1e-6)
-    assert first["path_to"] == pytest.approx(0.0324, abs=0.008)
-    assert last["path_from"] == pytest.approx(1.5 - 0.0324, abs=0.008)
-    assert last["path_to"] == pytest.approx(1.5, abs=1e-6)
-    assert first["limit"] == last["limit"] == "acceleration hoist"
+    told = plan.metrics.asked_speed
+    assert told is not None
+    assert told.asked == 0.4
+    assert told.kept_percent == pytest.approx(100.0 * (1.0 - 2.0 * 0.0324 / 1.5), abs=0.7)
+    first, last = told.slower
+    assert first.path_from == pytest.approx(0.0, abs=1e-6)
+    assert first.path_to == pytest.approx(0.0324, abs=0.008)
+    assert last.path_from == pytest.approx(1.5 - 0.0324, abs=0.008)
+    assert last.path_to == pytest.approx(1.5, abs=1e-6)
+    assert first.limit == last.limit == "acceleration hoist"
 
 
 def test_a_lift_that_dawdles_in_the_middle(tmp_path: Path) -> None:
@@ -60,4 +61,4 @@ def test_nothing_is_told_where_no_speed_is_asked(tmp_path: Path) -> None:
     problem = lift(tmp_path, speed=None)
     plan = bp.plan(problem.robot, problem.scene)
     assert plan.verified, plan.message
-    assert "asked_speed" not in plan.metrics
+    assert plan.metrics.asked_speed is None

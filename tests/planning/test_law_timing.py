@@ -95,7 +95,7 @@ def test_past_the_pole_the_machine_is_at_a_limit_and_clear(backhoe: bp.Robot) ->
     scene = bp.load_scene(SCENES / "pole.yaml")
     plan = bp.plan(backhoe, scene)
     assert plan.verified, plan.message
-    assert plan.details["way"] == "straight"
+    assert plan.findings.way == "straight"
     usage = limit_usage(build_problem(backhoe, scene), plan.trajectory)
     assert np.mean(usage.greatest > 0.9) > 0.9
     tightest = plan.certificate.min_clearance

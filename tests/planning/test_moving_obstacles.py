@@ -53,10 +53,11 @@ def test_before_it_appears_nobody_knows_of_it(backhoe: bp.Robot, alone: bp.Plan)
     assert found.verified
     for time in np.linspace(0.0, moment, 31):
         np.testing.assert_allclose(found.trajectory.at(float(time)), alone.trajectory.at(float(time)), atol=1e-9)
-    [reaction] = found.details["reactions"]
-    assert reaction["obstacle"] == "ball"
-    assert reaction["appears_at"] == moment
-    assert moment < reaction["stopped_at"] < moment + 2.0
+    [reaction] = found.findings.reactions
+    assert reaction.obstacle == "ball"
+    assert reaction.appears_at == moment
+    assert reaction.stopped_at is not None
+    assert moment < reaction.stopped_at < moment + 2.0
     [detour] = found.certificate.detours
     assert detour.path_from < np.hypot(0.5, 1.4) < detour.path_to
 
@@ -88,11 +89,12 @@ def test_where_there_is_no_way_it_stops_in_time_and_says_so(backhoe: bp.Robot) -
     assert found.reason == "goal_in_collision"
     assert found.message.startswith("box appears at 1.00 s in the way: the machine stops at ")
     assert found.certificate.safe
-    [reaction] = found.details["reactions"]
-    assert found.trajectory.duration == pytest.approx(reaction["stopped_at"])
+    [reaction] = found.findings.reactions
+    assert reaction.stopped_at is not None
+    assert found.trajectory.duration == pytest.approx(reaction.stopped_at)
     # the swing needs v / a to stop
     limits = backhoe.limits
-    assert reaction["stopped_at"] < 1.0 + np.max(limits.velocity / limits.acceleration) + 0.1
+    assert reaction.stopped_at < 1.0 + np.max(limits.velocity / limits.acceleration) + 0.1
     assert np.all(found.trajectory.v[-1] == 0.0)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from reasons import nearest, obstruction, span
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
@@ -64,25 +65,25 @@ def test_through_the_middle_of_an_obstacle(planar4: bp.Robot) -> None:
     found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)]))
     assert found.verified
     near = 0.3 + CLEARANCE
-    [detour] = found.details["detours"]
-    assert 1.0 - near - HALF_WIDTH - 0.02 < detour["path_from"] < 1.0 - near + 1e-3
-    assert 1.0 + near - 1e-3 < detour["path_to"] < 1.0 + near + HALF_WIDTH + 0.02
-    assert detour["obstacle"] == "ball"
+    [detour] = found.findings.detours
+    assert 1.0 - near - HALF_WIDTH - 0.02 < span(detour)[0] < 1.0 - near + 1e-3
+    assert 1.0 + near - 1e-3 < span(detour)[1] < 1.0 + near + HALF_WIDTH + 0.02
+    assert detour.obstacle == "ball"
     # beside the ball's middle the tip has to be at least as far from the path as from the ball
-    assert near - 1e-3 < found.metrics["detour"]["max_deviation"] < 2.5 * near
-    assert found.metrics["detour"]["length"] > np.pi * near * 0.9
+    assert near - 1e-3 < found.metrics.detour.max_deviation < 2.5 * near
+    assert found.metrics.detour.length > np.pi * near * 0.9
 
 
 def test_where_detours_are_not_allowed_the_same_is_said(planar4: bp.Robot) -> None:
     found = bp.plan(planar4, site(LINE, [ball(2.0, 0.0, 0.3)], detour=False))
     near = 0.3 + CLEARANCE
     assert found.reason == "blocked"
-    assert 1.0 - near - HALF_WIDTH - 0.02 < found.details["path_from"] < 1.0 - near + 1e-3
-    assert 1.0 + near - 1e-3 < found.details["path_to"] < 1.0 + near + HALF_WIDTH + 0.02
-    assert found.details["obstacle"] == "ball"
+    assert 1.0 - near - HALF_WIDTH - 0.02 < span(obstruction(found))[0] < 1.0 - near + 1e-3
+    assert 1.0 + near - 1e-3 < span(obstruction(found))[1] < 1.0 + near + HALF_WIDTH + 0.02
+    assert obstruction(found).obstacle == "ball"
     assert "ball" in found.message
     assert "detours are not allowed" in found.message
-    assert found.metrics["detour"]["max_deviation"] > near - 1e-3
+    assert found.metrics.detour.max_deviation > near - 1e-3
 
 
 def beside_a_wall(gap: float) -> bp.Scene:
@@ -104,8 +105,8 @@ def test_along_a_wall_at_exactly_the_clearance(elbow: bp.Robot) -> None:
 def test_a_millimetre_nearer_the_wall_is_a_collision(elbow: bp.Robot) -> None:
     found = bp.plan(elbow, beside_a_wall(CLEARANCE - 0.001))
     assert found.reason == "goal_in_collision"
-    assert found.details["obstacle"] == "wall"
-    assert found.details["distance"] == pytest.approx(CLEARANCE - 0.001, abs=1e-6)
+    assert obstruction(found).obstacle == "wall"
+    assert obstruction(found).distance == pytest.approx(CLEARANCE - 0.001, abs=1e-6)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -123,9 +124,9 @@ def test_with_balls_at_both_elbows_nothing_passes(elbow: bp.Robot) -> None:
     reach = np.linspace(0.8, 1.7, 901)
     near = np.array([off_links(x, np.array([0.625, 0.781])) < 0.1 + CLEARANCE + 0.02 for x in reach])
     assert found.reason == "blocked"
-    assert found.details["obstacle"] in ("ball", "other ball")
-    assert found.details["path_from"] == pytest.approx(reach[near][0] - 0.8, abs=0.01)
-    assert found.details["path_to"] == pytest.approx(reach[near][-1] - 0.8, abs=0.01)
+    assert obstruction(found).obstacle in ("ball", "other ball")
+    assert span(obstruction(found))[0] == pytest.approx(reach[near][0] - 0.8, abs=0.01)
+    assert span(obstruction(found))[1] == pytest.approx(reach[near][-1] - 0.8, abs=0.01)
 
 
 def off_links(x: float, point: np.ndarray[Any, np.dtype[np.float64]]) -> float:
@@ -145,20 +146,20 @@ def test_past_the_swing_limit(backhoe: bp.Robot) -> None:
     found = bp.plan(backhoe, site(points))
     assert found.reason == "unreachable"
     assert "waypoint 3" in found.message
-    assert found.details["joints_at_limit"] == ["swing"]
+    assert found.findings.joints == ("swing",)
     # the nearest point of the half-plane at the limit, which goes through the swing axis
     axis = bp.Kinematics(backhoe).at(backhoe.middle).points[0]
     outward = np.array([-np.sin(limit), np.cos(limit), 0.0])
-    assert found.details["position_error"] == pytest.approx((np.array(points[2]) - axis) @ outward, rel=0.02)
+    assert nearest(found).position_error == pytest.approx((np.array(points[2]) - axis) @ outward, rel=0.02)
 
 
 def test_an_obstacle_at_the_end_of_the_path(planar4: bp.Robot) -> None:
     found = bp.plan(planar4, site(LINE, [ball(2.0, 1.0, 0.2)]))
     near = 0.2 + CLEARANCE
     assert found.reason == "blocked"
-    assert 2.0 - near - HALF_WIDTH - 0.02 < found.details["path_from"] < 2.0 - near + 1e-3
-    assert found.details["path_to"] == pytest.approx(2.0, abs=1e-9)
-    assert found.details["obstacle"] == "ball"
+    assert 2.0 - near - HALF_WIDTH - 0.02 < span(obstruction(found))[0] < 2.0 - near + 1e-3
+    assert span(obstruction(found))[1] == pytest.approx(2.0, abs=1e-9)
+    assert obstruction(found).obstacle == "ball"
 
 
 def test_the_start_may_lie_off_the_path(backhoe: bp.Robot) -> None:
@@ -289,4 +290,4 @@ def test_same_seed_same_plan_with_a_detour(planar4: bp.Robot) -> None:
     assert one.verified
     np.testing.assert_array_equal(one.trajectory.q, other.trajectory.q)
     np.testing.assert_array_equal(one.trajectory.time, other.trajectory.time)
-    assert one.details == other.details
+    assert one.findings == other.findings

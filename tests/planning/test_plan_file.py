@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from reasons import comparison
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
 from backhoe_planner.planning import export_plan
+from backhoe_planner.site import Obstruction
 
 Data = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[2]
+JOINTS = ("joint1", "joint2", "joint3", "joint4")
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +56,10 @@ def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     assert again.certificate == solved.certificate
     assert again.scene.to_dict() == solved.scene.to_dict()
     assert (again.method, again.seed, again.message) == (solved.method, solved.seed, solved.message)
-    assert again.metrics == json.loads(json.dumps(solved.metrics))
+    assert again.metrics == solved.metrics
     energy = solved.energy()
     assert energy.torque.shape == solved.trajectory.q.shape
-    assert energy.work[-1] == pytest.approx(solved.metrics["energy"]["work"])
+    assert energy.work[-1] == pytest.approx(solved.metrics.energy["work"])
     other = tmp_path / "again.json"
     again.save(other)
     assert other.read_bytes() == file.read_bytes()
@@ -89,6 +94,18 @@ def test_layout_is_the_contracts(solved: bp.Plan, tmp_path: Path) -> None:
         (["verdict"], "perhaps", "verdict"),
         (["seed"], True, "seed"),
         (["metrics"], 1.0, "metrics"),
+        (["metrics", "duration"], "long", "metrics.duration"),
+        (["metrics", "duration"], 1e308, "metrics.duration: is 1e+308; allowed: at most 1e+30"),
+        (["trajectory", "q", 0, 0], 1e308, "trajectory.q[0][0]: input should be less than or equal to 100000"),
+        (["trajectory", "time", 1], 1e308, "trajectory.time[1]"),
+        (["trajectory", "time", 1], 1e-300, "trajectory.time: samples lie too close together"),
+        (["certificate", "limits", "position", "ratio"], "much", "certificate.limits.position.ratio"),
+        (["certificate", "proven"], True, "certificate.proven: there is no such key"),
+        (["findings", "waits"], "yes", "findings.waits"),
+        (["reazon"], "", "reazon: there is no such key; did you mean 'reason'?"),
+        (["reason"], "banana", "reason: is not one of those that there are; found 'banana'; allowed: ''"),
+        (["reason"], "blocked", "reason 'blocked' beside the verdict verified; allowed: no reason"),
+        (["verdict"], "failed", "reason '' beside the verdict failed; allowed: a reason"),
     ],
 )
 def test_a_damaged_file_names_the_key(
@@ -129,6 +146,88 @@ def test_a_changed_urdf_is_noticed(solved: bp.Plan, tmp_path: Path) -> None:
     with pytest.raises(bp.RobotError) as caught:
         bp.load_plan(file, urdf=urdf)
     assert caught.value.key == "robot.sha256"
+
+
+def test_a_shipped_model_is_found_wherever_the_plan_is_taken(solved: bp.Plan, tmp_path: Path) -> None:
+    """It was given by its path."""
+    file, content = saved(solved, tmp_path)
+    assert content["robot"]["urdf"] == "example:planar4"
+    assert bp.load_plan(file).verified
+
+
+def test_a_plan_that_was_copied_without_its_urdf_says_how_to_name_it(tmp_path: Path) -> None:
+    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
+    site.mkdir()
+    elsewhere.mkdir()
+    urdf = site / "arm.urdf"
+    shutil.copy(ROOT / "models" / "planar4.urdf", urdf)
+    task = {"start": {"joints": dict.fromkeys(JOINTS, 0.3)}, "task": {"goal": {"position": [2.6, 2.4, 0.0]}}}
+    file, content = saved(bp.plan(bp.load_robot(urdf), bp.scene_from_dict({"version": 1} | task)), site)
+    assert content["robot"]["urdf"] == "arm.urdf"
+    assert bp.load_plan(file).verified
+    shutil.copy(file, elsewhere)
+    with pytest.raises(bp.RobotError, match=r"arm\.urdf.*--urdf FILE"):
+        bp.load_plan(elsewhere / file.name)
+    assert bp.load_plan(elsewhere / file.name, urdf=urdf).verified
+
+
+def test_a_file_with_the_contracts_keys_alone_is_a_plan(solved: bp.Plan, tmp_path: Path) -> None:
+    file, content = saved(solved, tmp_path)
+    kept = {"format", "version", "verdict", "reason", "message", "robot", "scene", "method", "seed", "trajectory"}
+    least = {key: value for key, value in content.items() if key in kept}
+    certificate, metrics = content["certificate"], content["metrics"]
+    least["certificate"] = {
+        "min_clearance": certificate["min_clearance"],
+        "limits": certificate["limits"],
+        "tip_error": {key: certificate["tip_error"][key] for key in ("max", "mean")},
+    }
+    least["metrics"] = {key: metrics[key] for key in ("duration", "planning_time", "energy")}
+    least["metrics"]["detour"] = {key: metrics["detour"][key] for key in ("length", "max_deviation")}
+    file.write_text(json.dumps(least), encoding="utf-8")
+    again = bp.load_plan(file)
+    assert again.verified
+    assert again.certificate == solved.certificate
+
+
+def test_a_file_as_it_was_written_before_the_findings(solved: bp.Plan, tmp_path: Path) -> None:
+    """`details` held numbers of all kinds; the law that breaks a limit was a sentence."""
+    file, content = saved(solved, tmp_path)
+    del content["findings"]
+    content["details"] = {"recorded": {"dt": 0.001, "notes": ["a"]}, "zones": [], "anything": {"else": 1}}
+    del content["metrics"]["detours"]
+    content["metrics"]["objective"] = {
+        "name": "work", "value": 2.0, "law": 4.0, "saving_percent": 50.0, "whole": 3.0, "law_whole": 5.0,
+        "saving_percent_whole": 40.0, "law_breaks": "limit of joint joint2",
+    }  # fmt: skip
+    file.write_text(json.dumps(content), encoding="utf-8")
+    again = bp.load_plan(file)
+    assert again.findings.recording is not None
+    assert again.findings.recording.notes == ("a",)
+    figures = comparison(again)
+    assert figures.law_breaks == Obstruction.joint_limit("joint2")
+    assert (figures.saving_percent, figures.saving_percent_whole) == pytest.approx((50.0, 40.0))
+
+
+# --- the verdict --------------------------------------------------------------------
+
+
+def test_the_certificate_alone_says_verified(solved: bp.Plan, tmp_path: Path) -> None:
+    """Time ran out, and what was found by then is proven: a verified plan, that says what happened."""
+    late = replace(solved, failure="budget", note="time ran out")
+    assert (late.verdict, late.reason, late.message) == ("verified", "", "time ran out")
+    file, content = saved(late, tmp_path)
+    assert (content["verdict"], content["reason"], content["message"]) == ("verified", "", "time ran out")
+    assert bp.load_plan(file).message == "time ran out"
+
+
+def test_without_a_certificate_that_holds_nothing_is_verified(solved: bp.Plan, tmp_path: Path) -> None:
+    broken = replace(solved.certificate, problems=("link1 comes too near", "and so on"))
+    silent = replace(solved, certificate=broken)
+    assert (silent.verdict, silent.reason, silent.message) == ("failed", "blocked", "link1 comes too near; and so on")
+    over = replace(broken, velocity=replace(broken.velocity, ratio=1.5))
+    assert replace(silent, certificate=over).reason == "outside_limits"
+    late = replace(silent, failure="budget", note="time ran out")
+    assert (late.verdict, late.reason, late.message) == ("failed", "budget", "time ran out")
 
 
 def test_a_verdict_is_not_believed(solved: bp.Plan, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from reasons import nearest, obstruction, span
 
 import backhoe_planner as bp
 from backhoe_planner.planning import plan_to_dict
@@ -126,7 +127,7 @@ def test_a_detour_around_a_ball(planar4: bp.Robot) -> None:
     assert detour.path_from < 1.0 - reach
     assert detour.path_to > 1.0 + reach
     assert 0.07 < detour.max_deviation < 1.0
-    assert plan.metrics["detour"]["count"] == 1
+    assert plan.metrics.detour.count == 1
     assert np.min(np.linalg.norm(tips(plan) - [2.1, 0.0, 0.0], axis=1)) > 0.17
     assert refutations(plan, refine=3) == []
 
@@ -135,10 +136,10 @@ def test_where_detours_are_not_allowed_the_blocked_part_is_named(planar4: bp.Rob
     scene = site(path(speed=0.4, detour=False), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
     plan = bp.plan(planar4, scene)
     assert (plan.verdict, plan.reason) == ("failed", "blocked")
-    assert plan.details["obstacle"] == "ball"
-    assert 0.6 < plan.details["path_from"] < 1.0
+    assert obstruction(plan).obstacle == "ball"
+    assert 0.6 < span(obstruction(plan))[0] < 1.0
     assert "ball" in plan.message
-    assert f"{plan.details['path_from']:.2f} m" in plan.message
+    assert f"{span(obstruction(plan))[0]:.2f} m" in plan.message
     assert "detours are not allowed" in plan.message
     assert plan.certificate.safe
 
@@ -149,7 +150,7 @@ def test_an_obstacle_in_the_way_is_not_mistaken_for_a_joint_limit(planar4: bp.Ro
     scene = site(path(line, speed=0.4, detour=False), start=None, obstacles=[ball(3.0, 0.0, 0.1)])
     plan = bp.plan(planar4, scene)
     assert plan.reason == "blocked"
-    assert plan.details["obstacle"] == "ball"
+    assert obstruction(plan).obstacle == "ball"
 
 
 def test_the_start_may_be_given_by_the_tip(planar4: bp.Robot) -> None:
@@ -166,8 +167,8 @@ def test_out_of_reach_with_the_nearest_pose(planar4: bp.Robot) -> None:
     """4 m of arm, a goal at 5 m in the direction (3, 4): the nearest is 4 m along it."""
     plan = bp.plan(planar4, site(goal(3.0, 4.0)))
     assert (plan.verdict, plan.reason) == ("failed", "unreachable")
-    assert plan.details["position_error"] == pytest.approx(1.0, abs=1e-5)
-    np.testing.assert_allclose(plan.details["nearest_position"], [2.4, 3.2, 0.0], atol=1e-4)
+    assert nearest(plan).position_error == pytest.approx(1.0, abs=1e-5)
+    np.testing.assert_allclose(nearest(plan).position, [2.4, 3.2, 0.0], atol=1e-4)
     assert "1.000 m away, at (2.40, 3.20, 0.00)" in plan.message
     assert len(plan.trajectory) == 1
 
@@ -182,8 +183,8 @@ def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
     """The ball's centre is 0.1 m beside link 3's middle: 0.06 m outside it, 0.14 m of the radius inside."""
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.1, 0.2)]))
     assert plan.reason == "start_in_collision"
-    assert (plan.details["link"], plan.details["obstacle"]) == ("link3", "ball")
-    assert plan.details["depth"] == pytest.approx(0.14, abs=1e-9)
+    assert (obstruction(plan).link, obstruction(plan).obstacle) == ("link3", "ball")
+    assert -obstruction(plan).distance == pytest.approx(0.14, abs=1e-9)
     assert "link3 is 0.140 m inside ball" in plan.message
     np.testing.assert_array_equal(plan.trajectory.q, [[0.0, 0.0, 0.0, 0.0]])
 
@@ -191,7 +192,7 @@ def test_start_in_collision_with_its_depth(planar4: bp.Robot) -> None:
 def test_start_closer_than_allowed(planar4: bp.Robot) -> None:
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.5, 0.25, 0.2)]))
     assert plan.reason == "start_in_collision"
-    assert plan.details["distance"] == pytest.approx(0.01, abs=1e-9)
+    assert obstruction(plan).distance == pytest.approx(0.01, abs=1e-9)
     assert "0.010 m closer than allowed" in plan.message
 
 
@@ -199,16 +200,16 @@ def test_goal_in_collision(planar4: bp.Robot) -> None:
     """Every posture has the middle of link 4's end face at the goal, 0.1 m inside the ball's surface."""
     plan = bp.plan(planar4, site(goal(2.0, 2.0), obstacles=[ball(2.0, 2.1, 0.2)]))
     assert plan.reason == "goal_in_collision"
-    assert plan.details["obstacle"] == "ball"
-    assert plan.details["link"] == "link4"
-    assert plan.details["depth"] >= 0.1 - 1e-6
+    assert obstruction(plan).obstacle == "ball"
+    assert obstruction(plan).link == "link4"
+    assert -obstruction(plan).distance >= 0.1 - 1e-6
 
 
 def test_start_outside_the_limits(planar4: bp.Robot) -> None:
     start = {"joints": STRETCHED["joints"] | {"joint2": 4.0}}
     plan = bp.plan(planar4, site(goal(2.0, 2.0), start=start))
     assert plan.reason == "outside_limits"
-    assert plan.details["joints"] == ["joint2"]
+    assert plan.findings.joints == ("joint2",)
     assert "joint2 starts at 4" in plan.message
 
 
@@ -220,7 +221,7 @@ def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
     ]
     plan = bp.plan(planar4, site(goal(-3.0, 1.0), obstacles=walls))
     assert (plan.verdict, plan.reason) == ("failed", "blocked")
-    assert plan.details["obstacle"].startswith("wall")
+    assert obstruction(plan).obstacle.startswith("wall")
     assert "attempts" in plan.message
     assert plan.certificate.safe
     assert not plan.certificate.verified
@@ -337,4 +338,4 @@ def test_a_waypoint_out_of_reach_is_named(planar4: bp.Robot) -> None:
     plan = bp.plan(planar4, bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": waypoints}}}))
     assert plan.reason == "unreachable"
     assert "waypoint 3" in plan.message
-    assert plan.details["position_error"] == pytest.approx(1.0, abs=1e-4)
+    assert nearest(plan).position_error == pytest.approx(1.0, abs=1e-4)

@@ -8,6 +8,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ from waiting import PATIENCE
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Trajectory, build_problem
-from backhoe_planner.planning import Plan
-from backhoe_planner.proof import certify
+from backhoe_planner.planning import Plan, measure_motion
+from backhoe_planner.proof import certify_problem
 from backhoe_planner.show import Viewer, plan_page, write_page
 from backhoe_planner.site import Scene, scene_from_dict
 
@@ -90,18 +91,21 @@ def the_plan(robot: Robot, *, verified: bool = True, name: str = HOSTILE) -> Pla
     first = np.array([START[joint] for joint in robot.joint_names])
     q = first + (10 * part**3 - 15 * part**4 + 6 * part**5) * (np.array(END) - first)
     trajectory = Trajectory.from_steps(4.0 * part[:, 0], q)
-    return Plan(
-        verdict="verified" if verified else "failed",
-        reason="" if verified else "blocked",
-        message="" if verified else f"{HOSTILE} blocks the way",
-        robot=robot,
-        scene=scene,
+    problem = build_problem(robot, scene)
+    certificate = certify_problem(problem, trajectory)
+    metrics = measure_motion(problem, trajectory, certificate, planning_time=0.5)
+    plan = Plan(
+        problem=problem,
         method="reactive",
         seed=0,
         trajectory=trajectory,
-        certificate=certify(robot, scene, trajectory),
-        metrics={"planning_time": 0.5, "energy": {"work": 1234.0}},
+        certificate=replace(certificate, problems=() if verified else ("blocked",)),
+        metrics=metrics.model_copy(update={"energy": metrics.energy | {"work": 1234.0}}),
+        failure="" if verified else "blocked",
+        note="" if verified else f"{HOSTILE} blocks the way",
     )
+    assert plan.verified == verified
+    return plan
 
 
 def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:
@@ -179,12 +183,9 @@ def test_a_page_that_cannot_be_written_leaves_nothing(backhoe: Robot, tmp_path: 
 def test_a_plan_of_one_sample_has_a_page(backhoe: Robot) -> None:
     whole = the_plan(backhoe, verified=False)
     trajectory = Trajectory.from_steps(np.zeros(1), whole.trajectory.q[:1])
-    page, _ = plan_page(
-        Plan(
-            verdict="failed", reason="budget", message="no time", robot=backhoe, scene=whole.scene, method="auto",
-            seed=0, trajectory=trajectory, certificate=certify(backhoe, whole.scene, trajectory), metrics={},
-        )
-    )  # fmt: skip
+    certificate = certify_problem(whole.problem, trajectory)
+    metrics = measure_motion(whole.problem, trajectory, certificate)
+    page, _ = plan_page(replace(whole, trajectory=trajectory, certificate=certificate, metrics=metrics))
     assert "<script>window.pwned" not in page
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Robot
-from backhoe_planner.motion import Trajectory
-from backhoe_planner.planning import Plan
+from backhoe_planner.motion import Trajectory, build_problem
+from backhoe_planner.planning import Plan, measure_motion
 from backhoe_planner.proof import certify
 from backhoe_planner.show import plot_envelope, plot_plan
 from backhoe_planner.site import scene_from_dict
@@ -39,9 +39,10 @@ def a_plan(robot: Robot, *, samples: int = 40, name: str = "_a $1 \N{LATIN SMALL
     )
     trajectory = Trajectory.from_steps(4.0 * part[:, 0], q)
     certificate = certify(robot, scene, trajectory)
+    problem = build_problem(robot, scene)
     return Plan(
-        verdict="failed", reason="blocked", message="", robot=robot, scene=scene, method="reactive", seed=0,
-        trajectory=trajectory, certificate=certificate, metrics={},
+        problem=problem, method="reactive", seed=0, trajectory=trajectory, certificate=certificate,
+        metrics=measure_motion(problem, trajectory, certificate), failure="blocked",
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import pytest
 from waiting import PATIENCE
 
 import backhoe_planner as bp
+from backhoe_planner.live import unrecorded_changes
 from backhoe_planner.machine import Robot
 from backhoe_planner.show import TeleopStation, write_page
 
@@ -124,7 +125,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
     assert plan.certificate.safe
     kept = {clearance.obstacle: clearance.margin for clearance in plan.certificate.clearances}
     assert -1e-4 <= kept["post 1"] < 0.05
-    assert any("block 1 was taken away" in note for note in plan.details["recorded"]["notes"])
+    assert any("block 1 was taken away" in note for note in unrecorded_changes(plan))
     write_page(plan, tmp_path / "driven.html")
     replay = browser.new_page(viewport={"width": 560, "height": 400}, reduced_motion="reduce")
     replay.goto((tmp_path / "driven.html").as_uri())

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, TipPath, Trajectory, limit_usage
 from backhoe_planner.planning.report.comparison import part_on_path
@@ -20,45 +19,27 @@ Vector = NDArray[np.float64]
 KEPT = 0.9  # of the asked speed, from which on it counts as kept
 
 
-@dataclass(frozen=True)
-class Slower:
-    """A part of the path on which the tip is slower than asked.
+class Slower(Record):
+    """A part of the path on which the tip is slower than asked."""
 
-    Attributes
-    ----------
-    path_from, path_to: where [m].
-    least: the speed at its slowest place [m/s].
-    limit: of the machine, by its name in `LimitUsage`, of which most is used there.
-    """
-
-    path_from: float
-    path_to: float
-    least: float
+    path_from: Figure
+    path_to: Figure
+    """Where [m]."""
+    least: Figure
+    """The speed at its slowest place [m/s]."""
     limit: str
+    """The limit of the machine, by its name in `LimitUsage`, that comes nearest to being reached there."""
 
 
-@dataclass(frozen=True)
-class AskedSpeed:
-    """How well a motion keeps the speed that is asked along its path.
+class AskedSpeed(Record):
+    """How well a motion keeps the speed that is asked along its path."""
 
-    Attributes
-    ----------
-    asked: [m/s].
-    kept_percent: of the path's length, on which the tip has 90 % of it or more.
-    slower: the other parts, in the order of the path.
-    """
-
-    asked: float
-    kept_percent: float
+    asked: Figure
+    """[m/s]"""
+    kept_percent: Figure
+    """Of the path's length, on which the tip has 90 % of it or more."""
     slower: tuple[Slower, ...]
-
-    def metrics(self) -> dict[str, Any]:
-        """For the plan file."""
-        return {
-            "asked": self.asked,
-            "kept_percent": self.kept_percent,
-            "slower": [asdict(part) for part in self.slower],
-        }
+    """The other parts, in the order of the path."""
 
 
 def asked_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> AskedSpeed | None:
@@ -98,14 +79,14 @@ def asked_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> As
         most = np.max(usage.ratio[during], axis=0)
         slower.append(
             Slower(
-                float(places[part[0]]),
-                float(places[part[-1] + 1]),
-                float(np.min(speed[part])),
-                usage.names[int(np.argmax(most))],
+                path_from=float(places[part[0]]),
+                path_to=float(places[part[-1] + 1]),
+                least=float(np.min(speed[part])),
+                limit=usage.names[int(np.argmax(most))],
             )
         )
     kept = float(np.sum(length[counted & ~slow]))
-    return AskedSpeed(task.speed, 100.0 * kept / whole, tuple(slower))
+    return AskedSpeed(asked=task.speed, kept_percent=100.0 * kept / whole, slower=tuple(slower))
 
 
 def _places(path: TipPath, tips: NDArray[np.float64], tolerance: float) -> tuple[Vector, NDArray[np.bool_]]:

@@ -15,14 +15,16 @@ the motion. The law begins where the plan does, so its approach is the same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, computed_field, model_validator
 
+from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
@@ -33,6 +35,7 @@ from backhoe_planner.site import Obstruction, Proximity
 
 __all__ = [
     "Comparison",
+    "LawComparison",
     "compare_with_law",
     "joined",
     "law_motion",
@@ -51,62 +54,76 @@ _STANDING = 1e-6  # m: a leg on which only the bucket turns
 _BREAKS = 1e-6  # rad or m
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A plan beside the local law.
+def _obstruction(found: Any) -> Any:
+    """Older files say in words what the law breaks."""
+    if not isinstance(found, str):
+        return found
+    if found.startswith("limit of joint "):
+        return Obstruction.joint_limit(found.removeprefix("limit of joint "))
+    return Obstruction("obstacle", found.removeprefix("clearance: "), "", 0.0, 0.0)
 
-    Attributes
-    ----------
-    name: of the objective.
-    value: of the plan's motion, from where it begins to follow the path.
-    whole: of the plan's motion from its start, the approach to the path included.
-    motion: that part of it; begun: when it begins in the plan [s].
-    law: of the law's motion with the same timing, for `time` with its own; None where it does not get along the path.
-    law_motion: that motion, or None.
-    law_breaks: what the law comes too near to, or the joint whose limit it breaks;
-        None where it keeps everything.
-    """
+
+def _saving(value: float, law: float | None) -> float | None:
+    """By how much `value` is below what the law needs [%]."""
+    return None if law is None or not law > 0.0 else 100.0 * (1.0 - value / law)
+
+
+class LawComparison(Record):
+    """The objective of a plan along its path beside what the local law needs."""
 
     name: str
-    value: float
-    whole: float
-    motion: Trajectory
-    begun: float
-    law: float | None
-    law_motion: Trajectory | None
-    law_breaks: Obstruction | None
+    """Of the objective."""
+    value: Figure
+    """Of the plan's motion, from where it begins to follow the path."""
+    whole: Figure
+    """Of the plan's motion from its start, the approach to the path included."""
+    law: float | None = None
+    """Of the law's motion with the same timing, for `time` with its own; None where it does not get along."""
+    law_breaks: Annotated[Obstruction | None, BeforeValidator(_obstruction)] = None
+    """What the law comes too near to, or the joint whose limit it breaks; None where it keeps everything."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _compute_anew(cls, content: Any) -> Any:
+        """What a file has of the properties is not read."""
+        if not isinstance(content, Mapping):
+            return content
+        return {key: value for key, value in content.items() if key not in cls.model_computed_fields}
+
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def saving_percent(self) -> float | None:
         """Of what the law needs; None where there is nothing to compare with."""
-        if self.law is None or not self.law > 0.0:
-            return None
-        return 100.0 * (1.0 - self.value / self.law)
+        return _saving(self.value, self.law)
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def law_whole(self) -> float | None:
         """Of the plan's approach and the law's motion after it."""
         return None if self.law is None else self.whole - self.value + self.law
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def saving_percent_whole(self) -> float | None:
         """Of what the law needs with the same approach; None where there is nothing to compare with."""
-        if self.law_whole is None or not self.law_whole > 0.0:
-            return None
-        return 100.0 * (1.0 - self.whole / self.law_whole)
+        return _saving(self.whole, self.law_whole)
 
-    def metrics(self) -> dict[str, Any]:
-        """For the plan file."""
-        return {
-            "name": self.name,
-            "value": self.value,
-            "law": self.law,
-            "saving_percent": self.saving_percent,
-            "whole": self.whole,
-            "law_whole": self.law_whole,
-            "saving_percent_whole": self.saving_percent_whole,
-            "law_breaks": None if self.law_breaks is None else str(self.law_breaks),
-        }
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A plan's motion beside the law's.
+
+    Attributes
+    ----------
+    figures: what both need.
+    motion: the part of the plan that follows the path; begun: when it begins in the plan [s].
+    law_motion: the law's, with the same timing; None where it does not get along the path.
+    """
+
+    figures: LawComparison
+    motion: Trajectory
+    begun: float
+    law_motion: Trajectory | None
 
 
 def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> Comparison | None:
@@ -123,7 +140,8 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
     value, whole = trajectory_costs(problem, motion)[name], trajectory_costs(problem, trajectory)[name]
 
     def beside(law: float | None, moved: Trajectory | None, breaks: Obstruction | None) -> Comparison:
-        return Comparison(name, value, whole, motion, begun, law, moved, breaks)
+        figures = LawComparison(name=name, value=value, whole=whole, law=law, law_breaks=breaks)
+        return Comparison(figures, motion, begun, moved)
 
     if certificate.detours:
         return beside(None, None, None)  # the path itself is blocked

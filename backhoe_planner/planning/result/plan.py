@@ -2,76 +2,119 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.metadata
+import json
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import platform
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.machine import MotionEnergy, Robot
-from backhoe_planner.motion import Trajectory, build_problem, trajectory_energy
-from backhoe_planner.proof import Certificate
-from backhoe_planner.site import Scene
+from backhoe_planner.errors import InputError, PlanFileError, RobotError
+from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, load_robot, shipped
+from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
+from backhoe_planner.planning.result.findings import NOTHING, Findings
+from backhoe_planner.planning.result.metrics import Metrics
+from backhoe_planner.planning.result.plan_file import (
+    CertificateRecord,
+    DynamicsRecord,
+    Method,
+    PlanRecord,
+    Reason,
+    RobotRecord,
+    TrajectoryRecord,
+    listed,
+    read_plan_file,
+    write_plan_file,
+)
+from backhoe_planner.proof import Certificate, certify_problem
+from backhoe_planner.site import Scene, scene_from_dict
 
-__all__ = ["METHODS", "Method", "Plan", "Reason"]
+__all__ = ["METHODS", "Plan", "load_plan", "plan_to_dict"]
 
-Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
-# those that plan; "teleop" was driven by hand
-METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")
-
-Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]
+METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """The result of planning, verified or not.
 
+    The certificate alone says ``verified``. A planner that gave up or ran out of time
+    beside a motion whose certificate holds has a verified plan: every clearance and limit
+    is proven and the task is done, only the search for a better one ended early. Then
+    `reason` is empty, and `message` keeps what the planner said.
+
     Attributes
     ----------
-    verdict: ``verified`` is said only by the certificate.
-    reason: why it failed, one of `Reason`; empty where verified.
-    message: the same in a sentence, with its numbers.
-    robot: the machine, as it was planned for.
-    scene: as it was given.
+    problem: machine and scene, brought together.
     method, seed: as they were asked.
     trajectory: the motion; where planning failed, the best that was found, which may
         be the start alone.
     certificate: what is proven of it.
-    metrics: duration [s], planning_time [s], path lengths [m], what the motion costs by
-        every objective; along a path also ``objective``: what was made small, beside what
-        the local law needs.
-    details: numbers behind `reason`.
+    metrics: duration, lengths, energy, detours, and the comparison with the local law.
+    findings: what the planner found out on the way, such as what is in the way.
+    failure: why the planner says that it failed; empty where it does not.
+    note: the same in a sentence, with its numbers.
     """
 
-    verdict: Literal["verified", "failed"]
-    reason: Reason
-    message: str
-    robot: Robot
-    scene: Scene
+    problem: Problem
     method: Method
     seed: int
     trajectory: Trajectory
     certificate: Certificate
-    metrics: Mapping[str, Any]
-    details: Mapping[str, Any] = field(default_factory=dict)
+    metrics: Metrics
+    findings: Findings = NOTHING
+    failure: Reason = ""
+    note: str = ""
+
+    @property
+    def robot(self) -> Robot:
+        """The machine, as it was planned for."""
+        return self.problem.robot
+
+    @property
+    def scene(self) -> Scene:
+        """As it was given."""
+        return self.problem.scene
 
     @property
     def verified(self) -> bool:
         """Whether the certificate holds."""
-        return self.verdict == "verified"
+        return self.certificate.verified
+
+    @property
+    def verdict(self) -> Literal["verified", "failed"]:
+        """`verified` in a word."""
+        return "verified" if self.verified else "failed"
+
+    @property
+    def reason(self) -> Reason:
+        """Why it failed: what the planner says, or else what the certificate shows; empty where verified."""
+        if self.verified:
+            return ""
+        if self.failure:
+            return self.failure
+        speed = self.certificate.tip_speed
+        kept = self.certificate.limits_kept and (speed is None or speed.kept)
+        return "blocked" if kept else "outside_limits"
+
+    @property
+    def message(self) -> str:
+        """The same in a sentence, with its numbers; of a verified plan what the planner has to add, mostly nothing."""
+        return self.note or "; ".join(self.certificate.problems)
 
     def tip_path(self) -> NDArray[np.float64]:
         """(T, 3) positions of the tip at the samples [m], world."""
-        from backhoe_planner.machine import Kinematics
-
         kinematics = Kinematics(self.robot)
         return np.array([kinematics.at(q).tip_position for q in self.trajectory.q])
 
     def energy(self) -> MotionEnergy:
         """Torques, power and work over the samples, with the scene's payload and soil."""
-        return trajectory_energy(build_problem(self.robot, self.scene), self.trajectory)
+        return trajectory_energy(self.problem, self.trajectory)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the plan file (JSON), whole or not at all.
@@ -80,6 +123,138 @@ class Plan:
         ------
         OutputError: the folder does not exist or cannot be written.
         """
-        from backhoe_planner.planning.result.plan_file import save_plan
+        write_plan_file(_record(self, Path(path).parent), path)
 
-        save_plan(self, path)
+
+def plan_to_dict(plan: Plan) -> dict[str, Any]:
+    """The plan as plain data, in the layout of the plan file, but for what goes sample by sample."""
+    record: dict[str, Any] = json.loads(_record(plan, None).model_dump_json(exclude={"trajectory", "dynamics"}))
+    return record
+
+
+def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> Plan:
+    """Read a plan file. The certificate is computed anew, not believed.
+
+    Parameters
+    ----------
+    urdf: where the machine's URDF lies now, if not where the plan says.
+
+    Raises
+    ------
+    PlanFileError: not a plan file, or damaged; names the key.
+    RobotError: the URDF is missing or has changed since the plan was made.
+    SceneError: a file that the scene names is missing.
+    """
+    file = Path(path)
+    record = read_plan_file(file)
+    robot = load_robot(_locate(record.robot.urdf, file) if urdf is None else urdf, tip=record.robot.tip)
+    if robot.urdf.sha256 != record.robot.sha256:
+        raise RobotError(
+            "the URDF is not the one with which the plan was made",
+            file=file,
+            key="robot.sha256",
+            found=f"{robot.urdf.path} has {robot.urdf.sha256[:12]}...",
+            allowed=f"{record.robot.sha256[:12]}...",
+        )
+    if record.robot.joints != robot.joint_names:
+        raise PlanFileError(
+            "are not those of the URDF",
+            file=file,
+            key="robot.joints",
+            found=list(record.robot.joints),
+            allowed=", ".join(robot.joint_names),
+        )
+    try:
+        scene = scene_from_dict(record.scene, folder=file.parent / record.scene_folder)
+    except InputError as error:
+        raise PlanFileError(str(error), file=file, key="scene") from None
+    problem = build_problem(robot, scene)
+    trajectory = record.trajectory.trajectory(robot.n, file=file)
+    certificate = certify_problem(problem, trajectory)
+    note = record.message
+    if record.verdict == "verified" and not certificate.verified:
+        note = f"the file says verified, but: {'; '.join(certificate.problems)}"
+    return Plan(
+        problem=problem,
+        method=record.method,
+        seed=record.seed,
+        trajectory=trajectory,
+        certificate=certificate,
+        metrics=record.metrics,
+        findings=record.findings,
+        failure=record.reason,
+        note=note,
+    )
+
+
+def _record(plan: Plan, folder: Path | None) -> PlanRecord:
+    """What is written of a plan into a file in `folder`."""
+    energy, motion, urdf = plan.energy(), plan.trajectory, plan.robot.urdf
+    return PlanRecord(
+        verdict=plan.verdict,
+        reason=plan.reason,
+        message=plan.message,
+        robot=RobotRecord(
+            urdf=_source(plan.robot, folder),
+            sha256=urdf.sha256,
+            joints=tuple(plan.robot.joint_names),
+            tip=plan.robot.tip,
+        ),
+        scene=plan.scene.to_dict(),
+        scene_folder=_relative(plan.scene.folder, folder),
+        method=plan.method,
+        seed=plan.seed,
+        versions=_versions(),
+        trajectory=TrajectoryRecord(time=motion.time.tolist(), q=motion.q.tolist(), v=motion.v.tolist()),
+        dynamics=DynamicsRecord(
+            torque=energy.torque.tolist(),
+            power=energy.power.tolist(),
+            work=energy.work.tolist(),
+            hydraulic_power=listed(energy.hydraulic_power),
+            hydraulic=listed(energy.hydraulic),
+        ),
+        certificate=CertificateRecord.of(plan.certificate),
+        metrics=plan.metrics,
+        findings=plan.findings,
+    )
+
+
+def _source(robot: Robot, folder: Path | None) -> str:
+    """Where the URDF is to be found again: ``example:NAME`` wherever it was given from, if it is a shipped model."""
+    path = robot.urdf.path.resolve()
+    if robot.urdf.source.startswith("example:"):
+        return robot.urdf.source
+    return f"example:{path.stem}" if path.parent == shipped("models").resolve() else _relative(path, folder)
+
+
+def _locate(source: str, file: Path) -> str:
+    """A URDF's path as stored: relative to the plan file, or to where we are."""
+    if source.startswith("example:"):
+        return source
+    for path in (file.parent / source, Path(source)):
+        if path.is_file():
+            return str(path)
+    raise RobotError(
+        "the URDF with which the plan was made is not there",
+        file=file,
+        key="robot.urdf",
+        found=source,
+        hint="say where it lies now: --urdf FILE, in the library load_plan(..., urdf=FILE)",
+    )
+
+
+def _relative(path: Path, folder: Path | None) -> str:
+    if folder is None:
+        return str(path)
+    try:
+        return os.path.relpath(path.resolve(), folder.resolve())
+    except ValueError:  # another drive
+        return str(path.resolve())
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in ("backhoe_planner", "pin", "coal", "numpy"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found

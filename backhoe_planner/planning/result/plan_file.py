@@ -1,189 +1,258 @@
-"""The plan file: JSON, written whole or not at all, read with every field checked."""
+"""The plan file: JSON, written whole or not at all, read with every field checked.
+
+The records below are the schema, for reading and for writing. What a file says of its
+motion (certificate, dynamics, versions) is for other programs: here it is computed anew.
+"""
 
 from __future__ import annotations
 
-import contextlib
-import importlib.metadata
 import json
 import os
-import platform
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, StrictInt, ValidationError, model_validator
 
-from backhoe_planner.errors import InputError, PlanFileError, RobotError
+from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.machine import load_robot
-from backhoe_planner.motion import Trajectory
-from backhoe_planner.planning.result.plan import METHODS, Plan
-from backhoe_planner.proof import certify
-from backhoe_planner.site import Obstruction, Scene, scene_from_dict
+from backhoe_planner.files.records import Figure, Record, explain
+from backhoe_planner.motion import Detour, Trajectory
+from backhoe_planner.planning.result.findings import Findings
+from backhoe_planner.planning.result.metrics import Metrics
+from backhoe_planner.proof import Certificate
+from backhoe_planner.site import Finite, Obstruction
 
-__all__ = ["certificate_to_dict", "load_plan", "plan_to_dict", "save_plan"]
+__all__ = [
+    "CertificateRecord",
+    "DynamicsRecord",
+    "Method",
+    "PlanRecord",
+    "Reason",
+    "RobotRecord",
+    "TrajectoryRecord",
+    "read_plan_file",
+    "write_plan_file",
+]
 
-FORMAT = "backhoe-planner/plan"
-VERSION = 1
-_LIMITS = ("position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed")
+Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
+Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]
+LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed"]
+
+FORMAT: Literal["backhoe-planner/plan"] = "backhoe-planner/plan"
+VERSION: Literal[1] = 1
+_LIMITS: tuple[LimitName, ...] = ("position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed")
+_SHORTEST_STEP = 1e-12  # s: rates over less than this overflow where they are squared
 
 
-def save_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
-    """Write the plan file, whole or not at all. See `Plan.save`."""
-    text = json.dumps(plan_to_dict(plan, relative_to=Path(path).parent), allow_nan=False, separators=(",", ":"))
+class RobotRecord(Record):
+    """The machine, by its file."""
+
+    urdf: str
+    """``example:NAME``, or a path relative to the plan file."""
+    sha256: str
+    """Of the URDF's bytes."""
+    joints: tuple[str, ...]
+    """Names of the joints, in the order of the columns."""
+    tip: str
+    """The link that is moved."""
+
+
+class TrajectoryRecord(Record):
+    """Samples of the motion; between them the joints move linearly in time."""
+
+    time: list[Finite]
+    """(T,) [s], from 0."""
+    q: list[list[Finite]]
+    """(T, n) joint positions [rad or m]."""
+    v: list[list[Finite]]
+    """(T, n) joint velocities [rad/s or m/s]."""
+
+    def trajectory(self, n: int, *, file: Path) -> Trajectory:
+        """For a machine of `n` joints; PlanFileError where the samples are not those of a motion."""
+        for key, rows in (("q", self.q), ("v", self.v)):
+            lengths = sorted({len(row) for row in rows} | {n})
+            if lengths != [n]:
+                raise PlanFileError(
+                    "does not fit the machine", file=file, key=f"trajectory.{key}", found=f"rows of {lengths} numbers",
+                    allowed=f"(T, {n})",
+                )  # fmt: skip
+        time = np.array(self.time)
+        if len(time) > 1 and 0.0 <= np.min(np.diff(time)) < _SHORTEST_STEP:
+            raise PlanFileError("samples lie too close together", file=file, key="trajectory.time")
+        try:
+            return Trajectory(time, np.array(self.q).reshape(-1, n), np.array(self.v).reshape(-1, n))
+        except InputError as error:
+            raise PlanFileError(str(error), file=file) from None
+
+
+class DynamicsRecord(Record):
+    """What the motion takes, sample by sample."""
+
+    torque: list[list[Figure]]
+    """(T, n) [N m or N]."""
+    power: list[Figure]
+    """(T,) of the joints [W]."""
+    work: list[Figure]
+    """(T,) put in by the joints so far [J]."""
+    hydraulic_power: list[Figure] | None = None
+    """(T,) of the pump [W], where the machine has a hydraulic description."""
+    hydraulic: list[Figure] | None = None
+    """(T,) energy of the oil so far [J]."""
+
+
+class ClearanceRecord(Record):
+    """The tightest spot to one obstacle."""
+
+    value: Figure
+    """Proven lower bound of the distance [m]."""
+    margin: Figure
+    """Value minus the clearance that must be kept [m]."""
+    obstacle: str
+    """Its name; ``self: LINK`` where the machine must not touch itself."""
+    link: str
+    time: Figure
+    """[s]"""
+
+    @classmethod
+    def of(cls, found: Obstruction) -> ClearanceRecord:
+        """The record of a tightest spot."""
+        return cls(
+            value=found.distance,
+            margin=found.margin,
+            obstacle=f"self: {found.obstacle}" if found.kind == "machine" else found.obstacle,
+            link=found.link,
+            time=found.time,
+        )
+
+
+class UseRecord(Record):
+    """How much of a limit is used, where most is; see `LimitUse`."""
+
+    ratio: Figure
+    time: Figure
+    """[s]"""
+    joint: str | None = None
+    kind: str | None = None
+    needed: Figure | None = None
+    available: Figure | None = None
+    unit: str | None = None
+    at_rest: Figure | None = None
+    greatest: Figure | None = None
+    asked: Figure | None = None
+    """The last two in older files, of the tip's speed [m/s]."""
+
+
+class TipErrorRecord(Record):
+    """How far the tip is off its task."""
+
+    max: Figure
+    """[m]"""
+    mean: Figure
+    """[m]"""
+    max_angle: Figure = 0.0
+    """[rad]"""
+
+
+class FollowedRecord(Record):
+    """How much of the path is followed."""
+
+    length: Figure
+    """Of the path [m]."""
+    followed: Figure
+    """[m]"""
+
+
+class CertificateRecord(Record):
+    """What was proven when the plan was written."""
+
+    min_clearance: ClearanceRecord | None = None
+    clearances: tuple[ClearanceRecord, ...] = ()
+    limits: dict[LimitName, UseRecord] = Field(default_factory=dict)
+    tip_error: TipErrorRecord | None = None
+    path: FollowedRecord | None = None
+    detours: tuple[Detour, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, certificate: Certificate) -> CertificateRecord:
+        """The record of a certificate."""
+        clearances = tuple(ClearanceRecord.of(found) for found in certificate.clearances)
+        tracking = certificate.tracking
+        uses = {name: use for name in _LIMITS if (use := getattr(certificate, name)) is not None}
+        return cls(
+            min_clearance=clearances[0] if clearances else None,
+            clearances=clearances,
+            limits={name: UseRecord(**vars(use)) for name, use in uses.items()},
+            tip_error=TipErrorRecord(
+                max=tracking.max_error, mean=tracking.mean_error, max_angle=tracking.max_angle_error
+            ),
+            path=FollowedRecord(length=tracking.path_length, followed=tracking.followed),
+            detours=tracking.detours,
+            problems=certificate.problems,
+        )
+
+
+class PlanRecord(Record):
+    """A plan file."""
+
+    format: Literal["backhoe-planner/plan"] = FORMAT
+    version: Literal[1] = VERSION
+    verdict: Literal["verified", "failed"]
+    reason: Reason
+    """Why it failed; empty where verified."""
+    message: str
+    robot: RobotRecord
+    scene: dict[str, Any]
+    """The scene, whole."""
+    scene_folder: str = "."
+    """Where the files lie that the scene names, relative to the plan file."""
+    method: Method
+    seed: StrictInt
+    versions: dict[str, str] = Field(default_factory=dict)
+    """Of the program and its libraries."""
+    trajectory: TrajectoryRecord
+    dynamics: DynamicsRecord | None = None
+    certificate: CertificateRecord
+    metrics: Metrics
+    findings: Findings = Findings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_older(cls, content: Any) -> Any:
+        """What older files call `details`: of it only what a recording leaves out is still used."""
+        if not isinstance(content, Mapping) or "details" not in content:
+            return content
+        details = content["details"]
+        recorded = details.get("recorded") if isinstance(details, Mapping) else None
+        kept = {key: value for key, value in content.items() if key != "details"}
+        return kept | ({"findings": {"recording": recorded}} if recorded is not None else {})
+
+    @model_validator(mode="after")
+    def _one_verdict(self) -> PlanRecord:
+        if (self.verdict == "verified") != (self.reason == ""):
+            allowed = "no reason" if self.verdict == "verified" else "a reason"
+            raise ValueError(f"reason {self.reason!r} beside the verdict {self.verdict}; allowed: {allowed}")
+        return self
+
+
+def write_plan_file(record: PlanRecord, path: str | os.PathLike[str]) -> None:
+    """Write a plan file, whole or not at all; OutputError where it cannot be written."""
     with whole_file(path) as stream:
-        stream.write(text + "\n")
+        stream.write(record.model_dump_json() + "\n")
 
 
-def plan_to_dict(plan: Plan, *, relative_to: Path | None = None) -> dict[str, Any]:
-    """The plan as plain data, in the layout of the plan file.
-
-    Parameters
-    ----------
-    relative_to: the folder from which files are to be found again; paths are kept
-        relative to it where that is possible.
-    """
-    urdf = plan.robot.urdf
-    source = urdf.source if urdf.source.startswith("example:") else _relative(urdf.path, relative_to)
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "verdict": plan.verdict,
-        "reason": plan.reason,
-        "message": plan.message,
-        "robot": {
-            "urdf": source,
-            "sha256": urdf.sha256,
-            "joints": list(plan.robot.joint_names),
-            "tip": plan.robot.tip,
-        },
-        "scene": plan.scene.to_dict(),
-        "scene_folder": _relative(plan.scene.folder, relative_to),
-        "method": plan.method,
-        "seed": plan.seed,
-        "versions": _versions(),
-        "trajectory": {
-            "time": plan.trajectory.time.tolist(),
-            "q": plan.trajectory.q.tolist(),
-            "v": plan.trajectory.v.tolist(),
-        },
-        "dynamics": _dynamics(plan),
-        "certificate": certificate_to_dict(plan),
-        "metrics": _plain(plan.metrics),
-        "details": _plain(plan.details),
-    }
-
-
-def _dynamics(plan: Plan) -> dict[str, Any]:
-    """Over the samples of the trajectory: torque [T][n], then power and energy [T]."""
-    energy = plan.energy()
-    found: dict[str, Any] = {"torque": energy.torque, "power": energy.power, "work": energy.work}
-    if energy.hydraulic is not None:
-        found |= {"hydraulic_power": energy.hydraulic_power, "hydraulic": energy.hydraulic}
-    return {key: _plain(values) for key, values in found.items()}
-
-
-def certificate_to_dict(plan: Plan) -> dict[str, Any]:
-    """The certificate as plain data."""
-    certificate = plan.certificate
-    tightest = certificate.min_clearance
-    tracking = certificate.tracking
-    return {
-        "min_clearance": None if tightest is None else _clearance(tightest),
-        "clearances": [_clearance(clearance) for clearance in certificate.clearances],
-        "limits": {kind: asdict(use) for kind in _LIMITS if (use := getattr(certificate, kind)) is not None},
-        "tip_error": {"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
-        "path": {"length": tracking.path_length, "followed": tracking.followed},
-        "detours": [asdict(detour) for detour in tracking.detours],
-        "problems": list(certificate.problems),
-    }
-
-
-def _clearance(found: Obstruction) -> dict[str, Any]:
-    """As the contract has it: a link of the machine is named ``self: LINK``."""
-    obstacle = f"self: {found.obstacle}" if found.kind == "machine" else found.obstacle
-    return {
-        "value": found.distance, "margin": found.margin, "obstacle": obstacle, "link": found.link, "time": found.time,
-    }  # fmt: skip
-
-
-def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> Plan:
-    """Read a plan file. The certificate is computed anew, not believed.
-
-    Parameters
-    ----------
-    urdf: where the machine's URDF lies now, if not where the plan says.
+def read_plan_file(file: Path) -> PlanRecord:
+    """Read a plan file.
 
     Raises
     ------
-    PlanFileError: not a plan file, or damaged; names the key.
-    RobotError: the URDF is missing or has changed since the plan was made.
-    SceneError: a file that the scene names is missing.
+    PlanFileError: not a plan file, or damaged; names key, what was found and what is allowed.
     """
-    file = Path(path)
-    content = _read(file)
-    robot_record = _field(content, "robot", dict, file)
-    source = _field(robot_record, "urdf", str, file, "robot.urdf")
-    robot = load_robot(
-        _locate(source, file) if urdf is None else urdf, tip=_field(robot_record, "tip", str, file, "robot.tip")
-    )
-    if robot.urdf.sha256 != robot_record.get("sha256"):
-        raise RobotError(
-            "the URDF is not the one with which the plan was made",
-            file=file,
-            key="robot.sha256",
-            found=f"{robot.urdf.path} has {robot.urdf.sha256[:12]}...",
-            allowed=f"{str(robot_record.get('sha256'))[:12]}...",
-        )
-    joints = _field(robot_record, "joints", list, file, "robot.joints")
-    if joints != list(robot.joint_names):
-        raise PlanFileError(
-            "are not those of the URDF",
-            file=file,
-            key="robot.joints",
-            found=joints,
-            allowed=", ".join(robot.joint_names),
-        )
-    scene = _scene(content, file)
-    trajectory = _trajectory(content, file, robot.n)
-    method = _field(content, "method", str, file)
-    known = (*METHODS, "teleop")
-    if method not in known:
-        raise PlanFileError("unknown method", file=file, key="method", found=method, allowed=", ".join(known))
-    verdict = _field(content, "verdict", str, file)
-    if verdict not in ("verified", "failed"):
-        raise PlanFileError("unknown verdict", file=file, key="verdict", found=verdict, allowed="verified, failed")
-    certificate = certify(robot, scene, trajectory)
-    reason = _field(content, "reason", str, file)
-    message = _field(content, "message", str, file)
-    if verdict == "verified" and not certificate.verified:
-        verdict, reason, message = (
-            "failed",
-            "blocked",
-            "the file says verified, but: " + "; ".join(certificate.problems),
-        )
-    return Plan(
-        verdict=verdict,
-        reason=reason,
-        message=message,
-        robot=robot,
-        scene=scene,
-        method=method,
-        seed=_field(content, "seed", int, file),
-        trajectory=trajectory,
-        certificate=certificate,
-        metrics=_field(content, "metrics", dict, file),
-        details=content.get("details", {}),
-    )
-
-
-# --- reading ----------------------------------------------------------------------
-
-
-def _read(file: Path) -> dict[str, Any]:
     try:
-        content = json.loads(file.read_text(encoding="utf-8"))
+        content = json.loads(file.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
     except FileNotFoundError:
         raise PlanFileError("no such plan file", file=file) from None
     except OSError as error:
@@ -198,90 +267,16 @@ def _read(file: Path) -> dict[str, Any]:
             "was written in a version that is not known", file=file, key="version", found=content.get("version"),
             allowed=str(VERSION),
         )  # fmt: skip
-    return content
-
-
-def _field(record: Mapping[str, Any], key: str, kind: type, file: Path, name: str | None = None) -> Any:
-    value = record.get(key)
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise PlanFileError(
-            "is missing" if value is None else "is of the wrong kind",
-            file=file,
-            key=name or key,
-            found=None if value is None else type(value).__name__,
-            allowed=kind.__name__,
-        )
-    return value
-
-
-def _scene(content: Mapping[str, Any], file: Path) -> Scene:
-    folder = content.get("scene_folder", ".")
-    if not isinstance(folder, str):
-        raise PlanFileError("is of the wrong kind", file=file, key="scene_folder", allowed="a folder")
     try:
-        return scene_from_dict(_field(content, "scene", dict, file), folder=file.parent / folder)
-    except InputError as error:
-        raise PlanFileError(str(error), file=file, key="scene") from None
+        return PlanRecord.model_validate(content)
+    except ValidationError as error:
+        raise PlanFileError(explain(error, content, root=PlanRecord), file=file) from None
 
 
-def _trajectory(content: Mapping[str, Any], file: Path, n: int) -> Trajectory:
-    record = _field(content, "trajectory", dict, file)
-    arrays = {}
-    for key in ("time", "q", "v"):
-        try:
-            arrays[key] = np.array(_field(record, key, list, file, f"trajectory.{key}"), dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise PlanFileError("is not a table of numbers", file=file, key=f"trajectory.{key}") from None
-    for key in ("q", "v"):
-        if arrays[key].ndim != 2 or arrays[key].shape[1] != n:
-            raise PlanFileError(
-                "does not fit the machine", file=file, key=f"trajectory.{key}", found=f"shape {arrays[key].shape}",
-                allowed=f"(T, {n})",
-            )  # fmt: skip
-    try:
-        return Trajectory(**arrays)
-    except InputError as error:
-        raise PlanFileError(str(error), file=file) from None
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a number of JSON")
 
 
-# --- writing ----------------------------------------------------------------------
-
-
-def _relative(path: Path, folder: Path | None) -> str:
-    if folder is None:
-        return str(path)
-    try:
-        return os.path.relpath(path.resolve(), folder.resolve())
-    except ValueError:  # another drive
-        return str(path.resolve())
-
-
-def _locate(source: str, file: Path) -> str:
-    """A URDF's path as stored: relative to the plan file, or to where we are."""
-    if source.startswith("example:"):
-        return source
-    beside = file.parent / source
-    return str(beside) if beside.is_file() else source
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and lists that JSON can hold; what is not finite becomes null."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in ("backhoe_planner", "pin", "coal", "numpy"):
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
+def listed(values: NDArray[np.float64] | None) -> Any:
+    """An array as lists of numbers; None where there is none."""
+    return None if values is None else values.tolist()

@@ -126,15 +126,13 @@ def _facts(plan: Plan) -> list[tuple[str, str, str]]:
         longest = max(detour.max_deviation for detour in certificate.detours)
         facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
     facts.append(("Duration", f"{plan.trajectory.duration:.1f} s", ""))
-    energy = metrics.get("energy")
-    work = energy.get("work") if isinstance(energy, dict) else None
-    if isinstance(work, (int, float)):
+    work = metrics.energy.get("work")
+    if work is not None:
         facts.append(("Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", ""))
-    taken = metrics.get("planning_time")
     if is_recording(plan):
         facts.append(("Recording", "driven by hand", "; ".join(unrecorded_changes(plan))))
-    elif isinstance(taken, (int, float)):
-        facts.append(("Planned in", f"{taken:.2f} s", f"method {plan.method}, seed {plan.seed}"))
+    else:
+        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", f"method {plan.method}, seed {plan.seed}"))
     return facts
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.live import is_recording
-from backhoe_planner.motion import OBJECTIVES, Problem, Trajectory, build_problem, limit_usage, trajectory_energy
+from backhoe_planner.motion import OBJECTIVES, Problem, Trajectory, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
@@ -54,7 +54,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     figure_format(path)
     from matplotlib.figure import Figure
 
-    problem = build_problem(plan.robot, plan.scene)
+    problem = plan.problem
     frames = timeline(problem, plan.trajectory)
     panels: list[_Panel] = []
     slides = plan.robot.prismatic
@@ -237,15 +237,16 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     curves: list[tuple[Vector, Vector, str, Any, str]] = [(time, spent, "#d55e00", (0, (6, 2)), what)]
     title = f"what {'the oil puts' if what == 'energy' else 'the joints put'} in, against {_loads(plan)}"
     compared = None
-    if "objective" in plan.metrics:
+    if plan.metrics.objective is not None:
         compared = compare_with_law(problem, plan.trajectory, plan.certificate)
     if compared is not None and compared.law_motion is not None:
         offset = float(np.interp(compared.begun, time, spent))
         law = offset + _spent(problem, compared.law_motion)[1]
-        name = "local law" if compared.law_breaks is None else "local law,\nbreaks a limit"
+        name = "local law" if compared.figures.law_breaks is None else "local law,\nbreaks a limit"
         curves.append((compared.begun + compared.law_motion.time, law, "0.35", (0, (1.5, 1.5)), name))
-        if compared.saving_percent is not None:
-            title += f"; {compared.name} along the path {compared.saving_percent:.0f} % below the local law's"
+        figures = compared.figures
+        if figures.saving_percent is not None:
+            title += f"; {figures.name} along the path {figures.saving_percent:.0f} % below the local law's"
     highest = max(float(values[-1]) for _, values, *_ in curves)
     unit, scale = ("k", 1e-3) if highest >= 1000.0 else ("", 1.0)
     lines = [

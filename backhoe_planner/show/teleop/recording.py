@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from backhoe_planner.live import plan_from_recording
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Trajectory
-from backhoe_planner.planning import Plan
+from backhoe_planner.planning import Plan, RecordingNotes
 from backhoe_planner.site import Scene, zone_log
 
 __all__ = ["Recording"]
@@ -41,8 +41,13 @@ class Recording:
         return (len(self.q) - 1) * self.dt
 
     def plan(self, robot: Robot, scene: Scene) -> Plan:
-        """The motion as a plan, with its certificate, and its visits to zones in the details."""
+        """The motion as a plan, with its certificate, and its visits to zones in the findings."""
         trajectory = Trajectory.from_steps(np.asarray(np.arange(len(self.q)) * self.dt, dtype=np.float64), self.q)
-        visits = [asdict(visit) for visit in zone_log(robot, scene, trajectory)]
-        details = {"recorded": {"dt": self.dt, "notes": list(self.notes)}, "zones": visits}
-        return plan_from_recording(robot, scene, trajectory, obstacles=self.obstacles, details=details)
+        return plan_from_recording(
+            robot,
+            scene,
+            trajectory,
+            obstacles=self.obstacles,
+            recording=RecordingNotes(dt=self.dt, notes=tuple(self.notes)),
+            zones=zone_log(robot, scene, trajectory),
+        )

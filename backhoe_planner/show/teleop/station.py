@@ -160,7 +160,7 @@ class TeleopStation:
             except Exception as error:  # noqa: BLE001  the next recording is written all the same
                 self._tell(error=f"the recording could not be written: {type(error).__name__}")
                 continue
-            visits = len(plan.details.get("zones", ()))
+            visits = len(plan.findings.zones)
             self._tell(
                 file=str(file), verdict=plan.verdict, seconds=recording.duration, zones=visits,
                 left_out=recording.notes,

@@ -1,0 +1,110 @@
+"""What a motion takes: time, lengths, energy, detours, and how it compares."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from backhoe_planner.files.records import Figure, Record
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.motion import Detour, Problem, Trajectory, trajectory_costs
+from backhoe_planner.planning.report.asked_speed import AskedSpeed, asked_speed
+from backhoe_planner.planning.report.comparison import LawComparison, compare_with_law
+from backhoe_planner.proof import Certificate
+from backhoe_planner.site import Obstruction
+
+__all__ = ["DetourTotal", "Metrics", "measure_motion"]
+
+_APART = 0.05  # m: a detour as it is measured begins and ends this far from where it was planned at most
+
+
+class DetourTotal(Record):
+    """All detours together."""
+
+    count: int = 0
+    """How many."""
+    length: Figure
+    """Of the tip's way off the path [m]."""
+    max_deviation: Figure
+    """Largest distance from the path [m]."""
+
+
+class Metrics(Record):
+    """What a motion takes."""
+
+    duration: Figure
+    """[s]"""
+    planning_time: Figure
+    """[s]; 0 of a motion driven by hand."""
+    tip_length: Figure = float("nan")
+    """Of the tip's way [m]."""
+    joint_length: Figure = float("nan")
+    """Of the way in joint space, the Euclidean norm of rad and m."""
+    energy: dict[str, Figure]
+    """What the motion costs by every objective, in its own unit."""
+    detour: DetourTotal
+    """All detours together."""
+    detours: tuple[Detour, ...] = ()
+    """Each of them, with what it goes round."""
+    objective: LawComparison | None = None
+    """What was made small along a path, beside what the local law needs; None without a path."""
+    asked_speed: AskedSpeed | None = None
+    """How well the asked speed is kept; None where none is asked."""
+
+
+def measure_motion(
+    problem: Problem,
+    trajectory: Trajectory,
+    certificate: Certificate,
+    *,
+    planning_time: float = 0.0,
+    detours: Sequence[Obstruction] = (),
+    compare: bool = False,
+) -> Metrics:
+    """What a motion takes.
+
+    Parameters
+    ----------
+    planning_time: [s]
+    detours: what the planner left the path for, and where.
+    compare: whether a motion along a path is compared with the local law's.
+    """
+    kinematics = Kinematics(problem.robot)
+    tips = np.array([kinematics.at(q).tip_position for q in trajectory.q])
+    found = tuple(_with_obstruction(detour, detours) for detour in certificate.detours)
+    compared = compare_with_law(problem, trajectory, certificate) if compare else None
+    figures = None if compared is None else compared.figures
+    if figures is not None and found:
+        figures = figures.model_copy(update={"law_breaks": found[0].obstruction})
+    speed = None
+    if problem.path is not None and certificate.tracking.done:
+        speed = asked_speed(problem, trajectory, begun=certificate.tracking.approach_time)
+    return Metrics(
+        duration=trajectory.duration,
+        planning_time=planning_time,
+        tip_length=float(np.sum(np.linalg.norm(np.diff(tips, axis=0), axis=1))),
+        joint_length=float(np.sum(np.linalg.norm(np.diff(trajectory.q, axis=0), axis=1))),
+        energy=trajectory_costs(problem, trajectory),
+        detour=DetourTotal(
+            count=len(found),
+            length=sum(detour.length for detour in found),
+            max_deviation=max((detour.max_deviation for detour in found), default=0.0),
+        ),
+        detours=found,
+        objective=figures,
+        asked_speed=speed,
+    )
+
+
+def _with_obstruction(detour: Detour, planned: Sequence[Obstruction]) -> Detour:
+    """The detour with what it goes round: what was planned for most of the same part of the path."""
+
+    def overlap(other: Obstruction) -> float:
+        if other.path_from is None or other.path_to is None:
+            return -np.inf
+        return min(other.path_to, detour.path_to) - max(other.path_from, detour.path_from)
+
+    best = max(planned, key=overlap, default=None)
+    return detour if best is None or overlap(best) < -_APART else replace(detour, obstruction=best)

@@ -1,0 +1,42 @@
+"""What a plan has to say, or the test fails: what is in the way, the nearest pose, the comparison."""
+
+from __future__ import annotations
+
+from backhoe_planner.planning import LawComparison, NearestPose, Plan
+from backhoe_planner.site import Obstruction
+
+__all__ = ["comparison", "law_cost", "nearest", "obstruction", "span"]
+
+
+def obstruction(plan: Plan) -> Obstruction:
+    """What is in the way."""
+    found = plan.findings.obstruction
+    assert found is not None
+    return found
+
+
+def span(found: Obstruction) -> tuple[float, float]:
+    """The part of the path that it is about [m]."""
+    assert found.path_from is not None
+    assert found.path_to is not None
+    return found.path_from, found.path_to
+
+
+def nearest(plan: Plan) -> NearestPose:
+    """The nearest pose that can be reached."""
+    found = plan.findings.nearest
+    assert found is not None
+    return found
+
+
+def comparison(plan: Plan) -> LawComparison:
+    """The objective along the path beside the local law's."""
+    found = plan.metrics.objective
+    assert found is not None
+    return found
+
+
+def law_cost(found: LawComparison) -> float:
+    """What the local law needs."""
+    assert found.law is not None
+    return found.law
