@@ -18,7 +18,7 @@ import pytest
 import yaml
 from waiting import PATIENCE
 
-from backhoe_planner.cli import _quantity, main
+from backhoe_planner.cli import describe_quantity, main
 
 Data = dict[str, Any]
 Run = Callable[..., tuple[int, str, str]]
@@ -117,7 +117,7 @@ def test_the_machine_itself_and_what_is_asked_of_the_tip_are_said_in_words(run: 
     ],
 )
 def test_quantities_are_told_with_a_prefix(value: float, unit: str, said: str) -> None:
-    assert _quantity(value, unit) == said
+    assert describe_quantity(value, unit) == said
 
 
 def test_plan_check_export(run: Run, tmp_path: Path) -> None:
@@ -197,6 +197,17 @@ def test_one_run_as_a_program(tmp_path: Path) -> None:
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("verified\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize("command", [["schema"], ["inspect", PLANAR4]])
+def test_where_the_output_is_lost_there_is_no_traceback(command: list[str]) -> None:
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        done = subprocess.run(
+            [*COMMAND, *command], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, env=ENVIRONMENT,
+            check=False,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (2, "error: the output cannot be written: No space left on device\n")
 
 
 READY = "from backhoe_planner.__main__ import main; print('ready', flush=True); main()"

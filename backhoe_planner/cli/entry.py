@@ -1,0 +1,63 @@
+"""The entry point: from the words of the command line to an exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from typing import NoReturn
+
+import typer
+from rich.text import Text
+
+import backhoe_planner as bp
+from backhoe_planner.cli.application import app
+from backhoe_planner.cli.terminal import BAD_INPUT, ERR, FAILED, INTERRUPTED, VERIFIED
+
+__all__ = ["main"]
+
+
+def main() -> NoReturn:
+    """Entry point of `backhoe-planner`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a name may not fit the terminal's alphabet
+    try:
+        status = app(standalone_mode=False)
+        sys.stdout.flush()
+    except bp.InputError as error:
+        ERR.print(Text("error: ", style="bold red") + Text(str(error)))
+        sys.exit(BAD_INPUT)
+    except (KeyboardInterrupt, typer.Abort):
+        ERR.print("interrupted")
+        sys.exit(INTERRUPTED)
+    except typer.Exit as done:
+        sys.exit(done.exit_code)
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        sys.exit(_output_lost(error))
+    except Exception as error:
+        if not _is_usage_error(error):
+            raise
+        ERR.print(Text("error: ", style="bold red") + Text(error.format_message()))  # type: ignore[attr-defined]
+        sys.exit(BAD_INPUT)
+    if status == INTERRUPTED:  # typer turns Ctrl-C into a return value
+        ERR.print("interrupted")
+    sys.exit(status if isinstance(status, int) else VERIFIED)
+
+
+def _output_lost(error: OSError) -> int:
+    """The exit status where what is printed can no longer be written: nobody reads it, or the disk is full."""
+    with contextlib.suppress(OSError):  # what is still in the buffer would fail again as Python ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):
+        return FAILED
+    ERR.print(Text("error: ", style="bold red") + Text(f"the output cannot be written: {error.strerror}"))
+    return BAD_INPUT
+
+
+def _is_usage_error(error: Exception) -> bool:
+    """Whether it is click's own complaint about the command line."""
+    return hasattr(error, "format_message") and hasattr(error, "exit_code")

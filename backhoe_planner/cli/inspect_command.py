@@ -1,0 +1,128 @@
+"""`inspect`: what a machine is and can do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+import backhoe_planner as bp
+from backhoe_planner.cli.arguments import Urdf
+from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED
+from backhoe_planner.files.output_file import check_writable
+
+__all__ = ["inspect"]
+
+
+def inspect(
+    urdf: Urdf,
+    tip: Annotated[str | None, typer.Option(metavar="LINK", help="The link that is moved.")] = None,
+    plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the working envelope.")] = None,
+) -> int:
+    """Show joints, limits, frames, Denavit-Hartenberg table, working envelope and cylinders."""
+    if plot is not None:
+        check_writable(plot)
+    robot = bp.load_robot(urdf, tip=tip)
+    _print_joints(robot)
+    _print_dh_table(robot)
+    _print_envelope(robot)
+    _print_hydraulics(robot)
+    if plot is not None:
+        from backhoe_planner.show import plot_envelope
+
+        plot_envelope(robot, plot)
+        OUT.print(f"\nwrote {plot}")
+    return VERIFIED
+
+
+def _print_joints(robot: bp.Robot) -> None:
+    limits = robot.limits
+    OUT.print(f"{robot.name}: {robot.n} joints move {robot.tip}; {len(robot.pieces)} collision pieces\n")
+    table = Table("joint", "lower", "upper", "rate", "acceleration", "effort", box=None, pad_edge=False)
+    for j, name in enumerate(robot.joint_names):
+        slides = bool(robot.prismatic[j])
+        unit, scale = ("m", 1.0) if slides else ("deg", DEGREES)
+        table.add_row(
+            name,
+            f"{scale * limits.lower[j]:.1f} {unit}",
+            f"{scale * limits.upper[j]:.1f} {unit}",
+            f"{limits.velocity[j]:.3g} {'m' if slides else 'rad'}/s",
+            f"{limits.acceleration[j]:.3g} {'m' if slides else 'rad'}/s2",
+            f"{limits.effort[j]:,.0f} {'N' if slides else 'N m'}",
+        )
+    OUT.print(table)
+    OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
+
+
+def _print_dh_table(robot: bp.Robot) -> None:
+    from backhoe_planner.machine import dh_table
+
+    table = Table("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]", box=None, pad_edge=False)
+    for row in dh_table(robot).rows:
+        theta, d = f"{DEGREES * row.theta:.2f}", f"{row.d + 0.0:.4f}"
+        table.add_row(
+            row.joint,
+            theta if row.prismatic else f"q + {theta}",
+            f"q + {d}" if row.prismatic else d,
+            f"{row.a + 0.0:.4f}",
+            f"{DEGREES * row.alpha:.2f}",
+        )
+    OUT.print("\nDenavit-Hartenberg (classic)")
+    OUT.print(table)
+
+
+def _print_envelope(robot: bp.Robot) -> None:
+    from backhoe_planner.machine import working_envelope
+
+    envelope = working_envelope(robot)
+    if envelope is None:
+        return
+    rows = [
+        ("digging depth", envelope.digging_depth, "m"),
+        ("reach at ground level", envelope.reach_at_ground, "m from the swing axis"),
+        ("largest reach", envelope.largest_reach, "m"),
+        ("loading height", envelope.loading_height, "m, bucket tipped to -80 deg"),
+        ("loading reach", envelope.loading_reach, "m"),
+        ("greatest height of the teeth", envelope.largest_height, "m"),
+        ("bucket rotation", DEGREES * envelope.bucket_rotation, "deg"),
+        ("swing arc", None if envelope.swing_arc is None else DEGREES * envelope.swing_arc, "deg"),
+    ]
+    OUT.print("\nworking envelope")
+    for name, value, unit in rows:
+        if value is not None:
+            OUT.print(f"  {name:<28}{value:.2f} {unit}")
+
+
+def _print_hydraulics(robot: bp.Robot) -> None:
+    from backhoe_planner.machine import digging_forces
+
+    hydraulics = robot.hydraulics
+    if hydraulics is None:
+        return
+    table = Table(
+        "cylinder", "joint", "length [m]", "joint range [deg]", "push [kN]", "pull [kN]", box=None, pad_edge=False
+    )
+    forces = hydraulics.force_limits
+    for i, cylinder in enumerate(hydraulics.cylinders):
+        lower, upper = hydraulics.joint_ranges[i]
+        table.add_row(
+            cylinder.name,
+            cylinder.joint,
+            f"{cylinder.closed:.3f} to {cylinder.open:.3f}",
+            f"{DEGREES * lower:.1f} to {DEGREES * upper:.1f}",
+            f"{1e-3 * forces.positive[i]:.1f}",
+            f"{1e-3 * forces.negative[i]:.1f}",
+        )
+    OUT.print("\nhydraulics")
+    OUT.print(table)
+    OUT.print(
+        f"  pump {6e4 * hydraulics.pump_flow:.0f} l/min at {1e-5 * hydraulics.pressure:.0f} bar, "
+        f"{1e-3 * hydraulics.power_limit:.1f} kW from the engine"
+    )
+    digging = digging_forces(robot)
+    if digging is not None:
+        OUT.print(
+            f"  digging force at the teeth  bucket {1e-3 * digging.bucket:.1f} kN, stick {1e-3 * digging.stick:.1f} kN"
+        )

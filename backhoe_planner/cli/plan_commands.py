@@ -1,0 +1,151 @@
+"""`plan`, `view` and `check`: make a plan, play it, prove it anew."""
+
+from __future__ import annotations
+
+import contextlib
+import time as clock
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import backhoe_planner as bp
+from backhoe_planner.cli.arguments import PlanFile, PlanUrdf, SceneFile, Urdf
+from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
+from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, print_warnings
+from backhoe_planner.files.output_file import check_writable
+from backhoe_planner.planning import DEFAULT_BUDGET
+
+if TYPE_CHECKING:
+    from backhoe_planner.planning import Plan
+
+__all__ = ["check", "plan", "view"]
+
+
+def plan(
+    urdf: Urdf,
+    scene: SceneFile,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to write.")] = Path(
+        "plan.json"
+    ),
+    method: Annotated[str, typer.Option(help="auto, reactive, optimal or paper.")] = "auto",
+    seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
+    effort: Annotated[str, typer.Option(help="quick, normal or thorough: how much is searched.")] = "normal",
+    budget: Annotated[
+        float, typer.Option(metavar="S", help="Time after which whatever still runs is ended [s].")
+    ] = DEFAULT_BUDGET,
+    view: Annotated[bool, typer.Option("--view", help="Show the steps in the browser, then play the plan.")] = False,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the plan offline.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as JSON (all of the plan file but the trajectory).")
+    ] = False,
+) -> int:
+    """Plan the task of a scene, and write the plan."""
+    for target in (output, html):
+        if target is not None and target.exists() and any(_same_file(target, given) for given in (Path(urdf), scene)):
+            raise bp.OutputError("is an input of this command", file=target)
+    check_writable(output)
+    if html is not None:
+        check_writable(html)
+    loaded = bp.load_scene(scene)
+    robot = bp.load_robot(urdf, tip=loaded.tip)
+    if view:
+        found = _plan_in_viewer(robot, loaded, method, seed, effort, budget, output, as_json)
+    else:
+        with _working(not as_json):
+            found = bp.plan(robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
+        found.save(output)
+        print_plan(found, output, as_json)
+    if html is not None:
+        _write_html(found, html, quiet=as_json)
+    return VERIFIED if found.verified else FAILED
+
+
+def view(
+    plan_file: PlanFile,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write one page that works offline instead.")
+    ] = None,
+    urdf: PlanUrdf = None,
+) -> int:
+    """Play a plan in the browser, or write it as one page."""
+    if html is not None:
+        check_writable(html)
+    loaded = bp.load_plan(plan_file, urdf=urdf)
+    print_recording(loaded)
+    if html is not None:
+        _write_html(loaded, html)
+        return VERIFIED
+    from backhoe_planner.show import Viewer
+
+    with Viewer() as viewer:
+        _play(viewer, loaded)
+    return VERIFIED
+
+
+def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
+    """Compute the certificate of a plan anew."""
+    begun = clock.monotonic()
+    loaded = bp.load_plan(plan_file, urdf=urdf)
+    print_certificate(loaded)
+    OUT.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
+    return VERIFIED if loaded.verified else FAILED
+
+
+def _same_file(a: Path, b: Path) -> bool:
+    return b.exists() and a.samefile(b)
+
+
+@contextlib.contextmanager
+def _working(shown: bool) -> Iterator[None]:
+    if shown and ERR.is_terminal:
+        with ERR.status("planning ..."):
+            yield
+    else:
+        yield
+
+
+def _plan_in_viewer(
+    robot: bp.Robot, scene: bp.Scene, method: str, seed: int, effort: str, budget: float, output: Path, as_json: bool
+) -> Plan:
+    from backhoe_planner.motion import build_problem
+    from backhoe_planner.show import Viewer
+
+    with Viewer() as viewer:
+        print_warnings(viewer.show_problem(build_problem(robot, scene)))
+        _announce(viewer)
+        found = bp.plan(
+            robot, scene, method=method, seed=seed, effort=effort, budget=budget,
+            watch=lambda step: viewer.show_step(step.q, step.time),
+        )  # fmt: skip
+        found.save(output)
+        print_plan(found, output, as_json)
+        _play(viewer, found, announced=True)
+    return found
+
+
+def _announce(viewer: Any) -> None:
+    ERR.print(f"open {viewer.url} in a browser (Ctrl-C ends)")
+    viewer.wait_for_browser()
+
+
+def _play(viewer: Any, found: Plan, *, announced: bool = False) -> None:
+    """Show a plan until Ctrl-C."""
+    print_warnings(viewer.play(found))
+    if not announced:
+        _announce(viewer)
+    ERR.print("playing; the panel in the page has speed and position; Ctrl-C ends")
+    with contextlib.suppress(KeyboardInterrupt):
+        while viewer.alive():
+            clock.sleep(0.2)
+
+
+def _write_html(found: Plan, html: Path, *, quiet: bool = False) -> None:
+    from backhoe_planner.show import write_page
+
+    print_warnings(write_page(found, html))
+    if not quiet:
+        OUT.print(f"page          {html}")

@@ -1,0 +1,50 @@
+"""`teleop`: drive a machine from a page in the browser."""
+
+from __future__ import annotations
+
+import time as clock
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+import backhoe_planner as bp
+from backhoe_planner.cli.arguments import SceneFile, Urdf
+from backhoe_planner.cli.terminal import ERR, FAILED, print_warnings
+from backhoe_planner.files.output_file import check_writable
+
+__all__ = ["teleop"]
+
+
+def teleop(
+    urdf: Urdf,
+    scene: SceneFile,
+    host: Annotated[
+        str, typer.Option(metavar="H", help="Address to listen on; by default only this computer can connect.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int | None, typer.Option(metavar="N", min=0, max=65535, help="By default the first free one from 7000 on.")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to which a recording is written.")
+    ] = Path("teleop.json"),
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+) -> int:
+    """Drive the machine live from a page in the browser; the scene's task is not used."""
+    check_writable(output)
+    loaded = bp.load_scene(scene)
+    robot = bp.load_robot(urdf, tip=loaded.tip)
+    from backhoe_planner.show import TeleopStation
+
+    with TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
+        print_warnings(station.warnings)
+        ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
+        if not no_browser:
+            webbrowser.open(station.url)
+        while station.running:
+            clock.sleep(0.1)
+        if station.failure:
+            ERR.print(Text("error: ", style="bold red") + Text(station.failure))
+    return FAILED
