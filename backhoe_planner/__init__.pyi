@@ -1,145 +1,73 @@
-from .errors import (
-    InputError,
-    OutputError,
-    PlanFileError,
-    PlannerError,
-    RobotError,
-    SceneError,
-)
-from .law import (
-    CompletedLaw,
-    CriticalRows,
-    Shield,
-    Shielded,
-    TaskInverse,
-    Wish,
-)
-from .live import (
-    Command,
-    Feedback,
-    FollowerState,
-    FollowerStatus,
-    PlanFollower,
-    Servo,
-    ServoState,
-    Status,
-)
-from .machine import (
-    BothWays,
-    Configuration,
-    Cylinder,
-    DiggingForces,
-    Hydraulics,
-    InverseKinematics,
-    JointLimits,
-    Kinematics,
-    MotionEnergy,
-    Piece,
-    Robot,
-    TipTarget,
-    digging_forces,
-    load_robot,
-    solve_inverse_kinematics,
-)
-from .motion import (
-    Detour,
-    Moments,
-    Problem,
-    TipPath,
-    Tracking,
-    Trajectory,
-    build_problem,
-)
-from .planning import (
-    Plan,
-    Step,
-    load_plan,
-    plan,
-)
-from .proof import (
-    Certificate,
-    LimitUse,
-    certify,
-)
-from .site import (
-    Nearby,
-    Obstacle,
-    Obstruction,
-    Proximity,
-    Scene,
-    Transgression,
-    Waypoint,
-    ZoneLog,
-    build_obstacles,
-    load_scene,
-    scene_from_dict,
-    scene_schema,
-    zone_log,
-)
+from .errors import InputError as InputError
+from .errors import OutputError as OutputError
+from .errors import PlanFileError as PlanFileError
+from .errors import PlannerError as PlannerError
+from .errors import RobotError as RobotError
+from .errors import SceneError as SceneError
+from .law import CompletedLaw as CompletedLaw
+from .law import CriticalRows as CriticalRows
+from .law import Shield as Shield
+from .law import Shielded as Shielded
+from .law import TaskInverse as TaskInverse
+from .law import Wish as Wish
+from .live import Command as Command
+from .live import Feedback as Feedback
+from .live import FollowerState as FollowerState
+from .live import FollowerStatus as FollowerStatus
+from .live import PlanFollower as PlanFollower
+from .live import Servo as Servo
+from .live import ServoState as ServoState
+from .live import Status as Status
+from .machine import BothWays as BothWays
+from .machine import Configuration as Configuration
+from .machine import Cylinder as Cylinder
+from .machine import DiggingForces as DiggingForces
+from .machine import Hydraulics as Hydraulics
+from .machine import InverseKinematics as InverseKinematics
+from .machine import JointLimits as JointLimits
+from .machine import Kinematics as Kinematics
+from .machine import MotionEnergy as MotionEnergy
+from .machine import Piece as Piece
+from .machine import Robot as Robot
+from .machine import TipTarget as TipTarget
+from .machine import digging_forces as digging_forces
+from .machine import load_robot as load_robot
+from .machine import solve_inverse_kinematics as solve_inverse_kinematics
+from .motion import Detour as Detour
+from .motion import Moments as Moments
+from .motion import Problem as Problem
+from .motion import TipPath as TipPath
+from .motion import Tracking as Tracking
+from .motion import Trajectory as Trajectory
+from .motion import build_problem as build_problem
+from .planning import AskedSpeed as AskedSpeed
+from .planning import DetourTotal as DetourTotal
+from .planning import Findings as Findings
+from .planning import LawComparison as LawComparison
+from .planning import Metrics as Metrics
+from .planning import NearestPose as NearestPose
+from .planning import Plan as Plan
+from .planning import Reaction as Reaction
+from .planning import RecordingNotes as RecordingNotes
+from .planning import Slower as Slower
+from .planning import Step as Step
+from .planning import load_plan as load_plan
+from .planning import plan as plan
+from .proof import Certificate as Certificate
+from .proof import LimitUse as LimitUse
+from .proof import certify as certify
+from .site import Nearby as Nearby
+from .site import Obstacle as Obstacle
+from .site import Obstruction as Obstruction
+from .site import Proximity as Proximity
+from .site import Scene as Scene
+from .site import Transgression as Transgression
+from .site import Waypoint as Waypoint
+from .site import ZoneLog as ZoneLog
+from .site import build_obstacles as build_obstacles
+from .site import load_scene as load_scene
+from .site import scene_from_dict as scene_from_dict
+from .site import scene_schema as scene_schema
+from .site import zone_log as zone_log
 
 __version__: str
-
-__all__ = [
-    "BothWays",
-    "Certificate",
-    "Command",
-    "CompletedLaw",
-    "Configuration",
-    "CriticalRows",
-    "Cylinder",
-    "Detour",
-    "DiggingForces",
-    "Feedback",
-    "FollowerState",
-    "FollowerStatus",
-    "Hydraulics",
-    "InputError",
-    "InverseKinematics",
-    "JointLimits",
-    "Kinematics",
-    "LimitUse",
-    "Moments",
-    "MotionEnergy",
-    "Nearby",
-    "Obstacle",
-    "Obstruction",
-    "OutputError",
-    "Piece",
-    "Plan",
-    "PlanFileError",
-    "PlanFollower",
-    "PlannerError",
-    "Problem",
-    "Proximity",
-    "Robot",
-    "RobotError",
-    "Scene",
-    "SceneError",
-    "Servo",
-    "ServoState",
-    "Shield",
-    "Shielded",
-    "Status",
-    "Step",
-    "TaskInverse",
-    "TipPath",
-    "TipTarget",
-    "Tracking",
-    "Trajectory",
-    "Transgression",
-    "Waypoint",
-    "Wish",
-    "ZoneLog",
-    "build_obstacles",
-    "build_problem",
-    "certify",
-    "digging_forces",
-    "load_plan",
-    "load_robot",
-    "load_scene",
-    "plan",
-    "scene_from_dict",
-    "scene_schema",
-    "solve_inverse_kinematics",
-    "zone_log",
-]

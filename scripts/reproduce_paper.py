@@ -37,10 +37,10 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 from rich.progress import track
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix
 from validation.printed_laws import (
     ARRIVED,
     PUSH_SPEED,
@@ -55,8 +55,6 @@ from validation.printed_laws import (
     measure,
     printed_laws,
 )
-
-Matrix = NDArray[np.float64]
 
 SHOWN = PointScene(
     start=np.array([1.42, 1.86, 1.71, 1.16]), goal=np.array([0.45, -2.16, 0.0]), obstacle=np.array([0.63, 0.59, 0.0])

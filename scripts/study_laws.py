@@ -30,7 +30,6 @@ from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.law import CompletedLaw, run_iteration
@@ -41,7 +40,6 @@ from backhoe_planner.proof import certify_problem
 from validation.independent_check import least_distances, refutations
 from validation.planar_scenes import random_planar_scene
 
-Vector = NDArray[np.float64]
 NEAR = 1e-2  # m from the goal counts as arrived, for the laws that only approach it
 
 

@@ -5,16 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Proximity
 
 __all__ = ["BAR", "STRETCHED", "TURNED", "across_bar", "problem_of"]
 
-Vector = NDArray[np.float64]
 Data = dict[str, Any]
 
 STRETCHED = np.zeros(4)

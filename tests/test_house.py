@@ -19,7 +19,7 @@ import backhoe_planner
 ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 FLOORS = [
-    "errors", "files",
+    "arrays", "errors", "files",
     "machine", "site", "motion", "proof", "law", "planning", "live", "show", "cli", "__main__",
 ]  # fmt: skip
 FILES = sorted(PACKAGE.rglob("*.py"))

@@ -7,15 +7,12 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix, Vector
 from validation.obstacles import MACHINES, Record, capsule, turned_box
 
 __all__ = ["HABITATS", "Habitat", "Narrows", "banks", "draw_narrows", "folded_ways", "load_machine"]
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import self_pairs
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import BRANCHES, Cover, Solid, link_shapes
 
 __all__ = ["Least", "least_distances", "refutations"]
 
-Points = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 SPANS = np.array([64, 8, 1])  # moments in a window, from coarse to fine
@@ -50,7 +50,7 @@ class Least:
 class _Track:
     """How a cover moves past something: rotation (T, 3, 3) and translation (T, 3) at every moment."""
 
-    def __init__(self, cover: Cover, rotation: Points, translation: Points) -> None:
+    def __init__(self, cover: Cover, rotation: Matrix, translation: Matrix) -> None:
         self.cover, self.rotation, self.translation = cover, rotation, translation
         count = len(translation)
         self.windows = -(-count // SPANS)
@@ -132,7 +132,7 @@ def _finer(time: NDArray[np.float64], refine: int) -> NDArray[np.float64]:
     return np.concatenate([*steps, time[-1:]])
 
 
-def _placements(robot: bp.Robot, q: Points) -> list[tuple[Points, Points]]:
+def _placements(robot: bp.Robot, q: Matrix) -> list[tuple[Matrix, Matrix]]:
     """Rotations (T, 3, 3) and translations (T, 3) of every joint's frame."""
     model = robot.model
     found = [(np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3)))]
@@ -224,7 +224,7 @@ def _against_itself(
     robot: bp.Robot,
     tracks: list[_Track],
     solids: list[Solid],
-    placements: list[tuple[Points, Points]],
+    placements: list[tuple[Matrix, Matrix]],
     time: NDArray[np.float64],
     floor: Callable[[str, float], float],
 ) -> list[Least]:
@@ -255,6 +255,6 @@ def _against_itself(
     return found
 
 
-def _at(distance: SignedDistance, rotation: Points, place: Points) -> SignedDistance:
+def _at(distance: SignedDistance, rotation: Matrix, place: Matrix) -> SignedDistance:
     """The signed distance to the same shape, placed."""
     return lambda points: distance((points - place) @ rotation)

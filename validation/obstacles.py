@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Vector
 
 __all__ = [
     "MACHINES",
@@ -32,7 +33,6 @@ __all__ = [
     "turned_box",
 ]
 
-Vector = NDArray[np.float64]
 Triple = Sequence[float] | Vector
 Record = dict[str, Any]
 

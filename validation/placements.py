@@ -19,9 +19,9 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
 from validation.habitats import load_machine
 from validation.obstacles import Record, appearing_obstacle
 from validation.servo_drives import CLOSE, broken_limits
@@ -31,7 +31,6 @@ from validation.surfaces import LinkDistances, Nearest, link_shapes
 
 __all__ = ["Drive", "place_obstacles"]
 
-Vector = NDArray[np.float64]
 P = ParamSpec("P")
 R = TypeVar("R")
 

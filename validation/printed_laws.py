@@ -31,14 +31,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import ITERATIONS, CompletedLaw, Magnification, Push, Reference, paper_step
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.planning import Stepper, Work, approach_goal
 from backhoe_planner.site import Gains
 from validation.planar_scenes import random_planar_scene
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Progress = Callable[[Sequence[Any], str], Iterable[Any]]
 
 REGION = 0.5  # m, within which the obstacle term acts

@@ -14,17 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
 from backhoe_planner.site import build_obstacle
 from validation.obstacles import named
 from validation.servo_drives import CLEARANCE, plain_obstacle, servo_scene
 
 __all__ = ["recover"]
 
-Vector = NDArray[np.float64]
 
 _KINDS = ("obstacle", "obstacle", "obstacle", "several obstacles", "itself", "limit", "limit and obstacle")
 _RESTS = 9000  # steps: longer than the servo takes until it searches again

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
 from backhoe_planner.site import build_obstacle, scene_file
 from validation.obstacles import Record, halfspace, random_obstacle
 from validation.signed_distances import SignedDistance, obstacle_distance
@@ -28,7 +28,6 @@ from validation.surfaces import LinkDistances, Nearest
 
 __all__ = ["CLEARANCE", "drive", "free_posture", "plain_obstacle", "servo_scene"]
 
-Vector = NDArray[np.float64]
 
 CLEARANCE = 0.05  # m, of every scene
 EVADED_PART = 0.5  # of the speed that the machine can evade at

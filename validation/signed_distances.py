@@ -9,6 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import load_mesh
 from backhoe_planner.site import scene_file
 
@@ -22,28 +23,27 @@ __all__ = [
     "sphere_distance",
 ]
 
-Points = NDArray[np.float64]
-SignedDistance = Callable[[Points], NDArray[np.float64]]
+SignedDistance = Callable[[Matrix], NDArray[np.float64]]
 
 
-def sphere_distance(points: Points, radius: float) -> NDArray[np.float64]:
+def sphere_distance(points: Matrix, radius: float) -> NDArray[np.float64]:
     """(K,) exact signed distance of points (K, 3) to a sphere, centred."""
     return np.asarray(np.linalg.norm(points, axis=1) - radius)
 
 
-def box_distance(points: Points, size: Points) -> NDArray[np.float64]:
+def box_distance(points: Matrix, size: Matrix) -> NDArray[np.float64]:
     """(K,) exact signed distance of points (K, 3) to a box of full edges `size`, centred."""
     off = np.abs(points) - size / 2.0
     return np.asarray(np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(np.max(off, axis=1), 0.0))
 
 
-def cylinder_distance(points: Points, radius: float, length: float) -> NDArray[np.float64]:
+def cylinder_distance(points: Matrix, radius: float, length: float) -> NDArray[np.float64]:
     """(K,) exact signed distance to a cylinder along z, centred."""
     off = np.column_stack((np.hypot(points[:, 0], points[:, 1]) - radius, np.abs(points[:, 2]) - length / 2.0))
     return np.asarray(np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(np.max(off, axis=1), 0.0))
 
 
-def capsule_distance(points: Points, start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+def capsule_distance(points: Matrix, start: Matrix, end: Matrix, radius: float) -> NDArray[np.float64]:
     """(K,) exact signed distance to a capsule."""
     axis = end - start
     square = float(axis @ axis)
@@ -51,7 +51,7 @@ def capsule_distance(points: Points, start: Points, end: Points, radius: float) 
     return np.asarray(np.linalg.norm(points - start - part[:, None] * axis, axis=1) - radius)
 
 
-def hull_distance(points: Points, hull: trimesh.Trimesh) -> NDArray[np.float64]:
+def hull_distance(points: Matrix, hull: trimesh.Trimesh) -> NDArray[np.float64]:
     """(K,) largest distance over the planes of a convex hull: never above the true distance."""
     offsets = np.einsum("ij,ij->i", hull.face_normals, hull.triangles[:, 0])
     return np.asarray(np.max(points @ hull.face_normals.T - offsets, axis=1))
@@ -72,7 +72,7 @@ def obstacle_distance(spec: scene_file.ObstacleSpec, scene: bp.Scene) -> SignedD
         return lambda points: capsule_distance(points, start, end, spec.radius)
     rotation, place = spec.placement.rotation, spec.placement.translation
 
-    def local(points: Points) -> Points:
+    def local(points: Matrix) -> Matrix:
         return np.asarray((points - place) @ rotation)
 
     if isinstance(spec, scene_file.Sphere):

@@ -36,10 +36,10 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import tip_travel_bound
 from backhoe_planner.motion import TipPath
 from backhoe_planner.site import Waypoint
@@ -48,8 +48,6 @@ from validation.obstacles import MACHINES, Record, extent, lump, named, pipe, ra
 
 __all__ = ["KINDS", "MACHINES", "SPARE", "TASKS", "Site", "SiteKey", "load_machine", "random_site"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 KINDS = ("open", "cluttered", "narrow")
 TASKS = ("goal", "path")

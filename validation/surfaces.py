@@ -1,4 +1,4 @@
-"""Points on every link's collision shape, read from the URDF itself, as trees of balls.
+"""Matrix on every link's collision shape, read from the URDF itself, as trees of balls.
 
 `LinkDistances` looks at one configuration; `independent_check` at whole motions.
 """
@@ -16,12 +16,12 @@ import trimesh
 from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import load_mesh
 from validation.signed_distances import SignedDistance, box_distance, cylinder_distance, hull_distance, sphere_distance
 
 __all__ = ["BRANCHES", "Cover", "LinkDistances", "Nearest", "Solid", "link_shapes"]
 
-Points = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 SPACING = 0.04  # m between points on a surface at most
@@ -31,20 +31,20 @@ _ON_MESH = 1500  # points on a mesh beside its corners
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Points on all collision shapes of a link, as a tree of balls in the frame of its joint.
+    """Matrix on all collision shapes of a link, as a tree of balls in the frame of its joint.
 
     A ball without children is a point; its radius is how far the shape reaches beyond it.
     """
 
     link: str
     joint: int
-    centre: Points  # (M, 3)
+    centre: Matrix  # (M, 3)
     radius: NDArray[np.float64]  # (M,)
     first: Indices  # (M,) the first child, -1 where there is none
     children: Indices  # (M,) how many
 
     @property
-    def points(self) -> Points:
+    def points(self) -> Matrix:
         """(N, 3) the points themselves."""
         return self.centre[self.first < 0]
 
@@ -124,7 +124,7 @@ def link_shapes(robot: bp.Robot) -> tuple[list[Cover], list[Solid]]:
     return covers, solids
 
 
-def _cover(link: str, joint: int, points: Points, fat: NDArray[np.float64]) -> Cover:
+def _cover(link: str, joint: int, points: Matrix, fat: NDArray[np.float64]) -> Cover:
     """The tree of balls over points (N, 3) that reach `fat` (N,) beyond themselves [m]."""
     centre, radius, first, children = [], [], [], []
     queue, known = deque([np.arange(len(points))]), 1
@@ -142,7 +142,7 @@ def _cover(link: str, joint: int, points: Points, fat: NDArray[np.float64]) -> C
     return Cover(link, joint, np.array(centre), np.array(radius), np.array(first), np.array(children))
 
 
-def _split(points: Points, members: Indices) -> list[Indices]:
+def _split(points: Matrix, members: Indices) -> list[Indices]:
     """Up to `BRANCHES` parts, each cut across its longest side; none of a single point."""
     parts = [members]
     while len(parts) < BRANCHES:
@@ -160,7 +160,7 @@ def _split(points: Points, members: Indices) -> list[Indices]:
     return parts if len(parts) > 1 else []
 
 
-def _shape(robot: bp.Robot, geometry) -> tuple[Points, float, SignedDistance]:  # type: ignore[no-untyped-def]
+def _shape(robot: bp.Robot, geometry) -> tuple[Matrix, float, SignedDistance]:  # type: ignore[no-untyped-def]
     if geometry.box is not None:
         size = np.asarray(geometry.box.size, dtype=float)
         return _box_points(size), 0.0, lambda points: box_distance(points, size)
@@ -180,7 +180,7 @@ def _shape(robot: bp.Robot, geometry) -> tuple[Points, float, SignedDistance]:  
     return np.vstack((mesh.vertices, points)), 0.0, lambda p: hull_distance(p, hull)
 
 
-def _box_points(size: Points) -> Points:
+def _box_points(size: Matrix) -> Matrix:
     axes = [np.linspace(-s / 2.0, s / 2.0, max(2, int(np.ceil(s / SPACING)) + 1)) for s in size]
     faces = []
     for axis in range(3):
@@ -194,7 +194,7 @@ def _box_points(size: Points) -> Points:
     return np.unique(np.vstack(faces), axis=0)
 
 
-def _cylinder_points(radius: float, length: float) -> Points:
+def _cylinder_points(radius: float, length: float) -> Matrix:
     around = max(12, int(np.ceil(2.0 * np.pi * radius / SPACING)))
     angle = 2.0 * np.pi * np.arange(around) / around
     ring = np.column_stack((np.cos(angle), np.sin(angle)))

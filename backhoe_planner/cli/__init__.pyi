@@ -1,9 +1,3 @@
-from .application import app
-from .entry import main
-from .plan_summary import describe_quantity
-
-__all__ = [
-    "app",
-    "describe_quantity",
-    "main",
-]
+from .application import app as app
+from .entry import main as main
+from .plan_summary import describe_quantity as describe_quantity

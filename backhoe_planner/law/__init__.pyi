@@ -1,52 +1,33 @@
-from .completed import CompletedLaw, CriticalRows, Wish, activation, push_factor
-from .directionality import (
-    LinkChain,
-    Magnification,
-    Reference,
-    all_link_jacobians,
-    link_chain,
-    link_jacobian,
-    link_velocities,
-)
-from .law import general_solution, joint_velocity, null_space_term, projector
-from .null_space import TaskInverse, pseudo_inverse, resolve
-from .on_path import step_on_path
-from .paper_iteration import ITERATIONS, Push, paper_gains, paper_step, run_iteration
-from .qp import PRICE, UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
-from .shield import Shield, Shielded
-
-__all__ = [
-    "ITERATIONS",
-    "PRICE",
-    "UNBOUNDED",
-    "CompletedLaw",
-    "CriticalRows",
-    "Kind",
-    "LinkChain",
-    "Magnification",
-    "Push",
-    "QuadraticProgram",
-    "Reference",
-    "Rows",
-    "Shield",
-    "Shielded",
-    "TaskInverse",
-    "Wish",
-    "activation",
-    "all_link_jacobians",
-    "general_solution",
-    "joint_velocity",
-    "link_chain",
-    "link_jacobian",
-    "link_velocities",
-    "null_space_term",
-    "paper_gains",
-    "paper_step",
-    "projector",
-    "pseudo_inverse",
-    "push_factor",
-    "resolve",
-    "run_iteration",
-    "solve_program",
-    "step_on_path",
-]
+from .completed import CompletedLaw as CompletedLaw
+from .completed import CriticalRows as CriticalRows
+from .completed import Wish as Wish
+from .completed import activation as activation
+from .completed import push_factor as push_factor
+from .directionality import LinkChain as LinkChain
+from .directionality import Magnification as Magnification
+from .directionality import Reference as Reference
+from .directionality import all_link_jacobians as all_link_jacobians
+from .directionality import link_chain as link_chain
+from .directionality import link_jacobian as link_jacobian
+from .directionality import link_velocities as link_velocities
+from .law import general_solution as general_solution
+from .law import joint_velocity as joint_velocity
+from .law import null_space_term as null_space_term
+from .law import projector as projector
+from .null_space import TaskInverse as TaskInverse
+from .null_space import pseudo_inverse as pseudo_inverse
+from .null_space import resolve as resolve
+from .on_path import step_on_path as step_on_path
+from .paper_iteration import ITERATIONS as ITERATIONS
+from .paper_iteration import Push as Push
+from .paper_iteration import paper_gains as paper_gains
+from .paper_iteration import paper_step as paper_step
+from .paper_iteration import run_iteration as run_iteration
+from .qp import PRICE as PRICE
+from .qp import UNBOUNDED as UNBOUNDED
+from .qp import Kind as Kind
+from .qp import QuadraticProgram as QuadraticProgram
+from .qp import Rows as Rows
+from .qp import solve_program as solve_program
+from .shield import Shield as Shield
+from .shield import Shielded as Shielded

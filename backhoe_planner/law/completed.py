@@ -31,8 +31,8 @@ from typing import NamedTuple
 
 import eigenpy
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law.directionality import all_link_jacobians, link_chain, link_velocities
 from backhoe_planner.law.null_line import resolve_on_null_line
 from backhoe_planner.law.null_space import TaskInverse, resolve
@@ -41,8 +41,6 @@ from backhoe_planner.site import Gains, Nearby
 
 __all__ = ["CompletedLaw", "CriticalRows", "Wish", "activation", "push_factor"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _EPSILON = 2e-2  # (m/rad)^2: rows weaker than its root fade out
 _LARGEST_PUSH = 3.0  # times nominal

@@ -38,8 +38,8 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Configuration
 
 __all__ = [
@@ -52,8 +52,6 @@ __all__ = [
     "link_velocities",
 ]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Magnification = Literal["printed", "norm_preserving"]
 Reference = Literal["tip_referenced", "standard"]
 

@@ -21,14 +21,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law.null_space import pseudo_inverse
 
 __all__ = ["general_solution", "joint_velocity", "null_space_term", "projector"]
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 def projector(J_e: Matrix) -> Matrix:

@@ -13,13 +13,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
+from backhoe_planner.arrays import Matrix, Vector
 
 __all__ = ["resolve_on_null_line"]
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 def resolve_on_null_line(J: Matrix, xdot: Vector, *, threshold: float) -> tuple[list[float], list[float]] | None:

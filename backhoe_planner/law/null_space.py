@@ -14,12 +14,11 @@ from functools import lru_cache
 
 import eigenpy
 import numpy as np
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Matrix, Vector
 
 __all__ = ["TaskInverse", "pseudo_inverse", "resolve"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-4  # of the largest singular value
 _ROUNDING = 1e-10  # of the scale of a matrix: singular values below are rounding

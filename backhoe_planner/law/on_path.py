@@ -9,14 +9,11 @@ path, every clearance and every limit, the answer is None.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law.qp import Kind, QuadraticProgram, Rows, solve_program
 
 __all__ = ["step_on_path"]
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 
 def step_on_path(

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law.directionality import (
     Magnification,
     Reference,
@@ -27,8 +27,6 @@ from backhoe_planner.site import Gains, Nearby, Proximity
 
 __all__ = ["ITERATIONS", "Push", "paper_gains", "paper_step", "run_iteration"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 ITERATIONS = 100
 _PUSH = 0.2  # |xdot_o| per iteration [m]

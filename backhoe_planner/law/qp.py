@@ -20,12 +20,11 @@ from typing import NamedTuple
 
 import daqp
 import numpy as np
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Matrix, Vector
 
 __all__ = ["PRICE", "UNBOUNDED", "Kind", "QuadraticProgram", "Rows", "Solution", "solve_program"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
 UNBOUNDED = 1e30  # from here on daqp counts a bound as none

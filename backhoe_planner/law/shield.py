@@ -22,14 +22,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
 
 __all__ = ["Shield", "Shielded"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W
 _STOPPING_PART = 1.6  # gamma T: 2 would stop exactly at the clearance

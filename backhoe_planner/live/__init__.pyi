@@ -1,44 +1,29 @@
-from .braking.braking_path import BrakingPath, Placements, bend
-from .braking.joint_bounds import VelocityRange
-from .braking.separation import Separation
-from .follower import FollowerState, FollowerStatus, PlanFollower
-from .recordings import is_recording, plan_from_recording, problem_to_show, unrecorded_changes
-from .recovery.escape import MOST_LOOKS, EscapeRoute, EscapeSearch, RouteSearch
-from .recovery.violation_descent import way_back
-from .rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
-from .servo.feedback import Feedback
-from .servo.safe_velocity import VelocityWish, velocity_program
-from .servo.servo import Servo
-from .servo.servo_state import Command, ServoState, Status
-
-__all__ = [
-    "MOST_LOOKS",
-    "BrakingPath",
-    "Command",
-    "EscapeRoute",
-    "EscapeSearch",
-    "Feedback",
-    "FollowerState",
-    "FollowerStatus",
-    "NoRejoining",
-    "Placements",
-    "PlanFollower",
-    "Rejoining",
-    "RejoiningQuery",
-    "RouteSearch",
-    "Separation",
-    "Servo",
-    "ServoState",
-    "Status",
-    "VelocityRange",
-    "VelocityWish",
-    "bend",
-    "find_rejoining",
-    "is_recording",
-    "is_still_clear",
-    "plan_from_recording",
-    "problem_to_show",
-    "unrecorded_changes",
-    "velocity_program",
-    "way_back",
-]
+from .braking.braking_path import BrakingPath as BrakingPath
+from .braking.braking_path import Placements as Placements
+from .braking.braking_path import bend as bend
+from .braking.joint_bounds import VelocityRange as VelocityRange
+from .braking.separation import Separation as Separation
+from .follower import FollowerState as FollowerState
+from .follower import FollowerStatus as FollowerStatus
+from .follower import PlanFollower as PlanFollower
+from .recordings import is_recording as is_recording
+from .recordings import plan_from_recording as plan_from_recording
+from .recordings import problem_to_show as problem_to_show
+from .recordings import unrecorded_changes as unrecorded_changes
+from .recovery.escape import MOST_LOOKS as MOST_LOOKS
+from .recovery.escape import EscapeRoute as EscapeRoute
+from .recovery.escape import EscapeSearch as EscapeSearch
+from .recovery.escape import RouteSearch as RouteSearch
+from .recovery.violation_descent import way_back as way_back
+from .rejoining import NoRejoining as NoRejoining
+from .rejoining import Rejoining as Rejoining
+from .rejoining import RejoiningQuery as RejoiningQuery
+from .rejoining import find_rejoining as find_rejoining
+from .rejoining import is_still_clear as is_still_clear
+from .servo.feedback import Feedback as Feedback
+from .servo.safe_velocity import VelocityWish as VelocityWish
+from .servo.safe_velocity import velocity_program as velocity_program
+from .servo.servo import Servo as Servo
+from .servo.servo_state import Command as Command
+from .servo.servo_state import ServoState as ServoState
+from .servo.servo_state import Status as Status

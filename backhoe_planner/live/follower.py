@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.rejoining import (
     NoRejoining,
@@ -40,7 +41,6 @@ from backhoe_planner.planning import Plan
 
 __all__ = ["FollowerState", "FollowerStatus", "PlanFollower"]
 
-Vector = NDArray[np.float64]
 
 _PULL = 10.0  # 1/s
 _PART = 0.5  # of the acceleration that the way back onto the plan is braked with

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.motion import Problem, SmoothWay, Trajectory, drive_of, time_way
 from backhoe_planner.planning import (
@@ -34,8 +34,6 @@ from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
 __all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_still_clear"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _EFFORTS = (EFFORTS["quick"], EFFORTS["normal"])  # of the sampling, at the first attempt and at the further ones
 _EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the

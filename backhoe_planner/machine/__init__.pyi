@@ -1,64 +1,43 @@
-from .capability.denavit_hartenberg import dh_table
-from .capability.digging import DiggingForces, digging_forces
-from .capability.envelope import Envelope, reachable_points, working_envelope
-from .collision_model import geometry_model, self_pairs
-from .description.hydraulics_file import HydraulicsRecord
-from .description.link_shapes import Visual
-from .description.urdf import example_names, read_urdf, shipped
-from .dynamics import GRAVITY, Dynamics, MotionEnergy, motion_energy
-from .hydraulics.cylinder import Cylinder
-from .hydraulics.hydraulics import BothWays, Hydraulics
-from .hydraulics.linkage import FourBar, Triangle
-from .kinematics.inverse_kinematics import InverseKinematics, solve_batch, solve_inverse_kinematics
-from .kinematics.kinematics import BatchKinematics, Configuration, ConfigurationBatch, Kinematics, wrap_angle
-from .kinematics.target import TargetBatch, TipTarget, movable_rows
-from .reach import tip_travel_bound, travel_bounds
-from .robot import JointLimits, Robot, load_robot
-from .shape.convex import convex_cover, load_mesh, terrain_columns, voxel_boxes
-from .shape.shapes import Piece
-
-__all__ = [
-    "GRAVITY",
-    "BatchKinematics",
-    "BothWays",
-    "Configuration",
-    "ConfigurationBatch",
-    "Cylinder",
-    "DiggingForces",
-    "Dynamics",
-    "Envelope",
-    "FourBar",
-    "Hydraulics",
-    "HydraulicsRecord",
-    "InverseKinematics",
-    "JointLimits",
-    "Kinematics",
-    "MotionEnergy",
-    "Piece",
-    "Robot",
-    "TargetBatch",
-    "TipTarget",
-    "Triangle",
-    "Visual",
-    "convex_cover",
-    "dh_table",
-    "digging_forces",
-    "example_names",
-    "geometry_model",
-    "load_mesh",
-    "load_robot",
-    "motion_energy",
-    "movable_rows",
-    "reachable_points",
-    "read_urdf",
-    "self_pairs",
-    "shipped",
-    "solve_batch",
-    "solve_inverse_kinematics",
-    "terrain_columns",
-    "tip_travel_bound",
-    "travel_bounds",
-    "voxel_boxes",
-    "working_envelope",
-    "wrap_angle",
-]
+from .capability.denavit_hartenberg import dh_table as dh_table
+from .capability.digging import DiggingForces as DiggingForces
+from .capability.digging import digging_forces as digging_forces
+from .capability.envelope import Envelope as Envelope
+from .capability.envelope import reachable_points as reachable_points
+from .capability.envelope import working_envelope as working_envelope
+from .collision_model import geometry_model as geometry_model
+from .collision_model import self_pairs as self_pairs
+from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
+from .description.link_shapes import Visual as Visual
+from .description.urdf import example_names as example_names
+from .description.urdf import read_urdf as read_urdf
+from .description.urdf import shipped as shipped
+from .dynamics import GRAVITY as GRAVITY
+from .dynamics import Dynamics as Dynamics
+from .dynamics import MotionEnergy as MotionEnergy
+from .dynamics import motion_energy as motion_energy
+from .hydraulics.cylinder import Cylinder as Cylinder
+from .hydraulics.hydraulics import BothWays as BothWays
+from .hydraulics.hydraulics import Hydraulics as Hydraulics
+from .hydraulics.linkage import FourBar as FourBar
+from .hydraulics.linkage import Triangle as Triangle
+from .kinematics.inverse_kinematics import InverseKinematics as InverseKinematics
+from .kinematics.inverse_kinematics import solve_batch as solve_batch
+from .kinematics.inverse_kinematics import solve_inverse_kinematics as solve_inverse_kinematics
+from .kinematics.kinematics import BatchKinematics as BatchKinematics
+from .kinematics.kinematics import Configuration as Configuration
+from .kinematics.kinematics import ConfigurationBatch as ConfigurationBatch
+from .kinematics.kinematics import Kinematics as Kinematics
+from .kinematics.kinematics import wrap_angle as wrap_angle
+from .kinematics.target import TargetBatch as TargetBatch
+from .kinematics.target import TipTarget as TipTarget
+from .kinematics.target import movable_rows as movable_rows
+from .reach import tip_travel_bound as tip_travel_bound
+from .reach import travel_bounds as travel_bounds
+from .robot import JointLimits as JointLimits
+from .robot import Robot as Robot
+from .robot import load_robot as load_robot
+from .shape.convex import convex_cover as convex_cover
+from .shape.convex import load_mesh as load_mesh
+from .shape.convex import terrain_columns as terrain_columns
+from .shape.convex import voxel_boxes as voxel_boxes
+from .shape.shapes import Piece as Piece

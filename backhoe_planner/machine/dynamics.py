@@ -14,12 +14,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
 __all__ = ["GRAVITY", "Dynamics", "MotionEnergy", "motion_energy"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 GRAVITY = 9.81  # m/s^2
 

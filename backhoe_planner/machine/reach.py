@@ -11,11 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine.robot import Robot
 
 __all__ = ["tip_travel_bound", "travel_bounds"]
-
-Matrix = NDArray[np.float64]
 
 
 def travel_bounds(robot: Robot) -> Matrix:

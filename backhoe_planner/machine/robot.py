@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.description.chain_model import chain_model
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
@@ -25,7 +26,6 @@ from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 
 __all__ = ["JointLimits", "Robot", "load_robot"]
 
-Vector = NDArray[np.float64]
 
 _DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none
 _FULL_RATE_AFTER = 0.5  # s: acceleration where neither URDF nor scene gives one

@@ -1,46 +1,31 @@
-from .costs import PathCost, trajectory_costs, trajectory_energy
-from .objectives import OBJECTIVES, Nodes
-from .path import TipPath, step_lengths
-from .problem import Problem, build_problem, hand_set_gains
-from .smooth_way import SmoothWay
-from .timing.drive import Drive, drive_of
-from .timing.limit_usage import LimitUsage, limit_usage
-from .timing.retiming import DRIVEN_WITHIN, retimed
-from .timing.time_optimal import Rows, fastest
-from .timing.timing import time_along, time_polyline, time_way
-from .tracking import Detour, Tracking, progress, track_goal, track_path
-from .trajectory import SAMPLE_PERIOD, Moments, Trajectory, chord_sagitta
-
-__all__ = [
-    "DRIVEN_WITHIN",
-    "OBJECTIVES",
-    "SAMPLE_PERIOD",
-    "Detour",
-    "Drive",
-    "LimitUsage",
-    "Moments",
-    "Nodes",
-    "PathCost",
-    "Problem",
-    "Rows",
-    "SmoothWay",
-    "TipPath",
-    "Tracking",
-    "Trajectory",
-    "build_problem",
-    "chord_sagitta",
-    "drive_of",
-    "fastest",
-    "hand_set_gains",
-    "limit_usage",
-    "progress",
-    "retimed",
-    "step_lengths",
-    "time_along",
-    "time_polyline",
-    "time_way",
-    "track_goal",
-    "track_path",
-    "trajectory_costs",
-    "trajectory_energy",
-]
+from .costs import PathCost as PathCost
+from .costs import trajectory_costs as trajectory_costs
+from .costs import trajectory_energy as trajectory_energy
+from .objectives import OBJECTIVES as OBJECTIVES
+from .objectives import Nodes as Nodes
+from .path import TipPath as TipPath
+from .path import step_lengths as step_lengths
+from .problem import Problem as Problem
+from .problem import build_problem as build_problem
+from .problem import hand_set_gains as hand_set_gains
+from .smooth_way import SmoothWay as SmoothWay
+from .timing.drive import Drive as Drive
+from .timing.drive import drive_of as drive_of
+from .timing.limit_usage import LimitUsage as LimitUsage
+from .timing.limit_usage import limit_usage as limit_usage
+from .timing.retiming import DRIVEN_WITHIN as DRIVEN_WITHIN
+from .timing.retiming import retimed as retimed
+from .timing.time_optimal import Rows as Rows
+from .timing.time_optimal import fastest as fastest
+from .timing.timing import time_along as time_along
+from .timing.timing import time_polyline as time_polyline
+from .timing.timing import time_way as time_way
+from .tracking import Detour as Detour
+from .tracking import Tracking as Tracking
+from .tracking import progress as progress
+from .tracking import track_goal as track_goal
+from .tracking import track_path as track_path
+from .trajectory import SAMPLE_PERIOD as SAMPLE_PERIOD
+from .trajectory import Moments as Moments
+from .trajectory import Trajectory as Trajectory
+from .trajectory import chord_sagitta as chord_sagitta

@@ -28,8 +28,8 @@ whatever they do. The terms are
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import BatchKinematics, Dynamics, MotionEnergy, motion_energy
 from backhoe_planner.motion.objectives import (
     OBJECTIVES,
@@ -46,7 +46,6 @@ from backhoe_planner.site import SoilReaction
 
 __all__ = ["WIDEST_STEP", "PathCost", "trajectory_costs", "trajectory_energy"]
 
-Array = NDArray[np.float64]
 
 WIDEST_STEP = 0.7  # rad or m that one joint may move in a step
 _SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added: enough to choose between motions that cost nothing

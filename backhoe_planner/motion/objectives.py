@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Dynamics, Hydraulics, MotionEnergy, Robot
 from backhoe_planner.motion.trajectory import Trajectory
@@ -27,7 +27,6 @@ from backhoe_planner.site import SoilReaction
 
 __all__ = ["OBJECTIVES", "LoadedMachine", "Nodes", "Objective", "Step", "TipVelocities", "Usual", "find_objective"]
 
-Array = NDArray[np.float64]
 # (B, 3) or (3,) of the tip on the step that ends at a node and on the one that begins there [m/s], None for at rest
 TipVelocities = tuple[Array | None, Array | None]
 Parts = TypeVar("Parts", bound="Nodes")

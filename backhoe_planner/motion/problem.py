@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError, nearest_name
 from backhoe_planner.machine import JointLimits, Robot, TipTarget
 from backhoe_planner.motion.objectives import find_objective
@@ -14,8 +14,6 @@ from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import Gains, Goal, Obstacle, Pose, Scene, build_obstacles, scaled_limits, within_sectors
 
 __all__ = ["Problem", "build_problem", "hand_set_gains"]
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics, TipTarget
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
@@ -20,7 +21,6 @@ from backhoe_planner.site import Obstruction
 
 __all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "progress", "track_goal", "track_path"]
 
-Vector = NDArray[np.float64]
 
 GOAL_TOLERANCE = 1e-3  # m
 ANGLE_TOLERANCE = 1e-2  # rad

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import JointLimits
 
 __all__ = ["SAMPLE_PERIOD", "Moments", "Trajectory", "chord_sagitta"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 SAMPLE_PERIOD = 0.02  # s between the samples of a planned motion
 # rad or m of a joint between two moments at which limits are looked at: the greatest flow of

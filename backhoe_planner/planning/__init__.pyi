@@ -1,89 +1,52 @@
-from .paths.corners import round_corners
-from .paths.dynamic_programming import cheapen_stretch
-from .paths.layered_graph import Edge, EdgeKind, LayeredGraph
-from .paths.local_resolution import resolve_along
-from .paths.path_layers import PathLayers, redundancy_of
-from .paths.path_resolution import PathResolver, Stretch
-from .paths.smoothing import smooth_stretch, stretch_cost
-from .planner import plan
-from .reactive.law_timing import as_fast_as_allowed, places_on, shortest_time
-from .reactive.reaching import approach_goal
-from .reactive.stepping import Step, Stepper
-from .report.asked_speed import AskedSpeed, asked_speed
-from .report.comparison import (
-    LawComparison,
-    compare_with_law,
-    joined,
-    law_motion,
-    least_norm_resolution,
-    part_on_path,
-    stations_of,
-)
-from .result.export import export_plan
-from .result.findings import NOTHING, Findings, NearestPose, Reaction, RecordingNotes
-from .result.metrics import DetourTotal, Metrics, measure_motion
-from .result.plan import Plan, load_plan, plan_to_dict
-from .result.plan_file import Method, Reason
-from .search.blending import blend
-from .search.effort import DEFAULT_BUDGET, EFFORTS, Brake, Effort, OutOfTime, Work
-from .search.motion_check import MotionCheck
-from .search.sampling import JointPath, sample_path
-from .search.shortening import shorten
-from .world import World
-
-__all__ = [
-    "DEFAULT_BUDGET",
-    "EFFORTS",
-    "NOTHING",
-    "AskedSpeed",
-    "Brake",
-    "DetourTotal",
-    "Edge",
-    "EdgeKind",
-    "Effort",
-    "Findings",
-    "JointPath",
-    "LawComparison",
-    "LayeredGraph",
-    "Method",
-    "Metrics",
-    "MotionCheck",
-    "NearestPose",
-    "OutOfTime",
-    "PathLayers",
-    "PathResolver",
-    "Plan",
-    "Reaction",
-    "Reason",
-    "RecordingNotes",
-    "Step",
-    "Stepper",
-    "Stretch",
-    "Work",
-    "World",
-    "approach_goal",
-    "as_fast_as_allowed",
-    "asked_speed",
-    "blend",
-    "cheapen_stretch",
-    "compare_with_law",
-    "export_plan",
-    "joined",
-    "law_motion",
-    "least_norm_resolution",
-    "load_plan",
-    "measure_motion",
-    "part_on_path",
-    "places_on",
-    "plan",
-    "plan_to_dict",
-    "redundancy_of",
-    "resolve_along",
-    "round_corners",
-    "sample_path",
-    "shorten",
-    "shortest_time",
-    "smooth_stretch",
-    "stations_of",
-    "stretch_cost",
-]
+from .paths.corners import round_corners as round_corners
+from .paths.dynamic_programming import cheapen_stretch as cheapen_stretch
+from .paths.layered_graph import Edge as Edge
+from .paths.layered_graph import EdgeKind as EdgeKind
+from .paths.layered_graph import LayeredGraph as LayeredGraph
+from .paths.local_resolution import resolve_along as resolve_along
+from .paths.path_layers import PathLayers as PathLayers
+from .paths.path_layers import redundancy_of as redundancy_of
+from .paths.path_resolution import PathResolver as PathResolver
+from .paths.path_resolution import Stretch as Stretch
+from .paths.smoothing import smooth_stretch as smooth_stretch
+from .paths.smoothing import stretch_cost as stretch_cost
+from .planner import plan as plan
+from .reactive.law_timing import as_fast_as_allowed as as_fast_as_allowed
+from .reactive.law_timing import places_on as places_on
+from .reactive.law_timing import shortest_time as shortest_time
+from .reactive.reaching import approach_goal as approach_goal
+from .reactive.stepping import Step as Step
+from .reactive.stepping import Stepper as Stepper
+from .report.asked_speed import AskedSpeed as AskedSpeed
+from .report.asked_speed import Slower as Slower
+from .report.asked_speed import asked_speed as asked_speed
+from .report.comparison import LawComparison as LawComparison
+from .report.comparison import compare_with_law as compare_with_law
+from .report.comparison import joined as joined
+from .report.comparison import law_motion as law_motion
+from .report.comparison import least_norm_resolution as least_norm_resolution
+from .report.comparison import part_on_path as part_on_path
+from .report.comparison import stations_of as stations_of
+from .result.export import export_plan as export_plan
+from .result.findings import Findings as Findings
+from .result.findings import NearestPose as NearestPose
+from .result.findings import Reaction as Reaction
+from .result.findings import RecordingNotes as RecordingNotes
+from .result.metrics import DetourTotal as DetourTotal
+from .result.metrics import Metrics as Metrics
+from .result.metrics import measure_motion as measure_motion
+from .result.plan import Plan as Plan
+from .result.plan import load_plan as load_plan
+from .result.plan import plan_to_dict as plan_to_dict
+from .search.blending import blend as blend
+from .search.effort import DEFAULT_BUDGET as DEFAULT_BUDGET
+from .search.effort import EFFORTS as EFFORTS
+from .search.effort import Brake as Brake
+from .search.effort import Effort as Effort
+from .search.effort import OutOfTime as OutOfTime
+from .search.effort import Work as Work
+from .search.motion_check import MotionCheck as MotionCheck
+from .search.sampling import JointPath as JointPath
+from .search.sampling import sample_path as sample_path
+from .search.shortening import shorten as shorten
+from .world import World as World

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import run_iteration
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import drive_of, retimed, time_polyline
@@ -22,7 +22,6 @@ from backhoe_planner.planning.world import World
 
 __all__ = ["ToGoal", "describe_attempts"]
 
-Vector = NDArray[np.float64]
 
 _LONG_SEARCH = 8  # times as many starting points, before a goal is said to be in collision
 _MOST_POSTURES = 8  # that the law is sent to, one attempt each

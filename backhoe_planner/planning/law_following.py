@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import TipPath, drive_of
 from backhoe_planner.planning.goal_planning import describe_attempts
 from backhoe_planner.planning.outcome import Outcome, no_posture
@@ -28,7 +28,6 @@ from backhoe_planner.site import Obstruction
 
 __all__ = ["follow_with_law"]
 
-Vector = NDArray[np.float64]
 
 _RASTER = 0.05  # m on which the path ahead is searched for a point to rejoin at
 _COARSE = 0.25  # m to the next such point, once one was found that cannot be got to

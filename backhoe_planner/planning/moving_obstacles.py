@@ -18,7 +18,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retimed
@@ -32,7 +31,6 @@ from backhoe_planner.site import Obstacle, Obstruction, Proximity, swept
 
 __all__ = ["Task", "plan_over_time"]
 
-Vector = NDArray[np.float64]
 
 _Reacted = tuple[Outcome, str, float | None]  # how the motion goes on, and when the machine stands [s]
 

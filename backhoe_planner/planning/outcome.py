@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
@@ -16,8 +16,6 @@ from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.world import World
 
 __all__ = ["Outcome", "at_rest", "bad_start", "no_posture", "point"]
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, drive_of, progress, trajectory_costs
 from backhoe_planner.planning.law_following import follow_with_law
@@ -30,8 +30,6 @@ from backhoe_planner.site import Obstruction
 
 __all__ = ["AlongPath", "plan_along_path", "waypoint_out_of_reach"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _MOST_WAYPOINTS = 32  # of a path are tried before it is planned
 _GUESSES = 24  # for each of them

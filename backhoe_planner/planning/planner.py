@@ -13,8 +13,8 @@ import time as clock
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, nearest_name
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import (
@@ -38,7 +38,6 @@ from backhoe_planner.site import Scene
 
 __all__ = ["plan"]
 
-Vector = NDArray[np.float64]
 
 _SLOWER = 3  # times that a motion is planned with slower joints
 _TOO_MUCH = 10.0  # times a limit

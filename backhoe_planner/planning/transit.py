@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import TipPath, drive_of, time_way
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.blending import blend
@@ -18,8 +18,6 @@ from backhoe_planner.planning.world import World
 
 __all__ = ["Transit", "find_detour", "find_transit", "play"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
 _TUBES = (0.25, 0.6, 1.5)  # m, and half of what is left out, that a detour may go off the path

@@ -6,8 +6,8 @@ import copy
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
@@ -16,8 +16,6 @@ from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstacle, Proximity
 
 __all__ = ["World"]
-
-Vector = NDArray[np.float64]
 
 
 class World:

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.site import Obstruction, Proximity
 
 __all__ = ["KEPT_WITHIN", "RESOLUTION", "find_clearances"]
 
-Vector = NDArray[np.float64]
 
 RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance
 _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more

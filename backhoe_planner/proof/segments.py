@@ -9,13 +9,12 @@ segment is halved.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.site import Proximity
 
 __all__ = ["TOUCH", "path_segment_is_clear", "segment_is_clear"]
 
-Vector = NDArray[np.float64]
 
 TOUCH = 5e-5  # m: a path at exactly its clearance is clear to within this, half of `clearances.RESOLUTION`
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`

@@ -1,62 +1,39 @@
-from .drawing.animation import PlanAnimation, Track
-from .drawing.framing import FIELD_OF_VIEW, frame
-from .drawing.machine_meshes import machine_meshes
-from .drawing.names import node_name, node_names
-from .drawing.palette import FAR, TIGHT, margin_rgb
-from .drawing.scene_graph import SceneGraph
-from .drawing.site_meshes import site_mesh
-from .drawing.solids import facets, fattened, grid, solid, together, tube
-from .drawing.timeline import ITSELF, timeline
-from .page.display import Display
-from .page.page import plan_page, write_page
-from .plots.plots import plot_envelope, plot_plan
-from .teleop.joysticks import joint_rates
-from .teleop.messages import LARGEST, Add, Sticks, parse
-from .teleop.server import TeleopServer
-from .teleop.session import Session
-from .teleop.station import TeleopStation, free_name
-from .teleop.wording import Telling, Wording
-from .viewer.live_server import LiveServer, LiveSocket
-from .viewer.viewer import Viewer
-
-__all__ = [
-    "FAR",
-    "FIELD_OF_VIEW",
-    "ITSELF",
-    "LARGEST",
-    "TIGHT",
-    "Add",
-    "Display",
-    "LiveServer",
-    "LiveSocket",
-    "PlanAnimation",
-    "SceneGraph",
-    "Session",
-    "Sticks",
-    "TeleopServer",
-    "TeleopStation",
-    "Telling",
-    "Track",
-    "Viewer",
-    "Wording",
-    "facets",
-    "fattened",
-    "frame",
-    "free_name",
-    "grid",
-    "joint_rates",
-    "machine_meshes",
-    "margin_rgb",
-    "node_name",
-    "node_names",
-    "parse",
-    "plan_page",
-    "plot_envelope",
-    "plot_plan",
-    "site_mesh",
-    "solid",
-    "timeline",
-    "together",
-    "tube",
-    "write_page",
-]
+from .drawing.animation import PlanAnimation as PlanAnimation
+from .drawing.animation import Track as Track
+from .drawing.framing import FIELD_OF_VIEW as FIELD_OF_VIEW
+from .drawing.framing import frame as frame
+from .drawing.machine_meshes import machine_meshes as machine_meshes
+from .drawing.names import node_name as node_name
+from .drawing.names import node_names as node_names
+from .drawing.palette import FAR as FAR
+from .drawing.palette import TIGHT as TIGHT
+from .drawing.palette import margin_rgb as margin_rgb
+from .drawing.scene_graph import SceneGraph as SceneGraph
+from .drawing.site_meshes import site_mesh as site_mesh
+from .drawing.solids import facets as facets
+from .drawing.solids import fattened as fattened
+from .drawing.solids import grid as grid
+from .drawing.solids import solid as solid
+from .drawing.solids import together as together
+from .drawing.solids import tube as tube
+from .drawing.timeline import ITSELF as ITSELF
+from .drawing.timeline import timeline as timeline
+from .page.display import Display as Display
+from .page.page import plan_page as plan_page
+from .page.page import write_page as write_page
+from .plots.plots import plot_envelope as plot_envelope
+from .plots.plots import plot_plan as plot_plan
+from .teleop.joysticks import joint_rates as joint_rates
+from .teleop.messages import LARGEST as LARGEST
+from .teleop.messages import Add as Add
+from .teleop.messages import Sticks as Sticks
+from .teleop.messages import parse as parse
+from .teleop.server import TeleopServer as TeleopServer
+from .teleop.session import Session as Session
+from .teleop.station import TeleopStation as TeleopStation
+from .teleop.station import free_name as free_name
+from .teleop.wording import Telling as Telling
+from .teleop.wording import Wording as Wording
+from .viewer.live_server import LiveServer as LiveServer
+from .viewer.live_server import LiveSocket as LiveSocket
+from .viewer.viewer import Viewer as Viewer

@@ -1,68 +1,39 @@
-from .clearance_screen import ClearanceScreen
-from .limits import scaled_limits, within_sectors
-from .obstacles import Obstacle, build_obstacle, build_obstacles, swept
-from .obstruction import Obstruction
-from .proximity import Nearby, Pair, Proximity
-from .quantities import Finite
-from .scene_file import (
-    Box,
-    Capsule,
-    Gains,
-    Goal,
-    HalfSpace,
-    Pose,
-    Scene,
-    Soil,
-    Wall,
-    Waypoint,
-    load_scene,
-    obstacle_from_dict,
-    scene_from_dict,
-    scene_schema,
-)
-from .soil import LIP, SoilReaction, blade_force, bucket_width, failure_angle, soil_force
-from .survey_files import read_heights, read_points
-from .zones import Level, Transgression, ZoneLog, pace, worst_first, zone_log
-
-__all__ = [
-    "LIP",
-    "Box",
-    "Capsule",
-    "ClearanceScreen",
-    "Finite",
-    "Gains",
-    "Goal",
-    "HalfSpace",
-    "Level",
-    "Nearby",
-    "Obstacle",
-    "Obstruction",
-    "Pair",
-    "Pose",
-    "Proximity",
-    "Scene",
-    "Soil",
-    "SoilReaction",
-    "Transgression",
-    "Wall",
-    "Waypoint",
-    "ZoneLog",
-    "blade_force",
-    "bucket_width",
-    "build_obstacle",
-    "build_obstacles",
-    "failure_angle",
-    "load_scene",
-    "obstacle_from_dict",
-    "pace",
-    "read_heights",
-    "read_points",
-    "scaled_limits",
-    "scene_from_dict",
-    "scene_schema",
-    "soil_force",
-    "swept",
-    "within_sectors",
-    "worst_first",
-    "zone_log",
-]
+from .clearance_screen import ClearanceScreen as ClearanceScreen
+from .limits import scaled_limits as scaled_limits
+from .limits import within_sectors as within_sectors
+from .obstacles import Obstacle as Obstacle
+from .obstacles import build_obstacle as build_obstacle
+from .obstacles import build_obstacles as build_obstacles
+from .obstacles import swept as swept
+from .obstruction import Obstruction as Obstruction
+from .proximity import Nearby as Nearby
+from .proximity import Proximity as Proximity
+from .quantities import Finite as Finite
+from .scene_file import Box as Box
+from .scene_file import Capsule as Capsule
+from .scene_file import Gains as Gains
+from .scene_file import Goal as Goal
+from .scene_file import HalfSpace as HalfSpace
+from .scene_file import Pose as Pose
+from .scene_file import Scene as Scene
+from .scene_file import Soil as Soil
+from .scene_file import Wall as Wall
+from .scene_file import Waypoint as Waypoint
+from .scene_file import load_scene as load_scene
+from .scene_file import obstacle_from_dict as obstacle_from_dict
+from .scene_file import scene_from_dict as scene_from_dict
+from .scene_file import scene_schema as scene_schema
+from .soil import LIP as LIP
+from .soil import SoilReaction as SoilReaction
+from .soil import blade_force as blade_force
+from .soil import bucket_width as bucket_width
+from .soil import failure_angle as failure_angle
+from .soil import soil_force as soil_force
+from .survey_files import read_heights as read_heights
+from .survey_files import read_points as read_points
+from .zones import Level as Level
+from .zones import Transgression as Transgression
+from .zones import ZoneLog as ZoneLog
+from .zones import pace as pace
+from .zones import worst_first as worst_first
+from .zones import zone_log as zone_log

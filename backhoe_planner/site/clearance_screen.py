@@ -11,14 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, ConfigurationBatch, Piece
 from backhoe_planner.site.proximity import Proximity
 
 __all__ = ["ClearanceScreen"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
-Array = NDArray[np.float64]
 
 _PORTION = 2_000_000  # numbers in one array at most
 _MOST_BALLS = 8  # around one piece

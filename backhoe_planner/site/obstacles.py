@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.shape import shapes
@@ -22,7 +22,6 @@ from backhoe_planner.site import scene_file
 
 __all__ = ["Obstacle", "build_obstacle", "build_obstacles", "swept"]
 
-Vector = NDArray[np.float64]
 
 _MOST_PIECES = 20_000  # of one obstacle: with the 20 pieces of a machine they make 400,000 pairs
 

@@ -24,6 +24,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Robot, geometry_model, self_pairs, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
@@ -31,8 +32,6 @@ from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
 
 __all__ = ["Nearby", "Pair", "Proximity"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

@@ -23,15 +23,14 @@ in the bucket, its side plates and the ground's slope are left out.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import GRAVITY, BatchKinematics, ConfigurationBatch, Robot
 from backhoe_planner.site.scene_file import Soil
 
 __all__ = ["LIP", "SoilReaction", "blade_force", "bucket_width", "failure_angle", "soil_force"]
 
-Array = NDArray[np.float64]
 
 LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
 _FLATTEST = np.radians(10.0)  # a flatter blade only slides

@@ -6,13 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 
 __all__ = ["read_heights", "read_points"]
-
-Vector = NDArray[np.float64]
 
 
 def read_heights(path: Path) -> Vector:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.site.obstacles import build_obstacles
@@ -23,8 +23,6 @@ from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
 
 __all__ = ["Level", "Motion", "Transgression", "ZoneLog", "pace", "worst_first", "zone_log"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Level = Literal["warn", "slow", "stop"]
 
 _Key = tuple[str, Level]

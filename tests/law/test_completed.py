@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import CompletedLaw, activation, null_space_term, push_factor
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.site import Nearby, Proximity, build_obstacles, scene_from_dict
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 INFLUENCE = 0.6  # unity distance 0.2
 EPSILON = 2e-2  # (m/rad)^2, the regularisation that the module states

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import (
     LinkChain,
     Magnification,
@@ -15,8 +16,6 @@ from backhoe_planner.law import (
     link_velocities,
 )
 from backhoe_planner.machine import Kinematics, Robot
-
-Vector = NDArray[np.float64]
 
 
 def flat_chain(*points: tuple[float, float]) -> LinkChain:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import (
     Reference,
     general_solution,
@@ -16,9 +16,6 @@ from backhoe_planner.law import (
     projector,
 )
 from backhoe_planner.machine import Kinematics, Robot
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 # Two joints, one task row: both joints add up in it.
 J_E = np.array([[1.0, 1.0]])

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.law import projector, pseudo_inverse, resolve
 from backhoe_planner.machine import Kinematics, Robot
-
-Matrix = NDArray[np.float64]
 
 
 def random_jacobian(seed: int, m: int, n: int) -> Matrix:

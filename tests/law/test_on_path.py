@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import Kind, Rows, step_on_path
-
-Vector = NDArray[np.float64]
 
 WIDE = np.full(2, 10.0)
 SUM = np.array([[1.0, 1.0]])

@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from backhoe_planner import load_scene, plan, scene_from_dict
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import ITERATIONS, Magnification, Push, Reference, paper_gains, paper_step, run_iteration
 from backhoe_planner.machine import Configuration, Kinematics, Robot, TipTarget
 from backhoe_planner.motion import build_problem
 from backhoe_planner.site import Gains, Proximity
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 REGION = 0.5
 NO_TERMS = Gains(s_e=0.2)

@@ -6,14 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import Shield, resolve
 from backhoe_planner.machine import JointLimits, Kinematics, Robot
 from backhoe_planner.site import Nearby, Proximity, build_obstacles, scene_from_dict
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 DT = 0.02
 

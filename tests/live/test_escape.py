@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
 from backhoe_planner.live import MOST_LOOKS, EscapeRoute, EscapeSearch, RouteSearch, Servo
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Proximity, build_obstacles
-
-Vector = NDArray[np.float64]
 
 BESIDE_THE_POST = {
     "name": "wall", "shape": "box", "size": [0.3, 3.0, 2.0], "position": [0.837, -1.48, 0.31],

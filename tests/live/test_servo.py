@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import CompletedLaw, activation
 from backhoe_planner.live import BrakingPath, Command, Feedback, Placements, Separation, Servo, Status, bend, way_back
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Nearby, Proximity, build_obstacles
-
-Vector = NDArray[np.float64]
 
 STANDING = [0.0, 0.3, -0.9, -0.5]  # the tip at (4.74, 0, -0.66)
 POST = {"name": "post", "shape": "capsule", "radius": 0.15, "from": [4.2, 1.5, -2.0], "to": [4.2, 1.5, 3.0]}

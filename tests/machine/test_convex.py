@@ -14,16 +14,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import convex_cover, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.machine.shape import shapes
 
-Points = NDArray[np.float64]
-
 ROUNDING = 1e-9
 
 
-def inside_any(points: Points, pieces: Sequence[Points]) -> NDArray[np.bool_]:
+def inside_any(points: Matrix, pieces: Sequence[Matrix]) -> NDArray[np.bool_]:
     """(n,) which points lie in at least one of the pieces' hulls."""
     depth = np.full(len(points), np.inf)
     for piece in pieces:
@@ -48,7 +47,7 @@ def ell() -> trimesh.Trimesh:
     return extruded([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 1.0)
 
 
-def samples(mesh: trimesh.Trimesh) -> Points:
+def samples(mesh: trimesh.Trimesh) -> Matrix:
     """Corners, face centres, and middles of edges."""
     triangles = np.asarray(mesh.triangles)
     edges = 0.5 * (triangles + np.roll(triangles, 1, axis=1))
@@ -138,7 +137,7 @@ def test_flat_mesh_in_any_tilted_plane_is_measured_half_a_millimetre_above_it() 
             assert found == pytest.approx(0.8 - 0.1 - 0.0005, abs=1e-9)
 
 
-def gap(piece: shapes.Piece, centre: Points, radius: float) -> float:
+def gap(piece: shapes.Piece, centre: Matrix, radius: float) -> float:
     """Signed distance from a piece to a ball [m]."""
     at = shapes.transform(piece.placement.rotation, piece.placement.translation)
     ball = shapes.sphere(radius, pin.SE3.Identity())
@@ -190,7 +189,7 @@ def test_mesh_beyond_every_map_is_refused() -> None:
 # --- voxels -------------------------------------------------------------------
 
 
-def cells_of(boxes: list[tuple[Points, Points]], resolution: float) -> list[tuple[int, ...]]:
+def cells_of(boxes: list[tuple[Matrix, Matrix]], resolution: float) -> list[tuple[int, ...]]:
     cells = []
     for centre, size in boxes:
         first = np.round((centre - 0.5 * size) / resolution).astype(int)
@@ -199,13 +198,13 @@ def cells_of(boxes: list[tuple[Points, Points]], resolution: float) -> list[tupl
     return [tuple(int(c) for c in cell) for cell in cells]
 
 
-clouds: st.SearchStrategy[Points] = st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=1, max_size=60).map(
+clouds: st.SearchStrategy[Matrix] = st.lists(st.tuples(*[st.floats(-2.0, 2.0)] * 3), min_size=1, max_size=60).map(
     np.array
 )
 
 
 @given(clouds, st.sampled_from([0.1, 0.25, 0.37, 1.0]))
-def test_boxes_fill_exactly_the_voxels_that_hold_a_point(points: Points, resolution: float) -> None:
+def test_boxes_fill_exactly_the_voxels_that_hold_a_point(points: Matrix, resolution: float) -> None:
     boxes = voxel_boxes(points, resolution)
     cells = cells_of(boxes, resolution)
     wanted = {tuple(int(c) for c in np.floor(point / resolution)) for point in points}
@@ -235,7 +234,7 @@ def test_one_point_is_one_voxel_on_the_grid_of_the_origin() -> None:
 # --- terrain ------------------------------------------------------------------
 
 
-def bilinear(heights: Points, size: tuple[float, float], count: int) -> Points:
+def bilinear(heights: Matrix, size: tuple[float, float], count: int) -> Matrix:
     """(count^2, 3) points of the surface, and all grid points."""
     rows, columns = heights.shape
     found = []
@@ -249,7 +248,7 @@ def bilinear(heights: Points, size: tuple[float, float], count: int) -> Points:
     return np.array(found)
 
 
-def height_of(column: Points, x: float, y: float) -> float:
+def height_of(column: Matrix, x: float, y: float) -> float:
     """The column's top above (x, y); -inf beside it."""
     equations = ConvexHull(column).equations
     rest = equations[:, 0] * x + equations[:, 1] * y + equations[:, 3]
@@ -269,7 +268,7 @@ terrains = st.tuples(st.integers(2, 6), st.integers(2, 6)).flatmap(
 
 
 @given(terrains, st.sampled_from([0.0, 0.02, 0.3]))
-def test_columns_cover_the_surface_and_the_ground_below(heights: Points, tolerance: float) -> None:
+def test_columns_cover_the_surface_and_the_ground_below(heights: Matrix, tolerance: float) -> None:
     size = (4.0, 6.0)
     columns = terrain_columns(heights, size, tolerance=tolerance, depth=1.0)
     surface = bilinear(heights, size, 9)

@@ -9,13 +9,11 @@ import pinocchio as pin
 import pytest
 import yaml
 from machines import LENGTH, MASS, PENDULUM
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import GRAVITY, Dynamics, Kinematics, motion_energy
 from backhoe_planner.site import Soil, SoilReaction
-
-Array = NDArray[np.float64]
 
 RAM = {
     "version": 1,

@@ -12,16 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Array
 from backhoe_planner.cli import main
 from backhoe_planner.files.yaml_text import read_yaml
 from backhoe_planner.machine import Dynamics, FourBar, Hydraulics, HydraulicsRecord, Triangle, digging_forces
 from backhoe_planner.planning import export_plan
 
 Data = dict[str, Any]
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 DESCRIPTION = ROOT / "models" / "backhoe.hydraulics.yaml"

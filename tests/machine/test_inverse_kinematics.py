@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from backhoe_planner.machine import Configuration, Kinematics, Robot, TipTarget, solve_inverse_kinematics
-
-Vector = NDArray[np.float64]
 
 COUNT = 100
 

@@ -10,12 +10,10 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Configuration, Kinematics, Robot, TipTarget, load_robot, movable_rows, wrap_angle
-
-Vector = NDArray[np.float64]
 
 STEP = 1e-6
 

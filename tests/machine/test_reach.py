@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics, Robot, load_robot, tip_travel_bound, travel_bounds
-
-Vector = NDArray[np.float64]
 
 
 def placed_hulls(robot: Robot, q: Vector) -> list[Vector]:

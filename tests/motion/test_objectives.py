@@ -9,10 +9,10 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 from machines import LENGTH, MASS, PENDULUM
-from numpy.typing import NDArray
 from reasons import comparison
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import GRAVITY
 from backhoe_planner.motion import (
     OBJECTIVES,
@@ -24,8 +24,6 @@ from backhoe_planner.motion import (
     trajectory_energy,
 )
 from backhoe_planner.planning import LayeredGraph, PathLayers
-
-Array = NDArray[np.float64]
 
 LIFT = f"""<robot name="lift">
   <link name="post"/>

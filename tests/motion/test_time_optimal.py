@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import Dynamics, Hydraulics, JointLimits, Robot, load_robot
 from backhoe_planner.motion import (
     Drive,
@@ -29,8 +29,6 @@ from backhoe_planner.motion import (
 from backhoe_planner.planning import load_plan, plan
 from backhoe_planner.proof import certify
 from backhoe_planner.site import Scene, scene_from_dict
-
-Matrix = NDArray[np.float64]
 
 MASS, LENGTH, GRAVITY = 20.0, 1.5, 9.81
 PENDULUM = f"""

@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Robot, travel_bounds
 from backhoe_planner.motion import SmoothWay, Trajectory, chord_sagitta, time_way
 from backhoe_planner.motion.timing import timing
 from backhoe_planner.planning import JointPath, MotionCheck, Work, blend, sample_path, shorten
 from backhoe_planner.site import Proximity
-
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 # legs of different lengths and directions, a right angle and a turn back among them
 CORNERS = np.array(

@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Array
 from backhoe_planner.motion import Problem, build_problem, limit_usage
 from backhoe_planner.planning import Stepper, Work, World, approach_goal, as_fast_as_allowed, places_on, shortest_time
-
-Array = NDArray[np.float64]
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 CAGE = """<robot name="lift">

@@ -6,11 +6,9 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.planning import Edge, EdgeKind, LayeredGraph
-
-Matrix = NDArray[np.float64]
 
 
 def quadratic(a: Matrix, b: Matrix, span: float) -> Matrix:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 from reasons import comparison, law_cost
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import OBJECTIVES, PathCost, Problem, Trajectory, build_problem, trajectory_costs
 from backhoe_planner.planning import (
@@ -30,8 +30,6 @@ from backhoe_planner.planning import (
     stations_of,
 )
 from backhoe_planner.planning.paths.dynamic_programming import _cheapest_driven
-
-Array = NDArray[np.float64]
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 CUT = [[4.4, 0.0, -0.4], [2.6, 0.4, 0.8]]

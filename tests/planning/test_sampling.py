@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 from bar_scenes import BAR, STRETCHED, TURNED, across_bar, problem_of
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Problem, drive_of, time_way
 from backhoe_planner.planning import (
@@ -34,8 +34,6 @@ from backhoe_planner.planning import (
 from backhoe_planner.proof import certify_problem
 from backhoe_planner.site import Proximity
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Data = dict[str, Any]
 
 

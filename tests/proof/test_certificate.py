@@ -10,16 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Trajectory, build_problem
 from backhoe_planner.proof import Certificate, certify, segment_is_clear
 from backhoe_planner.site import Obstruction
 from validation.signed_distances import box_distance
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Data = dict[str, Any]
 
 LINK = np.array([1.0, 0.08, 0.08])

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Obstacle, build_obstacles, load_scene, read_heights, read_points, scene_from_dict
-
-Points = NDArray[np.float64]
 
 
 def build(robot: Robot, folder: Path, **keys: object) -> Obstacle:
@@ -27,7 +25,7 @@ def build(robot: Robot, folder: Path, **keys: object) -> Obstacle:
     return build_obstacles(scene_from_dict(data, folder=folder, file=folder / "scene.yaml"), robot)[0]
 
 
-def extent(obstacle: Obstacle) -> Points:
+def extent(obstacle: Obstacle) -> Matrix:
     """(2, 3) lowest and highest corner of all pieces, world."""
     points = np.vstack([piece.hull for piece in obstacle.pieces])
     return np.array([points.min(axis=0), points.max(axis=0)])

@@ -13,11 +13,10 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Robot, load_robot, travel_bounds
 from backhoe_planner.site import Nearby, Obstacle, Proximity, build_obstacles, scene_from_dict
-
-Vector = NDArray[np.float64]
 
 STRETCHED = np.zeros(4)  # link k of planar4 lies along x from k - 1 to k, 8 cm wide and high
 STEP = 1e-6

@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.site import LIP, Soil, SoilReaction, blade_force, bucket_width, failure_angle, soil_force
-
-Array = NDArray[np.float64]
 
 SOILS = {
     "the default": Soil(),

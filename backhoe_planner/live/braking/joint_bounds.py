@@ -7,13 +7,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
 
 __all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds", "Load", "VelocityRange"]
 
-Vector = NDArray[np.float64]
 
 BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest is left for corrections
 RECOVERY = 1.0  # 1/s: speed of the way back by what is missing

@@ -13,14 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.site import pace
 
 __all__ = ["BUFFER", "TOLERANCE", "Near", "PairBounds"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 

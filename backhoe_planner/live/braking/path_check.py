@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds
@@ -23,7 +24,6 @@ from backhoe_planner.live.braking.separation import Separation
 
 __all__ = ["MOST_ROWS", "Awake", "PathCheck"]
 
-Vector = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 MOST_ROWS = 400  # of one kind in a problem, the tightest: the work of a step is bounded

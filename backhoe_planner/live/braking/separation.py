@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.machine import Robot, self_pairs, travel_bounds
 from backhoe_planner.machine.shape import shapes
@@ -24,8 +25,6 @@ from backhoe_planner.site import Obstacle
 
 __all__ = ["Separation"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 MACHINE = -1  # owner of the pairs of the machine with itself

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.separation import Separation
@@ -41,8 +42,6 @@ from backhoe_planner.machine import JointLimits, Robot
 
 __all__ = ["MOST_LOOKS", "EscapeRoute", "EscapeSearch", "RouteSearch"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 

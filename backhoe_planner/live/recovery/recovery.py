@@ -42,6 +42,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import (
     MOST_PARTS,
@@ -59,8 +60,6 @@ from backhoe_planner.machine import JointLimits, Robot
 
 __all__ = ["Recovery", "RecoveryPath", "RecoveryStep"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 

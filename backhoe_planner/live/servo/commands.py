@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.live.servo.servo_state import Command
 from backhoe_planner.machine import Robot
 
 __all__ = ["Commands"]
 
-Vector = NDArray[np.float64]
 
 _FASTEST_WISH = 100.0  # m/s or rad/s
 

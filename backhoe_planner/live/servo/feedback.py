@@ -22,11 +22,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Vector
 
 __all__ = ["Feedback"]
 
-Vector = NDArray[np.float64]
 
 _SEED = 1e-7  # J: what may be lent, to a force against the hand, before anything was taken
 _LEAK = 1e-13  # J per sample, so that an empty ledger can fill again

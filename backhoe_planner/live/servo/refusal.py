@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Vector
 
 __all__ = ["Refusal"]
 
-Vector = NDArray[np.float64]
 
 _REMEMBERED = 0.02  # s for which being held back counts, so that a status does not flicker
 _AS_WISHED = 1e-9  # rad/s or m/s: rounding

@@ -15,8 +15,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import QuadraticProgram, Rows, solve_program
 from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import (
@@ -33,8 +33,6 @@ from backhoe_planner.live.recovery.recovery import Recovery, RecoveryStep
 
 __all__ = ["SafeVelocity", "VelocityFilter", "VelocityWish", "velocity_program"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _ATTEMPTS = 3  # problems that are solved per step
 _BLENDS = (0.5, 0.2)  # parts of the way from braking to what was tried last

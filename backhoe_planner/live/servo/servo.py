@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.braking_path import MOST_PARTS, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
@@ -47,7 +48,6 @@ from backhoe_planner.site import Obstacle, build_obstacles, pace, scaled_limits,
 
 __all__ = ["Servo"]
 
-Vector = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _WARN = 0.10  # m of margin within which the status says so, and the force begins

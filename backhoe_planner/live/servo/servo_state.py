@@ -5,12 +5,9 @@ from __future__ import annotations
 from enum import Enum
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from backhoe_planner.arrays import Vector
 
 __all__ = ["Command", "ServoState", "Status"]
-
-Vector = NDArray[np.float64]
 
 
 class Status(str, Enum):

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.separation import MACHINE, Separation
 from backhoe_planner.machine import Robot, voxel_boxes
@@ -19,7 +20,6 @@ from backhoe_planner.site import Obstacle, build_obstacle, scene_file
 
 __all__ = ["Surroundings", "number_within"]
 
-Vector = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _FARTHEST = 1000.0  # m

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw, CriticalRows
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.joint_bounds import JointBounds
@@ -18,8 +19,6 @@ from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_ro
 
 __all__ = ["JointWish", "TipTask"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _INFLUENCE = 0.3  # m: further away the null space need not care
 _UP = np.array([0.0, 0.0, 1.0])

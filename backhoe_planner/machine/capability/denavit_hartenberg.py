@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine.robot import Robot
 
 __all__ = ["DhRow", "DhTable", "dh_table"]
 
-Vector = NDArray[np.float64]
 
 _PARALLEL = 1e-9  # rad, and m: nearer than this, axes are parallel or meet but for rounding
 

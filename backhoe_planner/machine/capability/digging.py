@@ -15,14 +15,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine.kinematics.kinematics import Kinematics
 from backhoe_planner.machine.robot import Robot
 
 __all__ = ["DiggingForces", "digging_forces"]
 
-Vector = NDArray[np.float64]
 
 _SAMPLES = 4001  # of a joint's range: a thousandth of a radian apart, torque being flat at its greatest
 _AT_PIN = 1e-3  # m: a tip this near the last pin cannot dig about it

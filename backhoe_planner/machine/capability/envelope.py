@@ -18,16 +18,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.kinematics.kinematics import Kinematics, wrap_angle
 from backhoe_planner.machine.robot import Robot
 
 __all__ = ["DUMP_PITCH", "Envelope", "reachable_points", "working_envelope"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 DUMP_PITCH = np.radians(-80.0)
 _GRID = 9  # points per joint

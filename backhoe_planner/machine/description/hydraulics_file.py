@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yourdfpy
-from numpy.typing import NDArray
 from pydantic import Field, ValidationError, model_validator
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError, nearest_name
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import read_yaml
@@ -34,7 +34,6 @@ __all__ = [
     "read_hydraulics",
 ]
 
-Vector = NDArray[np.float64]
 
 _LARGEST = 1e9  # Pa, W: a pressure of 1e9 Pa no oil line bears
 _SAMPLES = 1441  # of a joint's range, in which a linkage is tried

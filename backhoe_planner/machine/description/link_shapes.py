@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import yourdfpy
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError
 from backhoe_planner.machine.description.urdf import Urdf, se3
 from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
@@ -17,7 +17,6 @@ from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, s
 
 __all__ = ["LinkPiece", "Visual", "link_pieces", "visuals_of"]
 
-Vector = NDArray[np.float64]
 
 # A link's mesh is taken as its convex hull unless the hull would close a cavity.
 _LINK_HULL_EXCESS = 2.0  # times the mesh's volume: a solid link with recesses is below, an open bucket far above

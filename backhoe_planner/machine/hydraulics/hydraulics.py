@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.cylinder import Cylinder
 
 __all__ = ["BothWays", "Hydraulics"]
 
-Array = NDArray[np.float64]
 
 _CLOSES = 1e-7  # m: an angle whose length is this far off is on another branch
 _BESIDE = 1e-7  # rad: this far beyond the end of the stroke is still the end

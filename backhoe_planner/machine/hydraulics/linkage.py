@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Array
 
 __all__ = ["FourBar", "Linkage", "Triangle"]
 
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9  # a cosine this far beyond 1 is 1
 

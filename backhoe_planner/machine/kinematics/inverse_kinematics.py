@@ -16,14 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from backhoe_planner.arrays import Array, Vector
 from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, Kinematics
 from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, movable_rows
 from backhoe_planner.machine.robot import Robot
 
 __all__ = ["InverseKinematics", "solve_batch", "solve_inverse_kinematics"]
 
-Vector = NDArray[np.float64]
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _ITERATIONS = 40  # most converge quadratically, in few; near singular postures the damping makes it many

@@ -15,14 +15,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
 
 __all__ = ["BatchKinematics", "Configuration", "ConfigurationBatch", "Kinematics", "wrap_angle"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
-Array = NDArray[np.float64]
 _Angle = TypeVar("_Angle", float, Array)
 
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from vhacdx import compute_vhacd
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.shape.shapes import hull, is_flat
 
 __all__ = ["convex_cover", "load_mesh", "terrain_columns", "voxel_boxes"]
 
-Points = NDArray[np.float64]
 Cells = NDArray[np.int64]
 
 _RESOLUTION = 60_000  # voxels in which V-HACD looks at a mesh: cells of 2.5 % of a cube's edge
@@ -53,7 +53,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.08) -> list[Points]:
+def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.08) -> list[Matrix]:
     """Corner points of convex pieces whose union contains every triangle of `mesh`.
 
     Parameters
@@ -93,7 +93,7 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
     return _grown_over_triangles(hulls, vertices[faces])
 
 
-def _grown_over_triangles(hulls: list[ConvexHull], triangles: Points) -> list[Points]:
+def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[Matrix]:
     """Add each triangle that sticks out to the piece that it sticks out of least."""
     outside = np.stack(
         [np.max(triangles @ part.equations[:, :3].T + part.equations[:, 3], axis=(1, 2)) for part in hulls]
@@ -107,7 +107,7 @@ def _grown_over_triangles(hulls: list[ConvexHull], triangles: Points) -> list[Po
     return grown
 
 
-def voxel_boxes(points: Points, resolution: float) -> list[tuple[Points, Points]]:
+def voxel_boxes(points: Matrix, resolution: float) -> list[tuple[Matrix, Matrix]]:
     """Boxes that fill exactly the voxels in which a point lies.
 
     Neighbouring voxels are merged into larger boxes, first along x, then y, then z.
@@ -141,7 +141,7 @@ def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells
     return corner[first], merged
 
 
-def terrain_columns(heights: Points, size: tuple[float, float], *, tolerance: float, depth: float) -> list[Points]:
+def terrain_columns(heights: Matrix, size: tuple[float, float], *, tolerance: float, depth: float) -> list[Matrix]:
     """Convex columns under a height map, none of whose surface is left uncovered.
 
     Blocks of cells are merged as long as the hull of their surface points rises at
@@ -159,7 +159,7 @@ def terrain_columns(heights: Points, size: tuple[float, float], *, tolerance: fl
     x = np.linspace(-size[0] / 2.0, size[0] / 2.0, columns)
     y = np.linspace(-size[1] / 2.0, size[1] / 2.0, rows)
     floor = float(heights.min()) - depth
-    found: list[Points] = []
+    found: list[Matrix] = []
     stack = [(0, rows - 1, 0, columns - 1)]
     while stack:
         r0, r1, c0, c1 = stack.pop()
@@ -181,7 +181,7 @@ def terrain_columns(heights: Points, size: tuple[float, float], *, tolerance: fl
     return found
 
 
-def _rise_of_hull(top: Points) -> float:
+def _rise_of_hull(top: Matrix) -> float:
     """How far the upper convex hull of surface points rises above any of them [m]."""
     if is_flat(top):
         return 0.0

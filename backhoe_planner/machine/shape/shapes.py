@@ -14,8 +14,9 @@ from typing import Any, TypeVar
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
+
+from backhoe_planner.arrays import Vector
 
 __all__ = [
     "Gauge",
@@ -35,7 +36,6 @@ __all__ = [
     "transform",
 ]
 
-Vector = NDArray[np.float64]
 
 _SIDES = 32  # of the prism around a cylinder: 1 / cos(pi / 32) is 0.49 % more than its radius
 _FLAT = 1e-6  # of the largest extent, and in metres: thinner is flat to what builds hulls

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Robot
 from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Moments
@@ -19,7 +19,6 @@ from backhoe_planner.site import Soil, SoilReaction
 
 __all__ = ["MOST", "Drive", "DriveUse", "beside", "drive_of"]
 
-Array = NDArray[np.float64]
 
 _BRISK = 1.0  # rad/s or m/s of the fastest joint, at which the soil's force is fully there
 MOST = 1e6  # a limit exceeded by more counts as this, so that no ratio is infinite

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.timing.drive import beside, drive_of
 from backhoe_planner.motion.trajectory import Moments, Trajectory
 
 __all__ = ["LimitUsage", "limit_usage"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

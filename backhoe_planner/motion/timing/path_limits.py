@@ -19,15 +19,14 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
 from backhoe_planner.machine import Hydraulics, JointLimits
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 
 __all__ = ["PathShape", "time_path"]
 
-Array = NDArray[np.float64]
 
 _SPARE = 0.9998  # of every limit: what the sampling of the motion may add
 _WITHIN = 5e-4  # over a limit that is allowed between the points of the grid

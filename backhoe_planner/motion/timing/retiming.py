@@ -7,7 +7,6 @@ distance to what stands still, is the same.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion.timing.drive import Drive
@@ -16,7 +15,6 @@ from backhoe_planner.motion.trajectory import Trajectory
 
 __all__ = ["DRIVEN_WITHIN", "retimed"]
 
-Array = NDArray[np.float64]
 
 DRIVEN_WITHIN = 0.01  # over a limit of the drive that a sampled motion may be: its accelerations are differences
 _ENOUGH = 0.5 * DRIVEN_WITHIN

@@ -21,9 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Array
+
 __all__ = ["Rows", "TimeLaw", "fastest"]
 
-Array = NDArray[np.float64]
 
 _STEPS = 60  # of Newton's method on a concave piecewise linear function, which ends by itself
 _ROUNDING = 1e-10  # relative: rows and room below this are rounding

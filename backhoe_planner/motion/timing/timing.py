@@ -10,9 +10,9 @@ import itertools
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion.path import step_lengths
 from backhoe_planner.motion.smooth_way import SmoothWay
@@ -23,8 +23,6 @@ from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
 __all__ = ["time_along", "time_polyline", "time_way"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _MANY = 5000  # samples of one motion, 100 s at the usual period; a slower one is thinned out
 _MOST = 1_000_000  # samples before it is

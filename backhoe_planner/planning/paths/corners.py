@@ -9,8 +9,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, JointLimits, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import SAMPLE_PERIOD, Drive, Problem, TipPath, Trajectory, time_along
 from backhoe_planner.proof import path_segment_is_clear
@@ -18,8 +18,6 @@ from backhoe_planner.site import Proximity
 
 __all__ = ["SHARP", "round_corners", "time_stretch"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 SHARP = np.radians(5.0)  # a corner that is sharper is rounded or stopped at
 _SHARPEST = np.radians(120.0)  # one that is sharper still is stopped at

@@ -27,12 +27,11 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.planning.search.effort import Brake
 
 __all__ = ["Edge", "EdgeKind", "LayeredGraph", "Node", "Route"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 StepCost = Callable[[Matrix, Matrix, float], Matrix]
 Node = tuple[int, int]  # layer, index within it

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw, Kind, Rows, step_on_path
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem, TipPath, hand_set_gains
@@ -21,8 +21,6 @@ from backhoe_planner.site import Nearby, Obstruction, Proximity
 
 __all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _LEAST_SPACING = 1e-4  # m
 _SPACING = 0.02  # m between samples at most

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
@@ -24,8 +24,6 @@ from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
 __all__ = ["Detouring", "PathResolver", "Resolved", "Stretch"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
 from backhoe_planner.planning.search.effort import Brake
@@ -26,8 +27,6 @@ from backhoe_planner.site import Proximity
 
 __all__ = ["null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _ROUNDS = 20

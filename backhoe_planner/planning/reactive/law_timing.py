@@ -10,8 +10,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Trajectory, drive_of, retimed, time_along
 from backhoe_planner.planning.reactive.stepping import Stepper
@@ -19,8 +19,6 @@ from backhoe_planner.proof import segment_is_clear
 
 __all__ = ["as_fast_as_allowed", "places_on", "shortest_time"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _SPACINGS = (0.1, 0.05, 0.02)  # s of the slowest joint between places; the closer, the nearer to the law's way
 _FEWEST = 4  # intervals between them

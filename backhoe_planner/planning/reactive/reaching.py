@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw
 from backhoe_planner.machine import Configuration, JointLimits, TipTarget, movable_rows
 from backhoe_planner.motion import hand_set_gains
@@ -24,8 +24,6 @@ from backhoe_planner.site import Nearby, Obstruction
 
 __all__ = ["Attempt", "approach_goal"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _ARRIVED = 2e-5  # m and rad
 _AT_GOAL = 1e-4  # m and rad, with all that is asked

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import Shield, Shielded
 from backhoe_planner.machine import Configuration, Kinematics
 from backhoe_planner.motion import Problem, Trajectory
@@ -23,8 +23,6 @@ from backhoe_planner.site import Nearby, Proximity
 
 __all__ = ["Step", "Stepper", "Watcher"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 STEP = 0.02  # s
 _BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out

@@ -7,6 +7,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, TipPath, Trajectory, limit_usage
@@ -14,7 +15,6 @@ from backhoe_planner.planning.report.comparison import part_on_path
 
 __all__ = ["AskedSpeed", "Slower", "asked_speed"]
 
-Vector = NDArray[np.float64]
 
 KEPT = 0.9  # of the asked speed, from which on it counts as kept
 

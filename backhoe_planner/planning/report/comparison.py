@@ -21,9 +21,9 @@ from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, computed_field, model_validator
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, trajectory_costs
@@ -45,8 +45,6 @@ __all__ = [
     "timed_alone",
 ]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _EXACT = 1e-9
 _CORRECTIONS = 12

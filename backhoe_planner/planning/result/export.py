@@ -10,15 +10,13 @@ from typing import IO, Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import OutputError
 from backhoe_planner.files.output_file import whole_file
 from backhoe_planner.planning.result.plan import Plan
 
 __all__ = ["FORMATS", "export_plan"]
-
-Matrix = NDArray[np.float64]
 
 
 def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import SmoothWay, chord_sagitta
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
 __all__ = ["blend"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _HALVINGS = 7
 _SHARED = 0.5  # part of a leg that each of two corners may take

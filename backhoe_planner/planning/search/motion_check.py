@@ -21,14 +21,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import Proximity
 
 __all__ = ["MotionCheck"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 Condition = Callable[[Vector], bool]
 
 _SLOPE = 0.05  # by which the spare grows per metre of travel away from a tight end

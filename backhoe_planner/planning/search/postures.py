@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import (
     BatchKinematics,
     InverseKinematics,
@@ -21,7 +21,6 @@ from backhoe_planner.site import Obstruction, Proximity
 
 __all__ = ["Found", "Postures"]
 
-Vector = NDArray[np.float64]
 
 _SPARE = 0.003  # m beyond the clearance, so that the motion can end there
 _SAME = 0.05  # rad: configurations nearer than this count as one

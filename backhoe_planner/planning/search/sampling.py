@@ -14,16 +14,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
 __all__ = ["JointPath", "sample_path"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree
 _MOST_OF_BOX = 0.4  # and at most this part of the box's diagonal

@@ -9,15 +9,13 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
 __all__ = ["shorten"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _TRIES = 60
 _PATIENCE = 20  # tries in a row without a gain after which it is left at that

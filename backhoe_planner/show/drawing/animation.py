@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import umsgpack
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Array
 
 __all__ = ["PlanAnimation", "Track"]
 
-Array = NDArray[np.float64]
 
 _TYPES = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "material.color": "color"}
 _FLOAT32 = 0x17  # meshcat's extension code

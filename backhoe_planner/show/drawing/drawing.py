@@ -11,15 +11,14 @@ from typing import Any
 import meshcat.geometry as g
 import numpy as np
 from meshcat.commands import SetProperty
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, View
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets
 
 __all__ = ["line_segments", "mesh", "set_camera", "set_property", "set_stage"]
 
-Points = NDArray[np.float64]
 
 _SKY_TOP = [0.62, 0.76, 0.90]
 _SKY_BOTTOM = [0.95, 0.96, 0.96]
@@ -105,7 +104,7 @@ def mesh(
     return g.Mesh(_FacetGeometry(drawn), surface)
 
 
-def line_segments(points: Points, rgba: Points) -> Any:
+def line_segments(points: Matrix, rgba: Matrix) -> Any:
     """Thin lines between points (2k, 3), two by two, with colours (2k, 4)."""
     return g.LineSegments(
         g.PointsGeometry(position=points.T, color=rgba.T),
@@ -149,7 +148,7 @@ def set_camera(visualizer: Any, view: View, *, aspect: float = 1.5) -> None:
     set_property(camera, "position", [x, z, -y])  # y is up for this node
 
 
-def _sun(position: Points, *, colour: int, intensity: float, reach: float) -> Any:
+def _sun(position: Matrix, *, colour: int, intensity: float, reach: float) -> Any:
     """A light from `position` (3,) towards the origin, whose shadows reach `reach` [m] from there."""
     distance = float(np.linalg.norm(position))
     return _Light(

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Matrix, Vector
 
 __all__ = ["FIELD_OF_VIEW", "View", "frame"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 FIELD_OF_VIEW = np.radians(38.0)  # vertical
 _ELEVATIONS = np.radians([20.0, 17.0, 14.0, 11.0, 9.0])

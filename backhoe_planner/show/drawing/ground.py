@@ -6,18 +6,16 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from trimesh.transformations import translation_matrix
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.show.drawing.drawing import line_segments, mesh, set_property
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets, sheet
 
 __all__ = ["draw_ground", "opening_of"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _COLOUR = (0.78, 0.76, 0.70)
 _LINE_COLOUR = (0.40, 0.40, 0.38)

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import trimesh
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics, tip_travel_bound
 from backhoe_planner.motion import Problem
 from backhoe_planner.show.drawing.animation import PlanAnimation, Track
@@ -36,8 +36,6 @@ from backhoe_planner.site import Obstacle
 
 __all__ = ["GROUPS", "SceneGraph"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 GROUPS = ("machine", "site", "clearance", "task", "critical points", "ground")
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import load_mesh
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
@@ -16,7 +16,6 @@ from backhoe_planner.site import Obstacle, Scene, read_heights, scene_file
 
 __all__ = ["SiteMesh", "is_ground", "site_mesh"]
 
-Vector = NDArray[np.float64]
 
 _MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; each costs milliseconds
 

@@ -14,12 +14,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import Piece
 from backhoe_planner.show.drawing.palette import Rgba
 
 __all__ = ["Facets", "cells", "disc", "facets", "fattened", "grid", "sheet", "solid", "together", "tube"]
 
-Points = NDArray[np.float64]
 
 _CREASE = np.radians(40.0)  # a sharper edge is drawn as an edge; sides of a 32-sided cylinder meet at 11 degrees
 _LINE = 0.03  # m: width of a line, seen from 10 m a few pixels
@@ -38,10 +38,10 @@ class Facets:
     rgba: (V, 4) in 0..1, or None where one colour serves all.
     """
 
-    vertices: Points
-    normals: Points
+    vertices: Matrix
+    normals: Matrix
     faces: NDArray[np.uint32]
-    rgba: Points | None = None
+    rgba: Matrix | None = None
 
 
 def solid(piece: Piece) -> trimesh.Trimesh:
@@ -49,7 +49,7 @@ def solid(piece: Piece) -> trimesh.Trimesh:
     return fattened(piece.hull, piece.radius)
 
 
-def fattened(points: Points, radius: float) -> trimesh.Trimesh:
+def fattened(points: Matrix, radius: float) -> trimesh.Trimesh:
     """The convex hull of (k, 3) points, grown by `radius` [m] to all sides."""
     if radius > 0.0:
         ball = trimesh.creation.icosphere(subdivisions=_ROUND + (len(points) <= 2)).vertices * radius
@@ -58,7 +58,7 @@ def fattened(points: Points, radius: float) -> trimesh.Trimesh:
     return _hull(points)
 
 
-def _hull(points: Points) -> trimesh.Trimesh:
+def _hull(points: Matrix) -> trimesh.Trimesh:
     """The convex hull; a flat one is made a little thick."""
     if np.linalg.matrix_rank(points - points.mean(axis=0), tol=_FLAT) < 3:
         points = (points[:, None, :] + trimesh.creation.box(extents=np.full(3, 2.0 * _FLAT)).vertices).reshape(-1, 3)
@@ -83,10 +83,10 @@ def facets(mesh: trimesh.Trimesh) -> Facets:
     )
 
 
-def tube(points: Points, radius: float, *, sides: int = 8, tolerance: float = 0.003) -> trimesh.Trimesh:
+def tube(points: Matrix, radius: float, *, sides: int = 8, tolerance: float = 0.003) -> trimesh.Trimesh:
     """A tube of `radius` [m] along a line through (k, 3) points.
 
-    Points nearer than `tolerance` [m] to the line between their neighbours are left out.
+    Matrix nearer than `tolerance` [m] to the line between their neighbours are left out.
     """
     line = _simplified(points, tolerance)
     if len(line) < 2:
@@ -109,7 +109,7 @@ def tube(points: Points, radius: float, *, sides: int = 8, tolerance: float = 0.
     return trimesh.util.concatenate(parts)
 
 
-def _simplified(points: Points, tolerance: float) -> Points:
+def _simplified(points: Matrix, tolerance: float) -> Matrix:
     """Douglas and Peucker's subset of a line, without repeated points."""
     points = np.asarray(points, dtype=float)
     keep = np.zeros(len(points), dtype=bool)
@@ -140,7 +140,7 @@ def cells(index: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
     return np.stack((a, b, c, a, c, d), axis=-1).reshape(-1, 3).astype(np.uint32)
 
 
-def sheet(lattice: Points, normal: Points, rgba: Rgba, strength: Points) -> Facets:
+def sheet(lattice: Matrix, normal: Matrix, rgba: Rgba, strength: Matrix) -> Facets:
     """A level surface through a lattice of points.
 
     Parameters
@@ -158,7 +158,7 @@ def sheet(lattice: Points, normal: Points, rgba: Rgba, strength: Points) -> Face
     )
 
 
-def grid(centre: Points, normal: Points, radius: float, rgba: Rgba, *, spacing: float = 1.0) -> Facets:
+def grid(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba, *, spacing: float = 1.0) -> Facets:
     """Lines across `normal` every `spacing` [m], level and upright where the plane is upright, fading to the rim."""
     along = np.cross([0.0, 0.0, 1.0], normal) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     along = along / np.linalg.norm(along)
@@ -188,7 +188,7 @@ def together(*parts: Facets) -> Facets:
     )
 
 
-def disc(centre: Points, normal: Points, radius: float, rgba: Rgba, *, fade_from: float = 0.45) -> Facets:
+def disc(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba, *, fade_from: float = 0.45) -> Facets:
     """A round sheet across `normal` that fades out towards its rim.
 
     Parameters

@@ -8,14 +8,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.site import Proximity
 
 __all__ = ["ITSELF", "Nearest", "Timeline", "link_poses", "nearest_spots", "obstacle_names", "sight", "timeline"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 ITSELF = "the machine itself"
 _MOST_FRAMES = 3000

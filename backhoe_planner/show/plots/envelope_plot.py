@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, gaussian_filter
 
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Envelope, Kinematics, Robot, reachable_points, working_envelope
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.palette import Rgba
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_envelope"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 
 _SAMPLES = 300_000
 _CELLS = 220  # along the longer side

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.live import is_recording
 from backhoe_planner.motion import OBJECTIVES, Problem, Trajectory, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_envelope", "plot_plan"]
 
-Vector = NDArray[np.float64]
-Matrix = NDArray[np.float64]
 _Panel = Callable[["Axes", Plan, Problem, Timeline], None]
 
 _WIDTH, _PANEL = 9.5, 2.15  # inches: a page's width, and a panel's height

@@ -12,13 +12,11 @@ Forward puts the boom down and the stick out, in both.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.show.teleop.messages import Sticks
 
 __all__ = ["joint_rates"]
-
-Vector = NDArray[np.float64]
 
 
 def joint_rates(sticks: Sticks, velocity: Vector) -> Vector:

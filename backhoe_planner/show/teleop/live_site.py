@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.live import Servo
 from backhoe_planner.proof import segment_is_clear
@@ -24,7 +24,6 @@ from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obst
 
 __all__ = ["LiveSite", "Standing"]
 
-Vector = NDArray[np.float64]
 
 _MOST = 40  # obstacles, each of which costs time in every step
 _BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more

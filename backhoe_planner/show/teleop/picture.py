@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import trimesh
-from numpy.typing import NDArray
 
 from backhoe_planner.motion import build_problem
 from backhoe_planner.show.drawing.drawing import mesh, set_property
@@ -22,7 +21,6 @@ from backhoe_planner.site import Obstacle
 
 __all__ = ["Picture"]
 
-Vector = NDArray[np.float64]
 
 _FORCE = (0.72, 0.11, 0.48, 1.0)
 _LONGEST_ARROW = 1.2  # m, for the largest force

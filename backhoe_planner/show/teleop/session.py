@@ -22,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.live import Feedback, Servo, ServoState
 from backhoe_planner.machine import Robot
@@ -50,7 +51,6 @@ from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog
 
 __all__ = ["LARGEST_FORCE", "Phase", "Session", "Snapshot"]
 
-Vector = NDArray[np.float64]
 Phase = Literal["idle", "arming", "on", "ending"]
 Wish = Tip | Sticks | Stop
 

@@ -6,9 +6,7 @@ import threading
 import time as clock
 from types import TracebackType
 
-import numpy as np
-from numpy.typing import NDArray
-
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan
@@ -20,7 +18,6 @@ from backhoe_planner.site import Proximity
 
 __all__ = ["Viewer"]
 
-Vector = NDArray[np.float64]
 
 _FRAME = 1.0 / 30.0  # s between drawn steps: fluent for the eye
 _GRACE = 4.0  # s within which a page may be loaded again; a slow browser takes one or two

@@ -1,0 +1,17 @@
+"""Names for arrays of numbers, as annotations; the shape stands where one is used."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Array", "Matrix", "Vector"]
+
+Array: TypeAlias = NDArray[np.float64]
+"""Of any shape."""
+Matrix: TypeAlias = NDArray[np.float64]
+"""With two axes."""
+Vector: TypeAlias = NDArray[np.float64]
+"""With one axis."""
