@@ -223,12 +223,12 @@ def test_steps_cost_little_when_they_come_fast(backhoe: Robot) -> None:
     with Viewer(port=0) as viewer:
         viewer.show_problem(build_problem(backhoe, plan.scene))
         begun, drawn, spent = time.perf_counter(), 0, 0.0
-        while time.perf_counter() - begun < 1.0:
+        while (elapsed := time.perf_counter() - begun) < 1.0 or drawn < 5:  # a busy machine draws fewer in a second
             busy = time.thread_time()  # the processor's, which other processes do not lengthen
             shown = viewer.show_step(plan.trajectory.q[drawn % 60], 0.0)
             drawn += shown
             spent += (time.thread_time() - busy) if shown else 0.0
-        assert 1 <= drawn <= 31
+        assert drawn <= 30.0 * elapsed + 1.0
         assert spent < 0.1  # 4 %, and room for one slow step
 
 

@@ -76,7 +76,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
         page.keyboard.down("KeyA")
         least, forces, shown = np.inf, [], set()
         row = page.locator(".margin", has_text="post 1")
-        for _ in range(600):  # the key is held until all of it was seen; a busy page shows fewer of its steps
+        for _ in range(600):
             page.wait_for_timeout(100)
             snapshot = station.session.snapshot()
             spot = snapshot.nearest["post 1"]
@@ -84,11 +84,19 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
                 least = min(least, spot.margin)
                 shown.add(row.locator(".value").inner_text())
             forces.append(page.evaluate("backhoe.teleop.state.force"))
-            if least < 0.01 and len(shown) > 1 and max(forces) > 3.0:
-                break
+            if least < 0.01 and max(forces) > 3.0:
+                if len(shown) > 3:
+                    break
+                # a busy page shows few values on the way: back, and there once more
+                page.keyboard.up("KeyA")
+                page.keyboard.down("KeyD")
+                page.wait_for_timeout(500)
+                page.keyboard.up("KeyD")
+                page.keyboard.down("KeyA")
+                least, forces = np.inf, []
         page.keyboard.up("KeyA")
         assert 0.0 <= least < 0.05  # it came near, and was not touched
-        assert len(shown) > 1  # the bar showed it coming
+        assert len(shown) > 3  # the bar showed it coming
         assert max(forces) > 1.0  # and the hand felt it
         rest(page)
         spot = station.session.snapshot().nearest["post 1"]
