@@ -47,12 +47,10 @@ class ToGoal:
         if straight.arrived:
             return _faster(world, stepper, straight, found)
         transit = find_transit(world, stepper, found.clear)
-        if transit.stepper is not None:
-            return Outcome(transit.stepper.trajectory(), findings=Findings(way="sampled"))
+        if isinstance(transit, Stepper):
+            return Outcome(transit.trajectory(), findings=Findings(way="sampled"))
         outcome = self._attempts(world, stepper, found.clear)
-        if not outcome.reason:
-            return outcome
-        return replace(outcome, message=f"{outcome.message}; {transit.failure}")
+        return replace(outcome, message=f"{outcome.message}; {transit}") if outcome.reason else outcome
 
     def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
         """Straight on by the law, from a motion that need not be at rest; None where it does not arrive."""
@@ -92,7 +90,7 @@ def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> 
     """The tip's straight way or, where that is open and faster, the joints'."""
     limits, drive = world.problem.limits, drive_of(world.problem)
     direct = find_transit(world, stepper, found.clear, straight=True)
-    joints = None if direct.stepper is None else direct.stepper.trajectory()
+    joints = direct.trajectory() if isinstance(direct, Stepper) else None
     after = np.inf if joints is None else joints.duration - stepper.time
     way = straight.stepper.trajectory()
     if joints is not None and after <= shortest_time(way.q[way.time >= stepper.time - 1e-9], limits):

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retimed
+from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.planning.path_planning import AlongPath
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
@@ -29,7 +30,7 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, swept
 
-__all__ = ["Task", "plan_over_time"]
+__all__ = ["plan_over_time"]
 
 
 _Reacted = tuple[Outcome, str, float | None]  # how the motion goes on, and when the machine stands [s]
@@ -44,17 +45,7 @@ _SLOWEST_BRAKING = 0.05  # 1/s^2: the motion's own clock stops within 20 s, or b
 _TOUCH = 2e-5  # m by which the proof may fall short: the steps of a motion are proven with rounding of their own
 
 
-class Task(Protocol):
-    """What is to be done, planned from any state of the motion."""
-
-    def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """From a motion that is at rest, among obstacles that stand still."""
-
-    def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
-        """From any state, among obstacles as they move; None where it does not arrive."""
-
-
-def plan_over_time(world: World, task: Task, stepper: Stepper) -> Outcome:
+def plan_over_time(world: World, task: ToGoal | AlongPath, stepper: Stepper) -> Outcome:
     """A motion from `stepper`, which is at rest, among all that stands, moves, and appears.
 
     Where no obstacle appears or moves it is what `task.from_rest` gives.
@@ -67,7 +58,7 @@ def plan_over_time(world: World, task: Task, stepper: Stepper) -> Outcome:
 class _OverTime:
     """One task among obstacles that move or appear."""
 
-    def __init__(self, world: World, task: Task) -> None:
+    def __init__(self, world: World, task: ToGoal | AlongPath) -> None:
         self._world = world
         self._task = task
         self._limits = world.problem.limits
@@ -82,10 +73,8 @@ class _OverTime:
             if moment <= known_until:
                 continue
             motion = outcome.trajectory
-            if moment >= motion.duration and outcome.reason == "":
-                break
             if moment >= motion.duration:
-                continue  # it stands by then; what stopped it was something else
+                continue  # it stands by then: at its end, or stopped by something else
             known_until = moment
             known = self._known(moment)
             if _is_clear(known.proximity, motion, moment):
@@ -239,11 +228,9 @@ def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
         return
     for horizon in (*_SOON, *_HORIZONS[:-1]):
         transit = find_transit(_swept_world(known, stepper.time, horizon), stepper, clear)
-        if transit.stepper is None:
-            continue
-        if _is_clear(known.proximity, transit.stepper.trajectory(), stepper.time):
-            transit.stepper.rest(stepper.time + _HORIZONS[-1])
-            yield transit.stepper
+        if isinstance(transit, Stepper) and _is_clear(known.proximity, transit.trajectory(), stepper.time):
+            transit.rest(stepper.time + _HORIZONS[-1])
+            yield transit
 
 
 def _delayed(motion: Trajectory, since: float, wait: float) -> Trajectory:

@@ -172,9 +172,9 @@ class _Along:
             stepper = stepper.branch(attempt=stepper.attempt)
         else:
             transit = find_transit(self._world, stepper, [first.q[0]])
-            if transit.stepper is None:
-                return self._from_elsewhere(stepper, transit.failure)
-            stepper = transit.stepper
+            if isinstance(transit, str):
+                return self._from_elsewhere(stepper, transit)
+            stepper = transit
         self._play(stepper, pieces)
         if not resolved.complete:
             return self._blocked(resolved, stepper.trajectory())
@@ -196,11 +196,10 @@ class _Along:
     def _from_elsewhere(self, stepper: Stepper, failure: str) -> Outcome:
         """The same from any configuration at the beginning that the machine can get to."""
         transit = find_transit(self._world, stepper, list(self._resolver.first_layer))
-        if transit.stepper is None:
+        if isinstance(transit, str):
             message = f"no way was found to the beginning of the path: {failure}"
             return Outcome(stepper.trajectory(), "blocked", message)
-        arrived = _Along(self._world, self._path, self._resolver, self._cost, transit.stepper)
-        return arrived.plan(transit.stepper.q)
+        return _Along(self._world, self._path, self._resolver, self._cost, transit).plan(transit.q)
 
     def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
         """The pieces, with the grid's steps taken out of those that follow the path."""

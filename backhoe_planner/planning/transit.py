@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from backhoe_planner.planning.search.sampling import JointPath, sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world import World
 
-__all__ = ["Transit", "find_detour", "find_transit", "play"]
+__all__ = ["find_detour", "find_transit", "play"]
 
 
 _SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
@@ -25,29 +24,19 @@ _DETOURS = 4  # of which the shortest is taken
 _TUBE_PART, _FREE_PART = 8, 2  # one in so many of the motions of a search, for a detour in a tube, and one without
 
 
-@dataclass(frozen=True)
-class Transit:
-    """The result of `find_transit`.
-
-    Attributes
-    ----------
-    stepper: the motion, at rest on one of the goals; None where no way was found.
-    failure: what was tried, in words, where no way was found.
-    """
-
-    stepper: Stepper | None
-    failure: str = ""
-
-
-def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector], *, straight: bool = False) -> Transit:
+def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector], *, straight: bool = False) -> Stepper | str:
     """Bring a motion that is at rest to one of `goals`, (n,) each.
 
     Parameters
     ----------
     straight: whether only straight motions of the joints are tried.
+
+    Returns
+    -------
+    The motion, at rest on one of the goals; where no way was found, what was tried, in words.
     """
     if not len(goals):
-        return Transit(None, "there is nowhere to go")
+        return "there is nowhere to go"
     work = world.work
     before = work.motions
     for spare in _SPARES:
@@ -58,8 +47,8 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector], *, str
         if path is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             _play_checked(check, branch, shorten(check, path, seed=world.seed))
-            return Transit(branch)
-    return Transit(None, f"of {before - work.motions:,} motions that sampling looked at none led there")
+            return branch
+    return f"of {before - work.motions:,} motions that sampling looked at none led there"
 
 
 def find_detour(

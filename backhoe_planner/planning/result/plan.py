@@ -27,7 +27,6 @@ from backhoe_planner.planning.result.plan_file import (
     Reason,
     RobotRecord,
     TrajectoryRecord,
-    listed,
     read_plan_file,
     write_plan_file,
 )
@@ -128,8 +127,7 @@ class Plan:
 
 def plan_to_dict(plan: Plan) -> dict[str, Any]:
     """The plan as plain data, in the layout of the plan file, but for what goes sample by sample."""
-    record: dict[str, Any] = json.loads(_record(plan, None).model_dump_json(exclude={"trajectory", "dynamics"}))
-    return record
+    return dict(json.loads(_record(plan, None).model_dump_json(exclude={"trajectory", "dynamics"})))
 
 
 def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> Plan:
@@ -207,11 +205,11 @@ def _record(plan: Plan, folder: Path | None) -> PlanRecord:
         versions=_versions(),
         trajectory=TrajectoryRecord(time=motion.time.tolist(), q=motion.q.tolist(), v=motion.v.tolist()),
         dynamics=DynamicsRecord(
-            torque=energy.torque.tolist(),
-            power=energy.power.tolist(),
-            work=energy.work.tolist(),
-            hydraulic_power=listed(energy.hydraulic_power),
-            hydraulic=listed(energy.hydraulic),
+            **{
+                name: values.tolist()
+                for name in DynamicsRecord.model_fields
+                if (values := getattr(energy, name)) is not None
+            }
         ),
         certificate=CertificateRecord.of(plan.certificate),
         metrics=plan.metrics,

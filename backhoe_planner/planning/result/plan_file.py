@@ -10,10 +10,9 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, StrictInt, ValidationError, model_validator
 
 from backhoe_planner.errors import InputError, PlanFileError
@@ -43,7 +42,6 @@ LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulic
 
 FORMAT: Literal["backhoe-planner/plan"] = "backhoe-planner/plan"
 VERSION: Literal[1] = 1
-_LIMITS: tuple[LimitName, ...] = ("position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed")
 _SHORTEST_STEP = 1e-12  # s: rates over less than this overflow where they are squared
 
 
@@ -145,34 +143,16 @@ class UseRecord(Record):
     """The last two in older files, of the tip's speed [m/s]."""
 
 
-class TipErrorRecord(Record):
-    """How far the tip is off its task."""
-
-    max: Figure
-    """[m]"""
-    mean: Figure
-    """[m]"""
-    max_angle: Figure = 0.0
-    """[rad]"""
-
-
-class FollowedRecord(Record):
-    """How much of the path is followed."""
-
-    length: Figure
-    """Of the path [m]."""
-    followed: Figure
-    """[m]"""
-
-
 class CertificateRecord(Record):
     """What was proven when the plan was written."""
 
     min_clearance: ClearanceRecord | None = None
     clearances: tuple[ClearanceRecord, ...] = ()
     limits: dict[LimitName, UseRecord] = Field(default_factory=dict)
-    tip_error: TipErrorRecord | None = None
-    path: FollowedRecord | None = None
+    tip_error: dict[Literal["max", "mean", "max_angle"], Figure] | None = None
+    """Of the tip's position, the largest and the mean [m], and of its angle [rad]."""
+    path: dict[Literal["length", "followed"], Figure] | None = None
+    """Its length, and what of it is followed [m]; 0 for a goal."""
     detours: tuple[Detour, ...] = ()
     problems: tuple[str, ...] = ()
 
@@ -181,15 +161,13 @@ class CertificateRecord(Record):
         """The record of a certificate."""
         clearances = tuple(ClearanceRecord.of(found) for found in certificate.clearances)
         tracking = certificate.tracking
-        uses = {name: use for name in _LIMITS if (use := getattr(certificate, name)) is not None}
+        uses = {name: use for name in get_args(LimitName) if (use := getattr(certificate, name)) is not None}
         return cls(
             min_clearance=clearances[0] if clearances else None,
             clearances=clearances,
             limits={name: UseRecord(**vars(use)) for name, use in uses.items()},
-            tip_error=TipErrorRecord(
-                max=tracking.max_error, mean=tracking.mean_error, max_angle=tracking.max_angle_error
-            ),
-            path=FollowedRecord(length=tracking.path_length, followed=tracking.followed),
+            tip_error={"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
+            path={"length": tracking.path_length, "followed": tracking.followed},
             detours=tracking.detours,
             problems=certificate.problems,
         )
@@ -275,8 +253,3 @@ def read_plan_file(file: Path) -> PlanRecord:
 
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is not a number of JSON")
-
-
-def listed(values: NDArray[np.float64] | None) -> Any:
-    """An array as lists of numbers; None where there is none."""
-    return None if values is None else values.tolist()
