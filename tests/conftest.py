@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+import backhoe_planner as bp
 from backhoe_planner.machine import Robot, load_robot
 
 CHROMIUM = shutil.which("chromium") or "/usr/bin/chromium"
@@ -38,6 +39,15 @@ def ur5() -> Robot:
 @pytest.fixture(scope="session")
 def panda() -> Robot:
     return load_robot("example:panda", tip="panda_hand_tcp")
+
+
+@pytest.fixture(scope="session")
+def around_a_ball(planar4: Robot) -> bp.Plan:
+    """Along a path of 2 m at 0.4 m/s, and around a ball of 15 cm beside its middle."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.15, "position": [2.1, 0.0, 0.0]}
+    task = {"path": {"waypoints": [{"position": [2.0, y, 0.0]} for y in (-1.0, 1.0)], "speed": 0.4}}
+    content = {"version": 1, "task": task, "clearance": 0.02, "influence": 0.4, "obstacles": [ball]}
+    return bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
 
 
 @pytest.fixture(params=["planar4", "backhoe", "ur5", "panda"])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import time as clock
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -81,18 +84,18 @@ def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int)
         assert refutations(plan, refine=refine, itself=False) == []
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(1, 6))
 def test_no_verified_plan_of_a_random_scene_is_refuted(planar4: bp.Robot, seed: int) -> None:
     scene = random_planar_scene(planar4, np.random.default_rng(seed))
     plan = bp.plan(planar4, scene, effort="quick")
     assert plan.verified == (plan.reason == "") == plan.certificate.verified
     assert refutations(plan, refine=4) == []
-    if seed in (2, 3, 4, 5, 7):
+    if seed != 1:
         assert plan.verified, plan.message
 
 
 def test_a_path_with_nothing_in_the_way_is_followed_exactly(planar4: bp.Robot) -> None:
-    plan = bp.plan(planar4, site(path(speed=0.4), start=None))
+    plan = bp.plan(planar4, site(path(speed=0.4), start=None), effort="quick")
     assert plan.verified, plan.message
     at = tips(plan)
     assert np.max(np.abs(at[:, [0, 2]] - [2.0, 0.0])) < 1e-4
@@ -117,9 +120,8 @@ def test_the_asked_pitch_is_kept_along_a_path(backhoe: bp.Robot) -> None:
         assert at.pitch == pytest.approx(asked, abs=0.01)
 
 
-def test_a_detour_around_a_ball(planar4: bp.Robot) -> None:
-    scene = site(path(speed=0.4), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
-    plan = bp.plan(planar4, scene)
+def test_a_detour_around_a_ball(around_a_ball: bp.Plan) -> None:
+    plan = around_a_ball
     assert plan.verified, plan.message
     (detour,) = plan.certificate.detours
     # the ball and its clearance cover the path for 0.13 m before and behind y = 0
@@ -134,7 +136,7 @@ def test_a_detour_around_a_ball(planar4: bp.Robot) -> None:
 
 def test_where_detours_are_not_allowed_the_blocked_part_is_named(planar4: bp.Robot) -> None:
     scene = site(path(speed=0.4, detour=False), start=None, obstacles=[ball(2.1, 0.0, 0.15)])
-    plan = bp.plan(planar4, scene)
+    plan = bp.plan(planar4, scene, effort="quick")
     assert (plan.verdict, plan.reason) == ("failed", "blocked")
     assert obstruction(plan).obstacle == "ball"
     assert 0.6 < span(obstruction(plan))[0] < 1.0
@@ -146,9 +148,9 @@ def test_where_detours_are_not_allowed_the_blocked_part_is_named(planar4: bp.Rob
 
 def test_an_obstacle_in_the_way_is_not_mistaken_for_a_joint_limit(planar4: bp.Robot) -> None:
     """The law stops some centimetres before the ball, and no joint is near its limit."""
-    line = [[3.0, -1.0, 0.0], [3.0, 1.0, 0.0]]
+    line = [[3.0, -0.5, 0.0], [3.0, 0.5, 0.0]]
     scene = site(path(line, speed=0.4, detour=False), start=None, obstacles=[ball(3.0, 0.0, 0.1)])
-    plan = bp.plan(planar4, scene)
+    plan = bp.plan(planar4, scene, effort="quick")
     assert plan.reason == "blocked"
     assert obstruction(plan).obstacle == "ball"
 
@@ -273,34 +275,37 @@ def test_same_seed_same_plan(planar4: bp.Robot) -> None:
     assert first == second
 
 
-SCENES_TWICE = """
+REPEATED = ("paper_planar", "pole", "truck")
+SCENES_AGAIN = f"""
 import sys
 import backhoe_planner as bp
-for name in ("paper_planar", "pole", "truck"):
+for name in {REPEATED}:
     robot = bp.load_robot("example:planar4" if name == "paper_planar" else "example:backhoe")
-    plan = bp.plan(robot, bp.load_scene(f"{sys.argv[1]}/{name}.yaml"), effort="quick")
-    print(name, plan.reason, plan.trajectory.time.tobytes().hex(), plan.trajectory.q.tobytes().hex())
+    plan = bp.plan(robot, bp.load_scene(f"{{sys.argv[1]}}/{{name}}.yaml"), effort="quick")
+    print(name, plan.reason, plan.trajectory.time.tobytes().hex(), plan.trajectory.q.tobytes().hex(), sep=",")
 """
 
 
-def test_the_same_plan_bit_for_bit_on_a_busy_machine() -> None:
-    """Planned twice, the second time while four other processes keep the cores busy."""
-
-    def planned() -> str:
-        return subprocess.run(
-            [sys.executable, "-c", SCENES_TWICE, str(SCENES)], capture_output=True, text=True, check=True
-        ).stdout
-
-    idle = planned()
-    spinning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(4)]
-    try:
-        busy = planned()
-    finally:
-        for process in spinning:
-            process.kill()
-            process.wait()
-    assert idle == busy
-    assert [line.split()[0] for line in idle.splitlines()] == ["paper_planar", "pole", "truck"]
+def test_the_same_plan_bit_for_bit_on_a_busy_machine(planar4: bp.Robot, backhoe: bp.Robot) -> None:
+    """The second time in a process that is let run a third of the time, as among four others on two cores."""
+    lines = []
+    for name in REPEATED:
+        scene = bp.load_scene(SCENES / f"{name}.yaml")
+        plan = bp.plan(planar4 if name == "paper_planar" else backhoe, scene, effort="quick")
+        lines.append(
+            ",".join((name, plan.reason, plan.trajectory.time.tobytes().hex(), plan.trajectory.q.tobytes().hex()))
+        )
+    code = [sys.executable, "-c", SCENES_AGAIN, str(SCENES)]
+    with subprocess.Popen(code, stdout=subprocess.PIPE, text=True) as process, ThreadPoolExecutor() as reader:
+        assert process.stdout is not None
+        printed = reader.submit(process.stdout.read)
+        while process.poll() is None:
+            clock.sleep(0.1)
+            process.send_signal(signal.SIGSTOP)
+            clock.sleep(0.2)
+            process.send_signal(signal.SIGCONT)
+        assert printed.result().splitlines() == lines
+    assert process.returncode == 0
 
 
 def test_the_watcher_sees_the_steps(planar4: bp.Robot) -> None:

@@ -99,8 +99,13 @@ OUT = np.array([1.0, 0.0, 0.0])
 PITCH = -1.2  # the cutting plate then stands at a rake of 69.1 deg, its face towards the machine
 
 
-def push(soil: Soil, velocity: Any, *, depth: float = 0.3, pitch: float = PITCH, forward: Array = OUT) -> Array:
-    position = np.array([4.0, 0.0, soil.surface - depth])
+def vectors(*parts: Any) -> Array:
+    """(..., 3) from their components."""
+    return np.stack(np.broadcast_arrays(*parts), axis=-1)
+
+
+def push(soil: Soil, velocity: Any, *, depth: Any = 0.3, pitch: Any = PITCH, forward: Array = OUT) -> Array:
+    position = vectors(4.0, 0.0, soil.surface - depth)
     return soil_force(position, np.array(velocity), pitch=np.array(pitch), forward=forward, soil=soil, width=0.6)
 
 
@@ -159,12 +164,13 @@ def test_it_is_continuous_where_the_motion_turns_and_where_the_teeth_surface() -
     soil = Soil(adhesion=2e3)
     largest = np.linalg.norm(push(soil, [-1.0, 0.0, 0.0]))
     paths = [
-        [push(soil, [speed, 0.0, -0.1]) for speed in np.linspace(-0.2, 0.2, 8001)],
-        [push(soil, [-0.3, 0.0, rise]) for rise in np.linspace(-2.0, 2.0, 8001)],
-        [push(soil, [-0.3, 0.0, -0.1], depth=depth) for depth in np.linspace(-0.1, 0.3, 8001)],
-        [push(soil, [-0.3, 0.0, 0.0], pitch=pitch) for pitch in np.linspace(-math.pi, math.pi, 16001)],
+        push(soil, vectors(np.linspace(-0.2, 0.2, 8001), 0.0, -0.1)),
+        push(soil, vectors(-0.3, 0.0, np.linspace(-2.0, 2.0, 8001))),
+        push(soil, [-0.3, 0.0, -0.1], depth=np.linspace(-0.1, 0.3, 8001)),
+        push(soil, [-0.3, 0.0, 0.0], pitch=np.linspace(-math.pi, math.pi, 16001)),
     ]
     for path in paths:
+        assert path.shape[0] > 8000
         assert np.max(np.linalg.norm(np.diff(path, axis=0), axis=1)) < 0.05 * largest
 
 
