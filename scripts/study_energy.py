@@ -135,7 +135,7 @@ def measure(robot: bp.Robot, case: Case) -> Result | None:
     for plan in (same, free):
         motion = plan.trajectory
         found.append(_work(problem, motion))
-        for other in (blind, law if law.complete else None):
+        for other in (blind, law if law.obstruction is None else None):
             moved = None if other is None else law_motion(path, other, motion, kinematics=kinematics)
             found.append(None if moved is None else _work(problem, moved))
     assert found[0] is not None
@@ -144,7 +144,7 @@ def measure(robot: bp.Robot, case: Case) -> Result | None:
     return Result(
         same=found[0], same_least_norm=found[1], same_law=found[2],
         free=found[3], free_least_norm=found[4], free_law=found[5],
-        least_norm_breaks=breaks, law_stuck=not law.complete, verified=_follows(free),
+        least_norm_breaks=breaks, law_stuck=law.obstruction is not None, verified=_follows(free),
     )  # fmt: skip
 
 
@@ -219,13 +219,11 @@ def _resolved(problem: Problem, path: TipPath, grid: float, layer: float) -> tup
         cost=objective.step_costs, grid=np.radians(grid), layer=layer,
     )  # fmt: skip
     found = resolver.resolve(None, detours=False)
-    if not found.complete:
+    if found.obstruction is not None:
         return None
     (piece,) = found.pieces
     assert isinstance(piece, Stretch)
-    q = cheapen_stretch(
-        problem, path, piece.stations, piece.q, cost=objective, proximity=proximity, free_start=True, free_end=True
-    )
+    q = cheapen_stretch(problem, path, piece, cost=objective, proximity=proximity, free_start=True, free_end=True).q
     return objective.value(piece.stations, piece.q), objective.value(piece.stations, q)
 
 

@@ -16,13 +16,13 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import TipPath, drive_of
 from backhoe_planner.planning.goal_planning import describe_attempts
-from backhoe_planner.planning.outcome import Outcome, no_posture
+from backhoe_planner.planning.outcome import Outcome, blocked_path, no_posture
 from backhoe_planner.planning.paths.corners import time_stretch
-from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed
 from backhoe_planner.planning.reactive.reaching import approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
 
@@ -103,34 +103,32 @@ class _Follower:
         """Go along the path from a motion that is at rest on its beginning."""
         s = 0.0
         for _ in range(_MOST_DETOURS):
-            resolution = self._resolve(stepper, s, stepper.q)
-            self._play(stepper, resolution)
-            if resolution.complete:
+            stretch = self._resolve(stepper, s, stepper.q)
+            self._play(stepper, stretch)
+            if stretch.obstruction is None:
                 return Outcome(stepper.trajectory())
-            rejoined = self._rejoin(stepper, resolution)
+            rejoined = self._rejoin(stepper, stretch)
             if isinstance(rejoined, Outcome):
                 return rejoined
             stepper, s = rejoined
-        return self._blocked(stepper, s, self._path.length, resolution.obstruction)
+        return self._blocked(stepper, s, self._path.length, stretch.obstruction)
 
-    def _resolve(self, stepper: Stepper, s: float, q: Vector) -> Resolution:
+    def _resolve(self, stepper: Stepper, s: float, q: Vector) -> Stretch:
         return resolve_along(
             self._world.problem, self._path, s, q,
             proximity=self._world.proximity, kinematics=self._world.kinematics, time=stepper.time,
         )  # fmt: skip
 
-    def _play(self, stepper: Stepper, resolution: Resolution) -> None:
+    def _play(self, stepper: Stepper, stretch: Stretch) -> None:
         problem = self._world.problem
-        for piece in time_stretch(
-            self._path, resolution.stations, resolution.q, problem.limits, speed=self._speed, drive=drive_of(problem)
-        ):
+        for piece in time_stretch(self._path, stretch, problem.limits, speed=self._speed, drive=drive_of(problem)):
             stepper.play(piece)
 
-    def _rejoin(self, stepper: Stepper, resolution: Resolution) -> tuple[Stepper, float] | Outcome:
+    def _rejoin(self, stepper: Stepper, stretch: Stretch) -> tuple[Stepper, float] | Outcome:
         """A motion that is back on the path behind what blocks it, and where [m]; or why there is none."""
-        left, end = resolution.reached, self._path.length
+        left, end = stretch.reached, self._path.length
         if not self._may_leave:
-            return self._blocked(stepper, left, self._free_again(stepper, left), resolution.obstruction)
+            return self._blocked(stepper, left, self._free_again(stepper, left), stretch.obstruction)
         furthest = end
         rejoins = 0
         s = left
@@ -148,7 +146,7 @@ class _Follower:
             if s >= end:
                 break
             s = min(s + (_COARSE if fresh else _RASTER), end)
-        return self._blocked(stepper, left, furthest, resolution.obstruction)
+        return self._blocked(stepper, left, furthest, stretch.obstruction)
 
     def _free_again(self, stepper: Stepper, left: float) -> float:
         """The first point of the path behind `left` that the machine can stand on, else its end [m]."""
@@ -171,7 +169,5 @@ class _Follower:
         """The motion so far, and what is in the way from `low` to `high` [m]."""
         assert obstruction is not None
         found = replace(obstruction, path_from=low, path_to=high)
-        message = f"the path is blocked from {low:.2f} m to {high:.2f} m of {self._path.length:.2f} m by {obstruction}"
-        if not self._may_leave:
-            message += ", and detours are not allowed"
-        return Outcome(stepper.trajectory(), "blocked", message, Findings(obstruction=found))
+        why = "" if self._may_leave else ", and detours are not allowed"
+        return blocked_path(stepper.trajectory(), found, self._path, why)

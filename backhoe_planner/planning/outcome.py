@@ -9,13 +9,14 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import TipTarget
-from backhoe_planner.motion import Trajectory
+from backhoe_planner.motion import TipPath, Trajectory
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.world import World
+from backhoe_planner.site import Obstruction
 
-__all__ = ["Outcome", "at_rest", "bad_start", "no_posture", "point"]
+__all__ = ["Outcome", "at_rest", "bad_start", "blocked_path", "no_posture"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,20 @@ def at_rest(q: Vector) -> Trajectory:
     return Trajectory.from_steps(np.zeros(1), np.array([q]))
 
 
-def point(position: Vector) -> str:
+def blocked_path(motion: Trajectory, found: Obstruction, path: TipPath, why: str) -> Outcome:
+    """A path that cannot be followed to its end.
+
+    Parameters
+    ----------
+    motion: up to where it is blocked.
+    found: what is in the way, from where to where.
+    why: it is not bypassed, in words.
+    """
+    where = f"from {found.path_from:.2f} m to {found.path_to:.2f} m of {path.length:.2f} m"
+    return Outcome(motion, "blocked", f"the path is blocked {where} by {found}{why}", Findings(obstruction=found))
+
+
+def _point(position: Vector) -> str:
     """A position in words."""
     return ", ".join(f"{value:.2f}" for value in position)
 
@@ -90,8 +104,8 @@ def no_posture(world: World, found: Found, target: TipTarget, reason: Reason, wh
             if part
         )
         message = (
-            f"the {what} ({point(target.position)}) is out of reach: "
-            f"the nearest pose is {asked} away, at ({point(tip)})"
+            f"the {what} ({_point(target.position)}) is out of reach: "
+            f"the nearest pose is {asked} away, at ({_point(tip)})"
         )
         limits, names = world.problem.limits, world.problem.robot.joint_names
         at_limit = tuple(

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
-from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, drive_of, progress, trajectory_costs
+from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, Trajectory, drive_of, progress, trajectory_costs
 from backhoe_planner.planning.law_following import follow_with_law
-from backhoe_planner.planning.outcome import Outcome, at_rest, no_posture
+from backhoe_planner.planning.outcome import Outcome, at_rest, blocked_path, no_posture
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
-from backhoe_planner.planning.paths.local_resolution import Resolution, resolve_along
+from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.path_layers import redundancy_of
-from backhoe_planner.planning.paths.path_resolution import Detouring, PathResolver, Resolved, Stretch
+from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.report.comparison import law_motion, timed_alone
 from backhoe_planner.planning.result.findings import Findings
@@ -26,7 +27,6 @@ from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world import World
-from backhoe_planner.site import Obstruction
 
 __all__ = ["AlongPath", "plan_along_path", "waypoint_out_of_reach"]
 
@@ -156,10 +156,10 @@ class _Along:
         off_path: with the joints at `begin` the tip is not on the path.
         """
         resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
-        if not resolved.complete:
+        if resolved.obstruction is not None:
             # also where detours are not allowed: then to say what one would take
             around = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
-            resolved = around if around.complete or self._may_leave else resolved
+            resolved = around if around.obstruction is None or self._may_leave else resolved
         pieces = self._smoothed(resolved, begin)
         if not pieces:
             return self._blocked(resolved, at_rest(self._anywhere() if self._stepper is None else self._stepper.q))
@@ -176,12 +176,13 @@ class _Along:
                 return self._from_elsewhere(stepper, transit)
             stepper = transit
         self._play(stepper, pieces)
-        if not resolved.complete:
+        if resolved.obstruction is not None:
             return self._blocked(resolved, stepper.trajectory())
-        detours = [piece for piece in pieces if isinstance(piece, Detouring)]
+        detours = tuple(piece.obstruction for piece in pieces if isinstance(piece, Bypass))
         if detours and not self._may_leave:
-            return self._not_allowed(detours, stepper)
-        return Outcome(stepper.trajectory(), findings=Findings(detours=tuple(_around(detour) for detour in detours)))
+            failure = blocked_path(stepper.trajectory(), detours[0], self._path, ", and detours are not allowed")
+            return failure.adding(detours=detours)
+        return Outcome(stepper.trajectory(), findings=Findings(detours=detours))
 
     def _price(self, nodes: Matrix) -> Vector:
         """(N,) what it costs to begin at each: how far the joints have to go to be there."""
@@ -201,15 +202,15 @@ class _Along:
             return Outcome(stepper.trajectory(), "blocked", message)
         return _Along(self._world, self._path, self._resolver, self._cost, transit).plan(transit.q)
 
-    def _smoothed(self, resolved: Resolved, begin: Vector | None) -> list[Stretch | Detouring]:
+    def _smoothed(self, resolved: Resolution, begin: Vector | None) -> list[Stretch | Bypass]:
         """The pieces, with the grid's steps taken out of those that follow the path."""
-        found: list[Stretch | Detouring] = []
+        found: list[Stretch | Bypass] = []
         last = len(resolved.pieces) - 1
         for index, piece in enumerate(resolved.pieces):
             if isinstance(piece, Stretch) and len(piece.q) > 1:
                 free_start = index == 0 and begin is None and self._stepper is None
                 cheap = self._cheapened(piece, free_start=free_start, free_end=index == last)
-                if last == 0 and resolved.complete:
+                if last == 0 and resolved.obstruction is None:
                     cheap = self._cheaper_than_law(cheap, free_start=free_start)
                 piece = cheap
             found.append(piece)
@@ -223,28 +224,29 @@ class _Along:
             "free_start": free_start,
             "free_end": free_end,
         }
-        q = piece.q
         if self._cost.objective.is_quadratic:  # close to what these steps lower
-            q = smooth_stretch(world.problem, self._path, piece.stations, q, brake=world.work.brake, **setting)
-        q = cheapen_stretch(world.problem, self._path, piece.stations, q, cost=self._cost, work=world.work, **setting)
-        return Stretch(piece.stations, q)
+            piece = smooth_stretch(world.problem, self._path, piece, brake=world.work.brake, **setting)
+        return cheapen_stretch(world.problem, self._path, piece, cost=self._cost, work=world.work, **setting)
 
     def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
         """A piece that is the whole way, or what the local law's way from the same joints can be made into.
 
         Costs have more than one valley, and a grid may miss the one in which the law goes.
         """
-        world = self._world
         low = float(piece.stations[0])
-        law = resolve_along(
-            world.problem, self._path, low, piece.q[0],
-            proximity=world.proximity, kinematics=world.kinematics, time=self._time,
-        )  # fmt: skip
-        if not law.complete:
+        law = self._by_law(low, piece.q[0])
+        if law.obstruction is not None:
             return piece
-        other = self._cheapened(Stretch(law.stations, law.q), free_start=free_start, free_end=True)
+        other = self._cheapened(law, free_start=free_start, free_end=True)
         cheap = min((piece, other), key=lambda way: self._cost.of_run(way.stations, way.q))
         return self._with_inertia(cheap) if low == 0.0 else cheap
+
+    def _by_law(self, s: float, q: Vector) -> Stretch:
+        """As far as the local law goes from arc length `s` [m] with the joints at `q` (n,)."""
+        world = self._world
+        return resolve_along(
+            world.problem, self._path, s, q, proximity=world.proximity, kinematics=world.kinematics, time=self._time
+        )
 
     def _with_inertia(self, piece: Stretch) -> Stretch:
         """On a short path the law's way from the same joints, where inertia makes it the cheaper one.
@@ -255,39 +257,34 @@ class _Along:
         world, problem, path = self._world, self._world.problem, self._path
         if path.length > _SHORT:
             return piece
-        proximity, kinematics, objective = world.proximity, world.kinematics, self._cost.objective
-        law = resolve_along(
-            problem, path, 0.0, piece.q[0], proximity=proximity, kinematics=kinematics, time=self._time
-        )  # fmt: skip
-        if not law.complete:
+        proximity, objective = world.proximity, self._cost.objective
+        law = self._by_law(0.0, piece.q[0])
+        if law.obstruction is not None:
             return piece
-        motion = timed_alone(
-            problem, path, Resolution(piece.stations, piece.q, None), proximity=proximity, time=self._time
-        )  # fmt: skip
+        motion = timed_alone(problem, path, piece, proximity=proximity, time=self._time)
         if objective.is_time:
             beside = timed_alone(problem, path, law, proximity=proximity, time=self._time)
         else:
-            beside = law_motion(path, law, motion, kinematics=kinematics)
+            beside = law_motion(path, law, motion, kinematics=world.kinematics)
         cheaper = trajectory_costs(problem, beside)[objective.name] < trajectory_costs(problem, motion)[objective.name]
-        return Stretch(law.stations, law.q) if cheaper else piece
+        return law if cheaper else piece
 
     @property
     def _time(self) -> float:
         return 0.0 if self._stepper is None else self._stepper.time
 
-    def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Detouring]) -> None:
+    def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Bypass]) -> None:
         limits, drive = self._world.problem.limits, drive_of(self._world.problem)
         for piece in pieces:
-            if isinstance(piece, Detouring):
-                play(self._world, stepper, JointPath(piece.way))
+            if isinstance(piece, Bypass):
+                play(self._world, stepper, JointPath(piece.q))
             elif len(piece.q) > 1:
-                stations, q, stops = round_corners(
-                    self._world.problem, self._path, piece.stations, piece.q,
-                    proximity=self._world.proximity, time=stepper.time,
-                )  # fmt: skip
-                period = _FINE_PERIOD if self._is_tight(q, stepper.time) else SAMPLE_PERIOD
+                rounded, stops = round_corners(
+                    self._world.problem, self._path, piece, proximity=self._world.proximity, time=stepper.time
+                )
+                period = _FINE_PERIOD if self._is_tight(rounded.q, stepper.time) else SAMPLE_PERIOD
                 for motion in time_stretch(
-                    self._path, stations, q, limits, speed=self._speed, period=period, drive=drive, stops=stops
+                    self._path, rounded, limits, speed=self._speed, period=period, drive=drive, stops=stops
                 ):
                     stepper.play(motion)
 
@@ -297,34 +294,9 @@ class _Along:
         floor = proximity.clearance + _ROOM
         return any(bool(np.any(proximity.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)
 
-    # --- what went wrong ---------------------------------------------------------
-
-    def _blocked(self, resolved: Resolved, trajectory: Any) -> Outcome:
+    def _blocked(self, resolved: Resolution, trajectory: Trajectory) -> Outcome:
         assert resolved.obstruction is not None
-        found = replace(resolved.obstruction, path_from=resolved.blocked_from, path_to=resolved.blocked_to)
-        message = (
-            f"the path is blocked from {resolved.blocked_from:.2f} m to {resolved.blocked_to:.2f} m "
-            f"of {self._path.length:.2f} m by {resolved.obstruction}"
-        )
-        if not self._may_leave:
-            message += ", and detours are not allowed"
-        else:
-            message += ", and no way round was found"
+        why = ", and no way round was found" if self._may_leave else ", and detours are not allowed"
         if resolved.routes >= self._world.work.effort.routes:
-            message += f"; none of {resolved.routes:,} routes that were tested leads to its end"
-        return Outcome(trajectory, "blocked", message, Findings(obstruction=found))
-
-    def _not_allowed(self, detours: Sequence[Detouring], stepper: Stepper) -> Outcome:
-        first = detours[0]
-        message = (
-            f"the path is blocked from {first.path_from:.2f} m to {first.path_to:.2f} m "
-            f"of {self._path.length:.2f} m by {first.obstruction}, and detours are not allowed"
-        )
-        around = tuple(_around(detour) for detour in detours)
-        findings = Findings(obstruction=around[0], detours=around)
-        return Outcome(stepper.trajectory(), "blocked", message, findings)
-
-
-def _around(detour: Detouring) -> Obstruction:
-    """What a detour goes round, and the part of the path that it leaves out."""
-    return replace(detour.obstruction, path_from=detour.path_from, path_to=detour.path_to)
+            why += f"; none of {resolved.routes:,} routes that were tested leads to its end"
+        return blocked_path(trajectory, resolved.obstruction, self._path, why)

@@ -7,7 +7,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import build_problem
-from backhoe_planner.planning import resolve_along, round_corners
+from backhoe_planner.planning import Stretch, resolve_along, round_corners
 
 TOLERANCE = 0.005
 
@@ -29,11 +29,11 @@ def test_a_corner_is_cut_by_a_part_of_the_tolerance(backhoe: bp.Robot, bend: flo
     proximity, kinematics = bp.Proximity(backhoe, problem.obstacles), bp.Kinematics(backhoe)
     start = bp.plan(backhoe, arc(bend), method="reactive").trajectory.q[0]
     law = resolve_along(problem, problem.path, 0.0, start, proximity=proximity, kinematics=kinematics)
-    assert law.complete
-    stations, q, left = round_corners(problem, problem.path, law.stations, law.q, proximity=proximity)
+    assert law.obstruction is None
+    rounded, left = round_corners(problem, problem.path, law, proximity=proximity)
     assert left.size == 0
-    assert np.all(np.diff(stations) > 0.0)
-    tips = np.array([kinematics.at(joints).tip_position for joints in q])
+    assert np.all(np.diff(rounded.stations) > 0.0)
+    tips = np.array([kinematics.at(joints).tip_position for joints in rounded.q])
     # a parabola is off its corner by half its height: 0.4 of the tolerance was asked
     for corner in problem.path.points[1:-1]:
         assert np.min(np.linalg.norm(tips - corner, axis=1)) == pytest.approx(0.4 * TOLERANCE, rel=0.05)
@@ -53,9 +53,9 @@ def test_the_way_back_is_stopped_at(planar4: bp.Robot) -> None:
     assert problem.path is not None
     stations = np.linspace(0.0, 1.2, 61)
     q = np.zeros((61, 4))
-    same, joints, left = round_corners(problem, problem.path, stations, q, proximity=bp.Proximity(planar4))
-    np.testing.assert_array_equal(same, stations)
-    np.testing.assert_array_equal(joints, q)
+    same, left = round_corners(problem, problem.path, Stretch(stations, q), proximity=bp.Proximity(planar4))
+    np.testing.assert_array_equal(same.stations, stations)
+    np.testing.assert_array_equal(same.q, q)
     np.testing.assert_allclose(left, [0.6])
 
 

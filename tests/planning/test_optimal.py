@@ -73,11 +73,11 @@ def test_the_refined_cost_converges_with_the_grid(backhoe: bp.Robot, name: str) 
     for grid, layer in ((10.0, 0.4), (5.0, 0.2), (2.5, 0.1)):
         piece = resolved(problem, objective, grid=grid, layer=layer)
         q = cheapen_stretch(
-            problem, problem.path, piece.stations, piece.q,
+            problem, problem.path, piece,
             cost=objective, proximity=proximity, free_start=True, free_end=True,
         )  # fmt: skip
         graph.append(objective.of_run(piece.stations, piece.q))
-        refined.append(objective.of_run(piece.stations, q))
+        refined.append(objective.of_run(piece.stations, q.q))
     assert graph[2] < 1.01 * graph[0]
     assert all(after <= before for before, after in zip(graph, refined, strict=True))
     assert refined[2] == pytest.approx(refined[1], rel=0.01)
@@ -107,7 +107,9 @@ def test_a_random_stretch_is_never_made_worse(machine: str, name: str, request: 
         q, reached = solve_batch(BatchKinematics(robot), targets, piece.q + shake)
         if not reached.all() or any(np.any(proximity.distances(row) < proximity.clearance + 0.01) for row in q):
             continue
-        cheap = cheapen_stretch(problem, problem.path, piece.stations, q, cost=objective, proximity=proximity)
+        cheap = cheapen_stretch(
+            problem, problem.path, Stretch(piece.stations, q), cost=objective, proximity=proximity
+        ).q
         before, after = objective.of_run(piece.stations, q), objective.of_run(piece.stations, cheap)
         assert after <= before
         fell += after < 0.9995 * before
@@ -128,9 +130,9 @@ def test_each_objective_is_least_where_it_is_asked_for(backhoe: bp.Robot) -> Non
         piece = resolved(problem, PathCost(problem), grid=10.0, layer=0.2)
         assert problem.path is not None
         q = cheapen_stretch(
-            problem, problem.path, piece.stations, piece.q, cost=PathCost(problem),
+            problem, problem.path, piece, cost=PathCost(problem),
             proximity=bp.Proximity(backhoe), free_start=True, free_end=True,
-        )  # fmt: skip
+        ).q  # fmt: skip
         values[name] = {other: PathCost(problem, other).value(piece.stations, q) for other in OBJECTIVES}
     for name in OBJECTIVES:
         least = min(values[other][name] for other in OBJECTIVES)
@@ -228,7 +230,7 @@ def test_the_saving_can_be_computed_by_hand(backhoe: bp.Robot, cut: bp.Plan) -> 
     kinematics = bp.Kinematics(backhoe)
     motion = plan.trajectory
     law = resolve_along(problem, problem.path, 0.0, motion.q[0], proximity=bp.Proximity(backhoe), kinematics=kinematics)
-    assert law.complete
+    assert law.obstruction is None
     # where the tip is at every sample, on the straight path
     tips = np.array([kinematics.at(q).tip_position for q in motion.q])
     s = np.linalg.norm(tips - np.array(CUT[0]), axis=1)

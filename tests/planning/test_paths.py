@@ -274,14 +274,14 @@ def test_smoothing_is_never_dearer_and_stays_on_the_path(backhoe: bp.Robot, seed
         problem, problem.path, proximity=proximity, find_detour=lambda a, b, low, high: None,
         cost=PathCost(problem, "velocity_norm").step_costs,
     ).resolve(None, detours=False)  # fmt: skip
-    assert resolved.complete
+    assert resolved.obstruction is None
     [piece] = resolved.pieces
     assert isinstance(piece, Stretch)
-    q = smooth_stretch(problem, problem.path, piece.stations, piece.q, proximity=proximity, free_end=True)
-    np.testing.assert_array_equal(q[0], piece.q[0])
-    assert stretch_cost(piece.stations, q) < stretch_cost(piece.stations, piece.q)
+    smooth = smooth_stretch(problem, problem.path, piece, proximity=proximity, free_end=True)
+    np.testing.assert_array_equal(smooth.q[0], piece.q[0])
+    assert stretch_cost(smooth) < stretch_cost(piece)
     kinematics = bp.Kinematics(backhoe)
-    for s, joints in zip(piece.stations, q, strict=True):
+    for s, joints in zip(smooth.stations, smooth.q, strict=True):
         assert max(problem.path.target(float(s)).distances(kinematics.at(joints))) < 1e-6
         assert np.all(proximity.distances(joints) >= proximity.clearance - 1e-4)
 

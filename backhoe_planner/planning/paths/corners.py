@@ -13,6 +13,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, JointLimits, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import SAMPLE_PERIOD, Drive, Problem, TipPath, Trajectory, time_along
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
@@ -28,20 +29,15 @@ _FEWEST = 9  # samples
 
 
 def round_corners(
-    problem: Problem, path: TipPath, stations: Vector, q: Matrix, *, proximity: Proximity, time: float = 0.0
-) -> tuple[Vector, Matrix, Vector]:
-    """Joint positions along a stretch of a path with its corners rounded where that is clear.
+    problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
+) -> tuple[Stretch, Vector]:
+    """A stretch with its corners rounded where that is clear, and (C,) the arc lengths of those that are left [m].
 
     Parameters
     ----------
-    stations: (K,) arc lengths of the samples [m]; q: (K, n) joints there.
     time: at which the obstacles are taken to be where they are [s].
-
-    Returns
-    -------
-    (L,) arc lengths and (L, n) joints of the new samples, and (C,) the arc lengths of
-    the corners that are left as they are.
     """
+    stations, q = stretch.stations, stretch.q
     task = problem.scene.task.path
     assert task is not None
     kinematics = BatchKinematics(problem.robot)
@@ -60,13 +56,12 @@ def round_corners(
         before, after = stations < at[0] - 1e-9, stations > at[-1] + 1e-9
         stations = np.concatenate((stations[before], at, stations[after]))
         q = np.vstack((q[before], rounded, q[after]))
-    return stations, q, np.array(left)
+    return Stretch(stations, q), np.array(left)
 
 
 def time_stretch(
     path: TipPath,
-    stations: Vector,
-    q: Matrix,
+    stretch: Stretch,
     limits: JointLimits,
     *,
     speed: float | None,
@@ -74,7 +69,7 @@ def time_stretch(
     drive: Drive | None = None,
     stops: Vector | None = None,
 ) -> list[Trajectory]:
-    """The motions, each from rest to rest, along joints `q` (K, n) at `stations` (K,) [m].
+    """The motions, each from rest to rest, that follow a stretch of a path.
 
     Parameters
     ----------
@@ -83,6 +78,7 @@ def time_stretch(
     drive: what moves the joints, None for no limits but those of the joints.
     stops: (C,) arc lengths to stop at [m]; by default all sharp corners of the path.
     """
+    stations, q = stretch.stations, stretch.q
     marks = {0, len(stations) - 1}
     for corner in (path.corners(SHARP) if stops is None else stops).tolist():
         if stations[0] < corner < stations[-1]:

@@ -25,6 +25,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.planning.paths.corners import SHARP
 from backhoe_planner.planning.paths.smoothing import null_bases, strict_targets
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
@@ -52,8 +53,7 @@ _AHEAD = 0.2  # m beyond what is asked up to which distances are measured
 def cheapen_stretch(
     problem: Problem,
     path: TipPath,
-    stations: Vector,
-    q: Matrix,
+    stretch: Stretch,
     *,
     cost: PathCost,
     proximity: Proximity,
@@ -61,21 +61,21 @@ def cheapen_stretch(
     free_start: bool = False,
     free_end: bool = False,
     work: Work | None = None,
-) -> Matrix:
-    """(K, n) joint positions with the same tip positions as `q` whose cost is not higher.
+) -> Stretch:
+    """A stretch with the same tip positions whose cost is not higher.
 
     Parameters
     ----------
-    stations: (K,) arc lengths of the samples [m]; q: (K, n) clear joints there.
+    stretch: that is clear.
     cost: of the motion along the path.
     time: at which the obstacles are taken to be where they are [s].
     free_start, free_end: whether the first and the last sample may move too.
-    work: from which every sweep over the knots is taken; without any left, `q` stays as it is.
+    work: from which every sweep over the knots is taken; without any left, the stretch stays as it is.
     """
     work = work or Work()
-    if len(q) < 3:
-        return q
-    descent = _Descent(problem, path, stations, q, cost=cost, proximity=proximity, time=time)
+    if len(stretch.q) < 3:
+        return stretch
+    descent = _Descent(problem, path, stretch, cost=cost, proximity=proximity, time=time)
     for added, (delta, spacing) in [(bool(turn), level) for turn, levels in enumerate(_LEVELS) for level in levels]:
         descent.tie(spacing, added=added, free_start=free_start, free_end=free_end)
         directions = descent.directions()
@@ -85,13 +85,13 @@ def cheapen_stretch(
                 for _ in range(_ROUNDS):
                     work.brake.check()
                     if work.sweeps <= 0:
-                        return descent.q
+                        return Stretch(stretch.stations, descent.q)
                     work.sweeps -= 1
                     if descent.step(delta, direction) <= _ENOUGH * abs(descent.least):
                         break
             if before - descent.least <= 5.0 * _ENOUGH * abs(descent.least):
                 break
-    return descent.q
+    return Stretch(stretch.stations, descent.q)
 
 
 class _Descent:
@@ -106,8 +106,7 @@ class _Descent:
         self,
         problem: Problem,
         path: TipPath,
-        stations: Vector,
-        q: Matrix,
+        stretch: Stretch,
         *,
         cost: PathCost,
         proximity: Proximity,
@@ -117,11 +116,11 @@ class _Descent:
         self._proximity = proximity
         self._time = time
         self._kinematics = BatchKinematics(problem.robot)
-        self._stations = stations
+        self._stations = stations = stretch.stations
+        self.q = q = stretch.q
         self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
         self._corners = np.isin(np.round(stations, 9), np.round(path.corners(SHARP), 9))
         self._measure = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-9))))
-        self.q = q
         self.least = cost.of_run(stations, q)
         asked = proximity.clearance + _AHEAD
         self._lower = np.array([self._measured(row, asked) for row in q]).reshape(len(q), -1)

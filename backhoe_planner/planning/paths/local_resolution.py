@@ -7,7 +7,6 @@ only if it is proven clear. It goes as far as the law can go from where it began
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -16,10 +15,11 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw, Kind, Rows, step_on_path
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem, TipPath, hand_set_gains
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Obstruction, Proximity
 
-__all__ = ["Resolution", "has_open_range", "resolve_along", "sample_stations"]
+__all__ = ["has_open_range", "resolve_along", "sample_stations"]
 
 
 _LEAST_SPACING = 1e-4  # m
@@ -36,31 +36,6 @@ _TOUCHING = 0.02  # m of margin: a pair that is blamed before a joint at its lim
 _IN_THE_WAY = 0.1  # m of margin: a pair that is blamed where no joint is
 
 
-@dataclass(frozen=True)
-class Resolution:
-    """As far as the law went.
-
-    Attributes
-    ----------
-    stations: (K,) arc lengths [m]; q: (K, n) joint positions there.
-    obstruction: what ended it; None where the end of the path was reached.
-    """
-
-    stations: Vector
-    q: Matrix
-    obstruction: Obstruction | None
-
-    @property
-    def complete(self) -> bool:
-        """Whether the end of the path was reached."""
-        return self.obstruction is None
-
-    @property
-    def reached(self) -> float:
-        """[m]"""
-        return float(self.stations[-1])
-
-
 def sample_stations(path: TipPath, s: float) -> Vector:
     """(K,) arc lengths from `s` to the end, every waypoint among them [m]."""
     marks = np.concatenate(([s], path.stations[path.stations > s + 1e-9]))
@@ -73,8 +48,8 @@ def sample_stations(path: TipPath, s: float) -> Vector:
 def resolve_along(
     problem: Problem, path: TipPath, s: float, q: Vector, *, proximity: Proximity, kinematics: Kinematics,
     time: float = 0.0,
-) -> Resolution:  # fmt: skip
-    """Resolve `path` from arc length `s`, where the joints are at `q` (n,).
+) -> Stretch:  # fmt: skip
+    """Resolve `path` from arc length `s` [m], where the joints are at `q` (n,), as far as the law goes.
 
     Parameters
     ----------
@@ -90,9 +65,9 @@ def resolve_along(
         span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
         after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):
-            return Resolution(stations[: len(found)], np.array(found), _obstruction(problem, at, nearby, proximity))
+            return Stretch(stations[: len(found)], np.array(found), _obstruction(problem, at, nearby, proximity))
         found.append(after)
-    return Resolution(stations, np.array(found), None)
+    return Stretch(stations, np.array(found))
 
 
 def _next(

@@ -8,7 +8,7 @@ stretches, on which the tip is exactly on the path, and detours between them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,11 +18,12 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.paths.path_layers import PathLayers
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
-__all__ = ["Detouring", "PathResolver", "Resolved", "Stretch"]
+__all__ = ["Bypass", "PathResolver", "Resolution"]
 
 
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
@@ -41,53 +42,32 @@ _FEW = 8  # nodes of a layer that are followed back to where the path is free ag
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
-    """Joint positions with the tip on the path.
-
-    Attributes
-    ----------
-    stations: (K,) arc lengths [m], not decreasing.
-    q: (K, n) joint positions there.
-    """
-
-    stations: Vector
-    q: Matrix
-
-
-@dataclass(frozen=True, eq=False)
-class Detouring:
+class Bypass:
     """The tip leaves the path and comes back.
 
     Attributes
     ----------
-    way: (K, n) joint positions, straight lines between them.
-    path_from, path_to: where it leaves and where it comes back [m].
-    obstruction: what it goes round.
+    q: (K, n) joint positions, straight lines between them.
+    obstruction: what it goes round, with the part of the path that it leaves out.
     """
 
-    way: Matrix
-    path_from: float
-    path_to: float
+    q: Matrix
     obstruction: Obstruction
 
 
 @dataclass(frozen=True, eq=False)
-class Resolved:
-    """What came of it.
+class Resolution:
+    """A path resolved into joint positions.
 
     Attributes
     ----------
     pieces: in order; without an end where it is blocked.
-    complete: whether they lead to the end of the path.
-    blocked_from, blocked_to: the part that could be neither followed nor bypassed [m].
-    obstruction: what is in the way there; None where it is complete.
+    obstruction: what is in the way of the part that can be neither followed nor bypassed;
+        None where the pieces lead to the end of the path.
     routes: through the layers, that were tested.
     """
 
-    pieces: tuple[Stretch | Detouring, ...]
-    complete: bool
-    blocked_from: float = 0.0
-    blocked_to: float = 0.0
+    pieces: tuple[Stretch | Bypass, ...]
     obstruction: Obstruction | None = None
     routes: int = 0
 
@@ -135,7 +115,7 @@ class PathResolver:
         screen = ClearanceScreen(proximity)
         self._layers = [self._free(screen, nodes) for nodes in self._all]
         self._motions: dict[Edge, Stretch | None] = {}
-        self._ways: dict[Edge, tuple[Stretch, Detouring, Stretch]] = {}
+        self._ways: dict[Edge, tuple[Stretch, Bypass, Stretch]] = {}
         self._off_path = False
         self._routes = 0
 
@@ -151,7 +131,7 @@ class PathResolver:
         detours: bool,
         off_path: bool = False,
         price: Callable[[Matrix], Vector] | None = None,
-    ) -> Resolved:
+    ) -> Resolution:
         """The cheapest resolution, of those that leave out least of the path.
 
         Parameters
@@ -176,9 +156,9 @@ class PathResolver:
         )
         self._off_path = off_path
         pieces = self._search(graph, costs)
-        return self._as_far(graph, costs) if pieces is None else Resolved(pieces, True)
+        return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
 
-    def _search(self, graph: LayeredGraph, costs: Vector) -> tuple[Stretch | Detouring, ...] | None:
+    def _search(self, graph: LayeredGraph, costs: Vector) -> tuple[Stretch | Bypass, ...] | None:
         """The pieces of the best route that can be driven, None where there is no route."""
         failures: dict[tuple[int, int], int] = {}
         effort = self._work.effort
@@ -272,7 +252,7 @@ class PathResolver:
             self._ways[edge] = found
         return True
 
-    def _leave(self, graph: LayeredGraph, edge: Edge) -> tuple[Stretch, Detouring, Stretch] | None:
+    def _leave(self, graph: LayeredGraph, edge: Edge) -> tuple[Stretch, Bypass, Stretch] | None:
         """A detour, with what is still followed before it and already after it."""
         a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
         low, high = (float(graph.stations[node[0]]) for node in (edge.start, edge.end))
@@ -282,12 +262,16 @@ class PathResolver:
         else:
             before, obstruction = self._extend(low, high, a)
             # never so far that both ends cross
-            back, _ = self._extend(high, float(before.stations[-1]), b)
+            back, _ = self._extend(high, before.reached, b)
             after = Stretch(back.stations[::-1], back.q[::-1])
-        way = self._find_detour(before.q[-1], after.q[0], float(before.stations[-1]), float(after.stations[0]))
+        way = self._find_detour(before.q[-1], after.q[0], before.reached, float(after.stations[0]))
         if way is None:
             return None
-        return before, Detouring(way, float(before.stations[-1]), float(after.stations[0]), obstruction), after
+        return (
+            before,
+            Bypass(way, replace(obstruction, path_from=before.reached, path_to=float(after.stations[0]))),
+            after,
+        )
 
     def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, Obstruction]:
         """On along the path from `low` towards `high` [m], the shortest step at a time, as far as it is clear."""
@@ -333,15 +317,15 @@ class PathResolver:
                 continue
             before = max(float(self._stations[layer - 1]), left)
             few = nodes[:: max(len(nodes) // _FEW, 1)]
-            return min(float(self._extend(station, before, q)[0].stations[-1]) for q in few)
+            return min(self._extend(station, before, q)[0].reached for q in few)
         return self._path.length
 
     # --- what comes out ----------------------------------------------------------------
 
-    def _pieces(self, graph: LayeredGraph, route: Route) -> tuple[Stretch | Detouring, ...]:
+    def _pieces(self, graph: LayeredGraph, route: Route) -> tuple[Stretch | Bypass, ...]:
         """The route's edges joined to as few pieces as there are."""
         first = route.nodes[0]
-        pieces: list[Stretch | Detouring] = [
+        pieces: list[Stretch | Bypass] = [
             Stretch(graph.stations[first[0] : first[0] + 1], graph.layers[first[0]][[first[1]]])
         ]
         for edge in route.edges:
@@ -356,10 +340,10 @@ class PathResolver:
                 _append(pieces, motion)
         return tuple(pieces)
 
-    def _as_far(self, graph: LayeredGraph, costs: Vector) -> Resolved:
+    def _as_far(self, graph: LayeredGraph, costs: Vector) -> Resolution:
         """The pieces up to where the path is blocked."""
         graph.only_detours(self._ways)
-        pieces: tuple[Stretch | Detouring, ...] = ()
+        pieces: tuple[Stretch | Bypass, ...] = ()
         obstruction = None
         left = 0.0
         for _ in range(self._work.effort.routes):
@@ -376,12 +360,12 @@ class PathResolver:
             further, obstruction = self._extend(low, high, graph.layers[layer][index])
             joined = list(self._pieces(graph, route))
             _append(joined, further)
-            pieces, left = tuple(joined), float(further.stations[-1])
+            pieces, left = tuple(joined), further.reached
             break
         again = self._free_again(left)
         if obstruction is None:
             obstruction = self._obstruction(self._problem.robot.middle, left)
-        return Resolved(pieces, False, left, again, obstruction, self._routes)
+        return Resolution(pieces, replace(obstruction, path_from=left, path_to=again), self._routes)
 
 
 def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
@@ -396,7 +380,7 @@ def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
     return np.asarray(found)
 
 
-def _append(pieces: list[Stretch | Detouring], motion: Stretch) -> None:
+def _append(pieces: list[Stretch | Bypass], motion: Stretch) -> None:
     """Join a motion to the last piece, at whose end it begins."""
     last = pieces[-1]
     assert isinstance(last, Stretch)

@@ -21,6 +21,7 @@ from scipy.linalg import solveh_banded
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
@@ -35,43 +36,43 @@ _LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round
 _ROOM = 0.005  # m of margin that smoothing does not use up
 
 
-def stretch_cost(stations: Vector, q: Matrix) -> float:
+def stretch_cost(stretch: Stretch) -> float:
     """Sum |dq|^2 / dh with h the arc length, and a little for the turning of the joints."""
-    return _cost(_weights(stations, q), q)
+    return _cost(_weights(stretch), stretch.q)
 
 
-def _weights(stations: Vector, q: Matrix) -> Vector:
-    return np.asarray(1.0 / step_lengths(stations, q, least=1e-6))
+def _weights(stretch: Stretch) -> Vector:
+    return np.asarray(1.0 / step_lengths(stretch.stations, stretch.q, least=1e-6))
 
 
 def smooth_stretch(
     problem: Problem,
     path: TipPath,
-    stations: Vector,
-    q: Matrix,
+    stretch: Stretch,
     *,
     proximity: Proximity,
     time: float = 0.0,
     free_start: bool = False,
     free_end: bool = False,
     brake: Brake | None = None,
-) -> Matrix:
-    """(K, n) joint positions with the same tip positions as `q` and a cost that is not higher.
+) -> Stretch:
+    """A stretch with the same tip positions and a cost that is not higher.
 
     Parameters
     ----------
-    stations: (K,) arc lengths of the samples [m]; q: (K, n) clear joints there.
+    stretch: that is clear.
     time: at which the obstacles are taken to be where they are [s].
     free_start, free_end: whether the first and the last sample may move too.
     brake: that ends what runs away; by default none.
     """
     brake = brake or Brake()
+    q = stretch.q
     if len(q) < 3:
-        return q
+        return stretch
     kinematics = BatchKinematics(problem.robot)
-    targets = TargetBatch.of([path.target(float(s)) for s in stations])
+    targets = TargetBatch.of([path.target(float(s)) for s in stretch.stations])
     strict = strict_targets(targets)
-    weights = _weights(stations, q)
+    weights = _weights(stretch)
     held = np.zeros(len(q), dtype=bool)
     held[0], held[-1] = not free_start, not free_end
     price = np.zeros(len(q))
@@ -105,7 +106,7 @@ def smooth_stretch(
         near[1:] |= bad[:-1]
         rises = near if bad.any() else np.ones(len(q), dtype=bool)
         price = np.where(rises, np.maximum(10.0 * price, 0.1 * scale), price)
-    return q
+    return Stretch(stretch.stations, q)
 
 
 def _cost(weights: Vector, q: Matrix) -> float:

@@ -29,7 +29,8 @@ from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
-from backhoe_planner.planning.paths.local_resolution import Resolution, has_open_range, resolve_along, sample_stations
+from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 
@@ -188,16 +189,13 @@ def part_on_path(
 
 
 def timed_alone(
-    problem: Problem, path: TipPath, way: Resolution, *, proximity: Proximity, time: float = 0.0
+    problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
 ) -> Trajectory:
-    """A resolved path as fast as the limits allow, at rest at both ends and at the corners that are not rounded."""
+    """A stretch as fast as the limits allow, at rest at both ends and at the corners that are not rounded."""
     task = problem.scene.task.path
     assert task is not None
-    stations, q, stops = round_corners(problem, path, way.stations, way.q, proximity=proximity, time=time)
-    motions = time_stretch(
-        path, stations, q, problem.limits, speed=task.speed, drive=drive_of(problem), stops=stops
-    )  # fmt: skip
-    return joined(motions)
+    rounded, stops = round_corners(problem, path, stretch, proximity=proximity, time=time)
+    return joined(time_stretch(path, rounded, problem.limits, speed=task.speed, drive=drive_of(problem), stops=stops))
 
 
 def joined(motions: Sequence[Trajectory]) -> Trajectory:
@@ -213,7 +211,7 @@ def joined(motions: Sequence[Trajectory]) -> Trajectory:
     return Trajectory.from_steps(np.concatenate(times), np.vstack(places))
 
 
-def law_motion(path: TipPath, law: Resolution, motion: Trajectory, *, kinematics: Kinematics) -> Trajectory:
+def law_motion(path: TipPath, law: Stretch, motion: Trajectory, *, kinematics: Kinematics) -> Trajectory:
     """What the law found, with the tip at every moment where it is in `motion`."""
     stations = stations_of(path, motion, kinematics=kinematics)
     marks = np.searchsorted(law.stations, path.stations - 1e-9)
@@ -235,7 +233,7 @@ def stations_of(path: TipPath, motion: Trajectory, *, kinematics: Kinematics) ->
     return np.asarray(gone * (path.length / max(float(gone[-1]), 1e-12)))
 
 
-def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinematics: Kinematics) -> Resolution | None:
+def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinematics: Kinematics) -> Stretch | None:
     """Along the whole path by the pseudo-inverse alone, which breaks limits and touches what stands there.
 
     Parameters
@@ -271,4 +269,4 @@ def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinemat
         if broken is None and float(np.max(over)) > _BREAKS:
             worst = int(np.argmax(over))
             broken = Obstruction.joint_limit(problem.robot.joint_names[worst], -float(over[worst]))
-    return Resolution(stations, np.array(found), broken)
+    return Stretch(stations, np.array(found), broken)

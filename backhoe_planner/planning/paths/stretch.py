@@ -1,0 +1,31 @@
+"""A stretch of a path that the tip follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.site import Obstruction
+
+__all__ = ["Stretch"]
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Joint positions with the tip on the path.
+
+    Attributes
+    ----------
+    stations: (K,) arc lengths [m], not decreasing.
+    q: (K, n) joint positions there [rad or m].
+    obstruction: what ended it before the end of the path; None where nothing did.
+    """
+
+    stations: Vector
+    q: Matrix
+    obstruction: Obstruction | None = None
+
+    @property
+    def reached(self) -> float:
+        """Its last arc length [m]."""
+        return float(self.stations[-1])
