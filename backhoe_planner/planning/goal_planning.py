@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from backhoe_planner.arrays import Vector
 from backhoe_planner.law import run_iteration
 from backhoe_planner.machine import TipTarget
@@ -91,15 +89,14 @@ def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> 
     limits, drive = world.problem.limits, drive_of(world.problem)
     direct = find_transit(world, stepper, found.clear, straight=True)
     joints = direct.trajectory() if isinstance(direct, Stepper) else None
-    after = np.inf if joints is None else joints.duration - stepper.time
     way = straight.stepper.trajectory()
-    if joints is not None and after <= shortest_time(way.q[way.time >= stepper.time - 1e-9], limits):
-        return Outcome(joints, findings=Findings(way="straight for the joints"))
-    motion = as_fast_as_allowed(stepper, straight.stepper).trajectory()
-    # the law runs the joints at rates that all of them together may not have
-    if joints is not None and joints.duration < retimed(motion, limits, drive=drive).duration:
-        return Outcome(joints, findings=Findings(way="straight for the joints"))
-    return Outcome(motion, findings=Findings(way=straight.way))
+    least = shortest_time(way.q[way.time >= stepper.time - 1e-9], limits)
+    if joints is None or joints.duration - stepper.time > least:
+        motion = as_fast_as_allowed(stepper, straight.stepper).trajectory()
+        # the law runs the joints at rates that all of them together may not have
+        if joints is None or joints.duration >= retimed(motion, limits, drive=drive).duration:
+            return Outcome(motion, findings=Findings(way=straight.way))
+    return Outcome(joints, findings=Findings(way="straight for the joints"))
 
 
 def describe_attempts(attempts: Sequence[Attempt]) -> Outcome:

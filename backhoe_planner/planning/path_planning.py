@@ -97,6 +97,8 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
     time = 0.0 if stepper is None else stepper.time
     on_path = stepper is not None and max(path.target(low).distances(world.kinematics.at(stepper.q))) < _ON_PATH
     cost = PathCost(world.problem)
+    # with one free parameter the grid can be dense; layers far apart let a route turn slowly
+    one_free = redundancy_of(world.problem.robot, path.target(0.0)) == 1
     resolver = PathResolver(
         world.problem,
         path,
@@ -106,7 +108,7 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
         time=time,
         work=world.work,
         cost=cost.step_costs,
-        **_density(world, path),
+        **({"grid": _GRID, "layer": _LAYER} if one_free else {}),
         find_detour=lambda a, b, low, high: find_detour(world, path, a, b, low, high, time=time),
     )
     if since is None and not len(resolver.first_layer) and not on_path:
@@ -119,13 +121,6 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
-
-
-def _density(world: World, path: TipPath) -> dict[str, float]:
-    """Of the graph. With one free parameter it can be dense; layers far apart let a route turn slowly."""
-    if redundancy_of(world.problem.robot, path.target(0.0)) == 1:
-        return {"grid": _GRID, "layer": _LAYER}
-    return {}
 
 
 class _Along:

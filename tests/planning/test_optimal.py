@@ -29,7 +29,7 @@ from backhoe_planner.planning import (
     resolve_along,
     stations_of,
 )
-from backhoe_planner.planning.paths.dynamic_programming import _cheapest_driven
+from backhoe_planner.planning.paths.dynamic_programming import _cheapest_with_turns
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 CUT = [[4.4, 0.0, -0.4], [2.6, 0.4, 0.8]]
@@ -173,7 +173,7 @@ def test_the_cheapest_way_over_three_knots_in_a_row_equals_an_exhaustive_search(
 
     open_ways = [way for way in product(range(width), repeat=knots) if all(usable[k, c] for k, c in enumerate(way))]
     best = min(open_ways, key=cost)
-    assert tuple(_cheapest_driven(steps, turns, usable).tolist()) == best
+    assert tuple(_cheapest_with_turns(steps, turns, usable).tolist()) == best
 
 
 @pytest.fixture(scope="module")

@@ -158,7 +158,7 @@ class _Descent:
             for end in (0, -1):  # from rest, and to rest
                 steps[end] += self._cost.rate_changes(np.zeros_like(rates[:, end]), rates[:, end])
         for _ in range(_TRIES):
-            chosen = _cheapest(steps, usable) if turns is None else _cheapest_driven(steps, turns, usable)
+            chosen = _cheapest(steps, usable) if turns is None else _cheapest_with_turns(steps, turns, usable)
             if np.all(chosen == _WIDTH):
                 return 0.0
             moved = self._between_knots(neighbours[np.arange(len(here)), chosen])
@@ -291,7 +291,7 @@ def _cheapest(steps: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
     return np.array(chosen[::-1])
 
 
-def _cheapest_driven(steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
+def _cheapest_with_turns(steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
     """The same with `turns` (M - 2, C, C, C) that hang on three knots in a row: Bellman's recursion over pairs."""
     closed = np.where(usable, 0.0, np.inf)
     value = closed[0][:, None] + steps[0] + closed[1][None, :]

@@ -113,7 +113,10 @@ class PathResolver:
             self._stations, self._targets, begin=begin
         )
         screen = ClearanceScreen(proximity)
-        self._layers = [self._free(screen, nodes) for nodes in self._all]
+        self._layers = []
+        for nodes in self._all:
+            self._work.brake.check()
+            self._layers.append(nodes[screen.keeps(nodes, time=time, spare=-TOUCH)])
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Bypass, Stretch]] = {}
         self._off_path = False
@@ -173,12 +176,6 @@ class PathResolver:
             if self._driven(graph, route) and self._bypassed(graph, route, failures):
                 return self._pieces(graph, route)
         return None
-
-    # --- nodes -------------------------------------------------------------------
-
-    def _free(self, screen: ClearanceScreen, nodes: Matrix) -> Matrix:
-        self._work.brake.check()
-        return np.asarray(nodes[screen.keeps(nodes, time=self._time, spare=-TOUCH)])
 
     # --- edges ---------------------------------------------------------------------
 

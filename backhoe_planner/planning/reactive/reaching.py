@@ -134,7 +134,8 @@ def _drive_tip(
             stepper.stop()
             break
         wished = turning.direction(error, at, nearby, stepper, left)
-        xdot = wished * _pace(problem.limits, J, wished)
+        dq = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(len(J)), wished)
+        xdot = wished * _pace(problem.limits, dq)
         wish = law.wish(at, J, xdot, nearby)
         fade = min(1.0, left / 0.05) if null_space else 0.0
         if not stepper.advance(_within_rates(wish.primary + fade * wish.null, problem.limits), nearby, at.jacobian[:3]):
@@ -157,12 +158,11 @@ def _task(goal: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
     return error[rows], J[rows]
 
 
-def _pace(limits: JointLimits, J: Matrix, error: Vector) -> float:
-    """1/s by which `error` is to shrink: as fast as every joint can, and can still brake."""
-    dq = np.abs(J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(len(J)), error)) + 1e-9
-    rate = limits.velocity / dq
-    braking = np.sqrt(2.0 * _BRAKING_PART * limits.acceleration / dq)
-    return float(min(np.min(rate), np.min(braking), _SETTLE))
+def _pace(limits: JointLimits, dq: Vector) -> float:
+    """1/s by which the way `dq` (n,) that is left is to shrink: as fast as every joint can, and can still brake."""
+    size = np.abs(dq) + 1e-9
+    braking = np.sqrt(2.0 * _BRAKING_PART * limits.acceleration / size)
+    return float(min(np.min(limits.velocity / size), np.min(braking), _SETTLE))
 
 
 def _within_rates(v: Vector, limits: JointLimits) -> Vector:
@@ -185,20 +185,6 @@ class _Progress:
         return time - self._since > _PATIENCE
 
 
-class _Stillness:
-    """Notices when the tip has stopped moving, whatever its direction, or went on for too long."""
-
-    def __init__(self, time: float) -> None:
-        self._begun = self._since = time
-        self._place: Vector | None = None
-
-    def stuck(self, tip: Vector, time: float) -> bool:
-        """Whether the tip is where it was `_PATIENCE` ago."""
-        if self._place is None or float(np.linalg.norm(tip - self._place)) > _STILL:
-            self._place, self._since = tip, time
-        return time - self._since > _PATIENCE or time - self._begun > _LONGEST_TURN
-
-
 class _Turning:
     """The circulation term: along the surface of what blocks the way.
 
@@ -216,7 +202,8 @@ class _Turning:
         self._hit: float | None = None
         self._normal = np.zeros(3)
         self._touched = 0.0
-        self._stillness = _Stillness(0.0)
+        self._begun = self._since = 0.0
+        self._place: Vector | None = None
 
     @property
     def active(self) -> bool:
@@ -231,12 +218,15 @@ class _Turning:
         if normal is None:
             return False
         self._hit, self._normal, self._touched = left, normal, stepper.time
-        self._stillness = _Stillness(stepper.time)
+        self._begun = self._since = stepper.time
+        self._place = None
         return True
 
     def stuck(self, tip: Vector, time: float) -> bool:
-        """Whether circulating leads nowhere."""
-        return self._stillness.stuck(tip, time)
+        """Whether the tip is where it was `_PATIENCE` ago, or has circulated for too long."""
+        if self._place is None or float(np.linalg.norm(tip - self._place)) > _STILL:
+            self._place, self._since = tip, time
+        return time - self._since > _PATIENCE or time - self._begun > _LONGEST_TURN
 
     def direction(self, error: Vector, at: Configuration, nearby: Nearby, stepper: Stepper, left: float) -> Vector:
         """(m,) where to go: the error itself, or along the surface while circulating."""
@@ -296,7 +286,6 @@ def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:
 
 def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, work: Work) -> Attempt:
     problem = stepper.problem
-    limits = problem.limits
     free_tip = np.zeros((3, problem.robot.n))
     progress = _Progress()
     arrived = False
@@ -309,13 +298,7 @@ def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, 
             stepper.stop()
             arrived = True
             break
-        size = np.abs(dq) + 1e-9
-        pace = min(
-            float(np.min(limits.velocity / size)),
-            float(np.min(np.sqrt(2.0 * _BRAKING_PART * limits.acceleration / size))),
-            _SETTLE,
-        )
-        if not stepper.advance(pace * dq, nearby, free_tip) or progress.stuck(left, stepper.time):
+        if not stepper.advance(_pace(problem.limits, dq) * dq, nearby, free_tip) or progress.stuck(left, stepper.time):
             break
     return _attempt(stepper, goal, arrived, way)
 
