@@ -6,7 +6,6 @@ from .completed import push_factor as push_factor
 from .directionality import LinkChain as LinkChain
 from .directionality import Magnification as Magnification
 from .directionality import Reference as Reference
-from .directionality import all_link_jacobians as all_link_jacobians
 from .directionality import link_chain as link_chain
 from .directionality import link_jacobian as link_jacobian
 from .directionality import link_velocities as link_velocities
@@ -17,7 +16,6 @@ from .law import projector as projector
 from .null_space import TaskInverse as TaskInverse
 from .null_space import pseudo_inverse as pseudo_inverse
 from .null_space import resolve as resolve
-from .on_path import step_on_path as step_on_path
 from .paper_iteration import ITERATIONS as ITERATIONS
 from .paper_iteration import Push as Push
 from .paper_iteration import paper_gains as paper_gains
@@ -29,5 +27,6 @@ from .qp import Kind as Kind
 from .qp import QuadraticProgram as QuadraticProgram
 from .qp import Rows as Rows
 from .qp import solve_program as solve_program
+from .qp import step_on_path as step_on_path
 from .shield import Shield as Shield
 from .shield import Shielded as Shielded

@@ -33,9 +33,8 @@ import eigenpy
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.law.directionality import all_link_jacobians, link_chain, link_velocities
-from backhoe_planner.law.null_line import resolve_on_null_line
-from backhoe_planner.law.null_space import TaskInverse, resolve
+from backhoe_planner.law.directionality import link_chain, link_jacobian, link_velocities
+from backhoe_planner.law.null_space import TaskInverse, resolve, resolve_on_null_line
 from backhoe_planner.machine import Configuration, Robot
 from backhoe_planner.site import Gains, Nearby
 
@@ -256,9 +255,10 @@ class CompletedLaw:
 
     def _add_turns(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> None:
         """Add the rows s_k |J_k (v_e + H) - xdot_k|^2."""
-        J = all_link_jacobians(at)
+        chain = link_chain(at)
+        J = np.vstack([link_jacobian(chain, k, reference="standard") for k in range(1, self.robot.n)])
         turns = link_velocities(
-            link_chain(at),
+            chain,
             at.jacobian[:3] @ primary,
             D=np.ones(self.robot.n - 1),
             magnification="norm_preserving",

@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -46,7 +45,6 @@ __all__ = [
     "LinkChain",
     "Magnification",
     "Reference",
-    "all_link_jacobians",
     "link_chain",
     "link_jacobian",
     "link_velocities",
@@ -138,29 +136,3 @@ def link_velocities(
             sx, sy, sz = sx + rate * clx, sy + rate * cly, sz + rate * clz
         found.append((sx, sy, sz))
     return np.array(found).reshape(-1, 3)
-
-
-def all_link_jacobians(at: Configuration) -> Matrix:
-    """(3 (n-1), n) the standard J_k of every k = 1 .. n-1, one under the other.
-
-    The same as `link_jacobian(..., reference="standard")` row by row, in one go.
-    """
-    inner = at.points[1:-1]
-    n = at.q.size
-    J = np.empty((n - 1, 3, n))
-    px, py, pz = inner[:, 0, None], inner[:, 1, None], inner[:, 2, None]
-    wx, wy, wz = at.J_world[3:]
-    J[:, 0] = wy * pz - wz * py
-    J[:, 1] = wz * px - wx * pz
-    J[:, 2] = wx * py - wy * px
-    J += at.J_world[:3]
-    J *= _inner_joints(n)
-    return J.reshape(3 * (n - 1), n)
-
-
-@lru_cache(maxsize=32)
-def _inner_joints(n: int) -> Matrix:
-    """(n - 1, 1, n) 1 where joint l moves the end of link k: l <= k."""
-    mask = np.tri(n - 1, n)[:, None, :]
-    mask.setflags(write=False)
-    return mask

@@ -23,7 +23,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 
-__all__ = ["PRICE", "UNBOUNDED", "Kind", "QuadraticProgram", "Rows", "Solution", "solve_program"]
+__all__ = ["PRICE", "UNBOUNDED", "Kind", "QuadraticProgram", "Rows", "Solution", "solve_program", "step_on_path"]
 
 
 PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
@@ -53,6 +53,11 @@ class Rows(NamedTuple):
     G: Matrix
     h: Vector
     kind: Kind = Kind.SOFT
+
+    @classmethod
+    def none(cls, name: str, n: int) -> Rows:
+        """No condition on x (n,)."""
+        return cls(name, np.zeros((0, n)), np.zeros(0))
 
     def are_kept_by(self, x: Vector, tolerance: float = 0.0) -> bool:
         """Whether G x <= h + tolerance at x (n,)."""
@@ -137,3 +142,21 @@ def solve_program(program: QuadraticProgram) -> Solution | None:
     if flag < 1 or not np.isfinite(x).all():
         return None
     return Solution(program, np.asarray(x), np.asarray(more["lam"]))
+
+
+def step_on_path(
+    wish: Vector, J: Matrix, *, error: Vector, low: Vector, high: Vector, rows: tuple[Rows, ...] = ()
+) -> Vector | None:
+    """(n,) the step dq nearest to `wish` (n,) with J dq = error [rad or m], or None where there is none.
+
+    Parameters
+    ----------
+    J: (m, n) task Jacobian; error: (m,) what the step must take back.
+    low, high: (n,) bounds of the step.
+    rows: further conditions that it must keep.
+
+    Unlike in the shield, the task is not weighed against safety.
+    """
+    path = Rows("path", J, error, Kind.EQUAL)
+    solution = solve_program(QuadraticProgram(np.eye(len(wish)), -wish, low, high, (path, *rows)))
+    return None if solution is None else solution.x

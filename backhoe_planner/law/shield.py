@@ -150,7 +150,7 @@ class Shield:
     ) -> tuple[Rows, NDArray[np.intp]]:
         """The rows -g v <= gamma margin + drift that can bind at all, and the nearby pairs that they are of."""
         if len(nearby) == 0:
-            return Rows("clearance", np.zeros((0, len(self.limits.velocity))), np.zeros(0)), np.zeros(0, dtype=np.intp)
+            return Rows.none("clearance", len(self.limits.velocity)), np.zeros(0, dtype=np.intp)
         gamma = _STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt)
         margin = nearby.margin - extra_margin
         bound = gamma * margin

@@ -10,7 +10,6 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.law import (
     LinkChain,
     Magnification,
-    all_link_jacobians,
     link_chain,
     link_jacobian,
     link_velocities,
@@ -126,15 +125,6 @@ def test_link_jacobian_against_differences(any_robot: Robot) -> None:
             np.testing.assert_allclose(standard, differences[k], atol=1e-8)
             np.testing.assert_allclose(printed[:, :k], differences[k][:, :k], atol=1e-8)
             np.testing.assert_allclose(printed[:, k:], -differences[n][:, k:], atol=1e-8)
-
-
-def test_fast_jacobians_are_the_plain_ones(any_robot: Robot) -> None:
-    rng, kinematics = np.random.default_rng(5), Kinematics(any_robot)
-    for _ in range(20):
-        at = kinematics.at(any_robot.random_q(rng))
-        chain = link_chain(at)
-        plain = [link_jacobian(chain, k, reference="standard") for k in range(1, any_robot.n)]
-        np.testing.assert_allclose(all_link_jacobians(at), np.vstack(plain), atol=1e-12)
 
 
 def test_rates_are_the_limit_of_small_steps(any_robot: Robot) -> None:

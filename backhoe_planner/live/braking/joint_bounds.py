@@ -85,7 +85,7 @@ class JointBounds:
         """The velocities that the step from q, v (n,) may take. Beyond a limit a joint must come back."""
         dt = self._dt
         rates = v.tolist()
-        time = max(abs(rate) * per for rate, per in zip(rates, self._per_acceleration, strict=True))
+        time = max([abs(rate) * per for rate, per in zip(rates, self._per_acceleration, strict=True)])
         look = dt + 0.5 * (time + dt / BRAKING)
         lows, highs = [], []
         tight = cut = False
@@ -111,19 +111,21 @@ class JointBounds:
             highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
             lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
         reach = [(rate - change, rate + change) for rate, change in zip(rates, self.changes, strict=True)]
-        low_bounds = [min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]
-        high_bounds = [min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]
         return VelocityRange(
-            np.array(low_bounds), np.array(high_bounds), np.array(lows), np.array(highs), look, cuts_wish=cut
+            low=np.array([min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]),
+            high=np.array([min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]),
+            least=np.array(lows),
+            most=np.array(highs),
+            look=look,
+            cuts_wish=cut,
         )
 
     def over_rates(self, q: Vector, v: Vector) -> float:
         """By how much joint velocities (n,) at q (n,) go beyond the joints' rates and the load, 1 where they do not."""
-        ranges = self._ranges
-        over: float = max(abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), ranges, strict=True))
-        if self._load is not None:
-            over = max(over, self._load(q, v))
-        return max(over, 1.0)
+        over: list[float] = [
+            abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), self._ranges, strict=True)
+        ]
+        return max(1.0, *over) if self._load is None else max(1.0, *over, self._load(q, v))
 
     def room_for(self, more: Vector, v: Vector) -> float:
         """The largest part, at most 1, of `more` (n,) that fits within the joints' rates beside v (n,)."""

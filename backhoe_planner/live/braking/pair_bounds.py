@@ -18,7 +18,7 @@ from backhoe_planner.live.braking.braking_path import BrakingPath, PathClearance
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.site import pace
 
-__all__ = ["BUFFER", "TOLERANCE", "Near", "PairBounds"]
+__all__ = ["BUFFER", "TOLERANCE", "Awake", "Near", "PairBounds"]
 
 Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
@@ -47,6 +47,19 @@ class Near(NamedTuple):
     least: Vector
     distance: Vector
     margin: Vector
+
+
+class Awake(NamedTuple):
+    """What could come into question in a step.
+
+    Attributes
+    ----------
+    pairs: (K,) indices.
+    budget: (C,) by how much points of each class may move away from the path of before [m].
+    """
+
+    pairs: Indices
+    budget: Vector
 
 
 class PairBounds:
@@ -164,11 +177,8 @@ class PairBounds:
         rooms = zip(near.margin[rows].tolist(), slow[rows].tolist(), strict=True)
         return min((pace(left, room) for left, room in rooms), default=1.0)
 
-    def awake(self, change: Vector) -> tuple[Indices, Vector]:
-        """(K,) pairs that matter if the braking path's end moves by up to `change` (n,) [rad or m].
-
-        Also by how much points may move by that (C,) [m].
-        """
+    def awake(self, change: Vector) -> Awake:
+        """The pairs that matter if the braking path's end moves by up to `change` (n,) [rad or m]."""
         separation = self._separation
         budget = separation.travel @ change
         # what is within the buffer is always looked at: else a wish would be held back every other step
@@ -176,7 +186,7 @@ class PairBounds:
         awake = left < (self._path_odometer + budget).take(separation.classes)
         if len(self.inside):  # these are looked at by themselves
             awake[self.inside] = False
-        return awake.nonzero()[0], budget
+        return Awake(awake.nonzero()[0], budget)
 
     def accept(self, awake: Indices, clearance: PathClearance) -> None:
         """A braking path is about to be taken, of which this was proven."""

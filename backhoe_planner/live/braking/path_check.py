@@ -10,8 +10,6 @@ velocity is chosen by what its own check will see.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,28 +17,15 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds
-from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, PairBounds
+from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Awake, PairBounds
 from backhoe_planner.live.braking.separation import Separation
 
-__all__ = ["MOST_ROWS", "Awake", "PathCheck"]
+__all__ = ["MOST_ROWS", "PathCheck"]
 
 Indices = NDArray[np.intp]
 
 MOST_ROWS = 400  # of one kind in a problem, the tightest: the work of a step is bounded
 _LOOKS = 12  # pairs that are measured anew per path at most, each some 20 us
-
-
-class Awake(NamedTuple):
-    """What could come into question in a step.
-
-    Attributes
-    ----------
-    pairs: (K,) indices.
-    budget: (C,) by how much points of each class may move away from the path of before [m].
-    """
-
-    pairs: Indices
-    budget: Vector
 
 
 class PathCheck:
@@ -70,11 +55,12 @@ class PathCheck:
 
     def awake(self, state: JointState, look: float) -> Awake:
         """Pairs that could come into question in a step, see `VelocityRange.look`."""
+        q, v, end = state
         later = self._dt / BRAKING
-        joints = zip(*(part.tolist() for part in state), self._joints.changes, strict=True)
+        joints = zip(q.tolist(), v.tolist(), end.tolist(), self._joints.changes, strict=True)
         # the end moves with the step taken, and with the change of velocity
         change = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
-        return Awake(*self._bounds.awake(np.array(change)))
+        return self._bounds.awake(np.array(change))
 
     def clearance(self, awake: Awake, path: BrakingPath, *, anything_moves: bool) -> PathClearance:
         """What is known of a path for all pairs that are awake; the placements hold it then, if there are any."""
@@ -112,9 +98,8 @@ class PathCheck:
     def rows(self, awake: Awake, path: BrakingPath, found: PathClearance) -> Rows:
         """The rows of what could bind along a path [m/s]; the placements must hold it."""
         separation, (pairs, budget) = self._separation, awake
-        none = Rows("braking", np.zeros((0, len(path.v))), np.zeros(0))
         if len(pairs) == 0:
-            return none
+            return Rows.none("braking", len(path.v))
         classes = separation.classes[pairs]
         wanted = self._bounds.required[pairs] + BUFFER
         room = found.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
@@ -131,7 +116,7 @@ class PathCheck:
             counts[tight, row] = only
         samples, k, corners = np.nonzero(counts)
         if len(k) == 0:
-            return none
+            return Rows.none("braking", len(path.v))
         if len(k) > MOST_ROWS:
             tightest = np.argpartition(room[samples, k, corners], MOST_ROWS)[:MOST_ROWS]
             samples, k, corners = samples[tightest], k[tightest], corners[tightest]

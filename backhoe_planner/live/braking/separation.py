@@ -100,8 +100,6 @@ class Separation:
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
         self._body: list[_Stand | None] = [None] * len(pairs)
         self._stands_of: dict[int, list[_Stand]] = {}
-        self.joint = self._joint_of[self.piece]
-        self.other = self._joint_of[self.other_piece]
         self.normal = np.zeros((len(pairs), 3))  # in the frame of the other body
         self.offset = np.full(len(pairs), -_FAR)
         self.velocity = np.zeros((len(pairs), 3))
@@ -219,12 +217,9 @@ class Separation:
 
     def gaps(self, pairs: Indices, at: Placements, samples: int) -> Matrix:
         """(samples, K, V) gap of every corner of the links to the planes kept for `pairs` [m]."""
-        return self._gaps(pairs, self.normal.take(pairs, axis=0), self.offset.take(pairs), at.T[:samples])
-
-    def _gaps(self, pairs: Indices, n: Matrix, offset: Vector, T: Matrix) -> Matrix:
-        """The same for planes n (K, 3), offset (K,) in the other bodies' frames, at poses T (S, joints, 3, 4)."""
-        n = n[:, None, :]
-        offset = offset - self._fat_of.take(pairs)
+        T = at.T[:samples]
+        n = self.normal.take(pairs, axis=0)[:, None, :]
+        offset = self.offset.take(pairs) - self._fat_of.take(pairs)
         other = self.other.take(pairs) if self.some_relative else pairs[:0]
         if np.count_nonzero(other):
             frames = T.take(other, axis=1)

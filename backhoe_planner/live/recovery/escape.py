@@ -122,7 +122,7 @@ class EscapeSearch:
         self._inside = np.isin(watched, inside)
         self._clearance = separation.clearance[watched]
         self._owner = separation.owner[watched]
-        self._ceiling = np.where(self._inside, ceiling[watched], 0.0)
+        self._ceiling = np.where(self._inside, ceiling[watched], 0.0) + _LEVEL
         self._travel = separation.travel[separation.classes[watched]]
         self._lower, self._upper = limits.lower, limits.upper
         # where postures are chosen; a turn either way for joints without limits
@@ -155,7 +155,7 @@ class EscapeSearch:
             looks += _looks(q, goal)
             if looks > _LINE_LOOKS:
                 break
-            free = yield from self._line_is_allowed(q, goal)
+            free = yield from self._line_is_allowed(q, goal, self._ceiling)
             if free:
                 return EscapeRoute(np.array([q, goal]), False)
         nodes = yield from self._connect(q, goals)
@@ -166,14 +166,8 @@ class EscapeSearch:
 
     def returns(self, q: Vector) -> Generator[None, None, bool]:
         """Whether the joints can come straight back within their limits from q (n,) where nothing is violated."""
-        within = np.clip(q, self._lower, self._upper)
-        count = _looks(q, within)
-        for part in range(1, count + 1):
-            depth, _, _ = self._depth(q + (part / count) * (within - q))
-            yield
-            if (depth > _SLIGHT).any():
-                return False
-        return True
+        free = yield from self._line_is_allowed(q, np.clip(q, self._lower, self._upper), _SLIGHT)
+        return free
 
     # --- one posture -------------------------------------------------------------------
 
@@ -240,10 +234,6 @@ class EscapeSearch:
 
     # --- a way below -------------------------------------------------------------------
 
-    def _allowed(self, q: Vector) -> bool:
-        depth, _, _ = self._depth(q)
-        return bool((depth <= self._ceiling + _LEVEL).all())
-
     def _clear_postures(self, q: Vector) -> Generator[None, None, list[Vector]]:
         """Clear postures, the nearest first; some near by, of others only a few joints are elsewhere than at q."""
         rng, found = self._rng, []
@@ -263,12 +253,13 @@ class EscapeSearch:
                     break
         return sorted(found, key=lambda goal: float(np.abs(goal - q).max()))
 
-    def _line_is_allowed(self, start: Vector, end: Vector) -> Generator[None, None, bool]:
+    def _line_is_allowed(self, start: Vector, end: Vector, most: Vector | float) -> Generator[None, None, bool]:
+        """Whether no pair is deeper than `most` (K,) [m] anywhere on a straight line."""
         count = _looks(start, end)
         for part in range(1, count + 1):
-            allowed = self._allowed(start + (part / count) * (end - start))
+            depth, _, _ = self._depth(start + (part / count) * (end - start))
             yield
-            if not allowed:
+            if not (depth <= most).all():
                 return False
         return True
 
@@ -304,10 +295,10 @@ class EscapeSearch:
         looks, last, reached = 0, nearest, None
         for part in range(1, count + 1):
             there = start + (part / count) * (aim - start)
-            allowed = self._allowed(there)
+            depth, _, _ = self._depth(there)
             looks += 1
             yield
-            if not allowed:
+            if not (depth <= self._ceiling).all():
                 break
             if part % branch == 0 or part == count:
                 last = reached = tree.add(there, last)
@@ -324,7 +315,7 @@ class EscapeSearch:
                 more = _looks(nodes[here], nodes[ahead]) if here + 1 < ahead < len(nodes) else _LINE_LOOKS
                 if looks + more < _LINE_LOOKS:
                     looks += more
-                    free = yield from self._line_is_allowed(nodes[here], nodes[ahead])
+                    free = yield from self._line_is_allowed(nodes[here], nodes[ahead], self._ceiling)
                     if free:
                         after = ahead
                         break

@@ -52,7 +52,8 @@ from backhoe_planner.live.braking.braking_path import (
     Placements,
 )
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
-from backhoe_planner.live.braking.path_check import Awake, PathCheck
+from backhoe_planner.live.braking.pair_bounds import Awake
+from backhoe_planner.live.braking.path_check import PathCheck
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, RouteSearch
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back

@@ -25,14 +25,55 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 
-__all__ = ["Feedback"]
-
+__all__ = ["Feedback", "Refusal"]
 
 _SEED = 1e-7  # J: what may be lent, to a force against the hand, before anything was taken
 _LEAK = 1e-13  # J per sample, so that an empty ledger can fill again
 _SMOOTHED_OVER = 0.01  # s
 _SLOW_HAND = 0.02  # m/s: below this its direction says little
 _MOST_STORED = 0.2  # J: of what the hand has given, this much may come back
+_REMEMBERED = 0.02  # s for which being held back counts, so that a status does not flicker
+_AS_WISHED = 1e-9  # rad/s or m/s: rounding
+
+
+class Refusal:
+    """Compares the machine with one that nothing is in the way of.
+
+    Parameters
+    ----------
+    n: number of joints.
+    dt: length of a step [s].
+    changes: n numbers, by how much a joint's velocity can change in a step.
+    """
+
+    def __init__(self, n: int, dt: float, changes: list[float]) -> None:
+        self._changes = changes
+        self._free = [0.0] * n  # velocities with nothing in the way
+        self._forgets = 1.0 - math.exp(-dt / _REMEMBERED)
+        self._steps = max(math.ceil(_REMEMBERED / dt), 1)
+        self._counts_for = 0
+
+    def remember(self, *, held_back: bool) -> bool:
+        """Whether the machine is held back, or was just now."""
+        self._counts_for = self._steps if held_back else self._counts_for - 1
+        return self._counts_for > 0
+
+    def next(self, v: Vector, *, wish: Vector, target: Vector) -> Vector:
+        """(n,) the velocity that is refused in a step at v (n,).
+
+        Parameters
+        ----------
+        wish, target: (n,) see `VelocityWish`.
+        """
+        rates, wishes = v.tolist(), wish.tolist()
+        joints = zip(self._free, wishes, rates, target.tolist(), self._changes, strict=True)
+        # a joint that goes as it is told has caught up with what it would have done
+        self._free = [
+            free
+            + (min(max(aim - free, -most), most) if abs(rate - goal) > _AS_WISHED else self._forgets * (rate - free))
+            for free, aim, rate, goal, most in joints
+        ]
+        return np.array([free - rate - aim for free, rate, aim in zip(self._free, rates, wishes, strict=True)])
 
 
 class Feedback:
@@ -53,7 +94,7 @@ class Feedback:
         self._change = sharpest * dt
         self._stored = 0.0
         self._force: tuple[float, ...] = (0.0, 0.0, 0.0)
-        self._smooth: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self._smooth = [0.0, 0.0, 0.0]
         self._scale = 1.0
         self._part = 1.0 - math.exp(-dt / _SMOOTHED_OVER)
 
@@ -85,11 +126,11 @@ class Feedback:
         along = max(rx * tx + ry * ty + rz * tz, 0.0) / (size * size)
         inward = nearness * (max(rx * nx + ry * ny + rz * nz, 0.0) + max(into, 0.0))
         part, damping = self._part, self._damping
-        smooth = self._smooth = tuple(
+        self._smooth = [
             before - part * (damping * (inward * normal_part + along * tangent) + before)
             for before, normal_part, tangent in zip(self._smooth, (nx, ny, nz), (tx, ty, tz), strict=True)
-        )
-        fx, fy, fz = smooth
+        ]
+        fx, fy, fz = self._smooth
         size = math.sqrt(fx * fx + fy * fy + fz * fz)
         if size > 0.0:
             bounded = self._largest * math.tanh(size / self._largest)

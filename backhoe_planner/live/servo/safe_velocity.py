@@ -26,8 +26,8 @@ from backhoe_planner.live.braking.joint_bounds import (
     JointBounds,
     VelocityRange,
 )
-from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Near, PairBounds
-from backhoe_planner.live.braking.path_check import MOST_ROWS, Awake, PathCheck
+from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Awake, Near, PairBounds
+from backhoe_planner.live.braking.path_check import MOST_ROWS, PathCheck
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.recovery import Recovery, RecoveryStep
 
@@ -119,6 +119,7 @@ class VelocityFilter:
     ) -> None:
         self._separation, self._joints, self._bounds = separation, joints, bounds
         self._check, self._recovery, self._acceleration, self._at = check, recovery, acceleration, at
+        self._nothing_comes = Rows.none("evasion", len(acceleration))
 
     def choose(self, state: JointState, wish: VelocityWish, near: Near, *, anything_moves: bool) -> SafeVelocity:
         """The velocity nearest to the wish whose braking path is proven clear; braking where there is none."""
@@ -202,8 +203,10 @@ class VelocityFilter:
         Also the wish: where a limit cuts it, the null space has none.
         """
         target, (low, high, *_) = wish.target, wish.range
-        joints = zip(target.tolist(), low.tolist(), high.tolist(), strict=True)
-        if all(least <= rate <= most for rate, least, most in joints):
+        for rate, least, most in zip(target.tolist(), low.tolist(), high.tolist(), strict=True):
+            if not least <= rate <= most:
+                break
+        else:
             return target, wish
         if not wish.for_tip:
             return np.minimum(np.maximum(target, low), high), wish
@@ -237,16 +240,15 @@ class VelocityFilter:
     def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
         """The rows of obstacles that come nearer, and of those that move and are too close already."""
         separation = self._separation
-        none = Rows("evasion", np.zeros((0, len(low))), np.zeros(0))
         if len(near.pairs) == 0:
-            return none
+            return self._nothing_comes
         clearance = separation.clearance[near.pairs]
         too_close = np.maximum(near.distance, self._bounds.required[near.pairs]) < clearance - _VIOLATED
         too_close &= ~self._bounds.stands[near.pairs]
         drift = separation.drift[near.pairs]
         chosen = ((drift < 0.0) | too_close).nonzero()[0]
         if len(chosen) == 0:
-            return none
+            return self._nothing_comes
         own = near.gaps[chosen]
         if len(chosen) > MOST_ROWS:
             chosen = chosen[np.argpartition(own.min(axis=1), MOST_ROWS)[:MOST_ROWS]]

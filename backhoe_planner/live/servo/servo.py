@@ -37,8 +37,7 @@ from backhoe_planner.live.braking.path_check import PathCheck
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.recovery import Recovery
 from backhoe_planner.live.servo.commands import Commands
-from backhoe_planner.live.servo.feedback import Feedback
-from backhoe_planner.live.servo.refusal import Refusal
+from backhoe_planner.live.servo.feedback import Feedback, Refusal
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
 from backhoe_planner.live.servo.surroundings import Surroundings, number_within
