@@ -1,4 +1,7 @@
-"""The entry point: from the words of the command line to an exit status."""
+"""The program `backhoe-planner COMMAND ...`: all its commands, and its exit status.
+
+Exit status: 0 verified (or done), 1 no verified plan, 2 bad input, 130 interrupted.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,30 @@ import typer
 from rich.text import Text
 
 import backhoe_planner as bp
-from backhoe_planner.cli.application import app
+from backhoe_planner.cli import inspect_command, plan_commands, teleop_command
 from backhoe_planner.cli.terminal import BAD_INPUT, ERR, FAILED, INTERRUPTED, VERIFIED
 
-__all__ = ["main"]
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+for command in (
+    plan_commands.plan,
+    plan_commands.view,
+    plan_commands.check,
+    inspect_command.inspect,
+    plan_commands.plot,
+    plan_commands.export,
+    teleop_command.teleop,
+    inspect_command.schema,
+):
+    app.command()(command)
 
 
 def main() -> NoReturn:

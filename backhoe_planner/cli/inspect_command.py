@@ -1,7 +1,9 @@
-"""`inspect`: what a machine is and can do."""
+"""`inspect` and `schema`: what a machine is and can do, and what a scene file may hold."""
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -9,11 +11,11 @@ import typer
 from rich.table import Table
 
 import backhoe_planner as bp
-from backhoe_planner.cli.arguments import Urdf
-from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED
+from backhoe_planner import machine, show
+from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf
 from backhoe_planner.files.output_file import check_writable
 
-__all__ = ["inspect"]
+__all__ = ["inspect", "schema"]
 
 
 def inspect(
@@ -30,10 +32,14 @@ def inspect(
     _print_envelope(robot)
     _print_hydraulics(robot)
     if plot is not None:
-        from backhoe_planner.show import plot_envelope
-
-        plot_envelope(robot, plot)
+        show.plot_envelope(robot, plot)
         OUT.print(f"\nwrote {plot}")
+    return VERIFIED
+
+
+def schema() -> int:
+    """Print the scene file's JSON Schema."""
+    sys.stdout.write(json.dumps(bp.scene_schema(), indent=2) + "\n")
     return VERIFIED
 
 
@@ -57,10 +63,8 @@ def _print_joints(robot: bp.Robot) -> None:
 
 
 def _print_dh_table(robot: bp.Robot) -> None:
-    from backhoe_planner.machine import dh_table
-
     table = Table("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]", box=None, pad_edge=False)
-    for row in dh_table(robot).rows:
+    for row in machine.dh_table(robot).rows:
         theta, d = f"{DEGREES * row.theta:.2f}", f"{row.d + 0.0:.4f}"
         table.add_row(
             row.joint,
@@ -74,9 +78,7 @@ def _print_dh_table(robot: bp.Robot) -> None:
 
 
 def _print_envelope(robot: bp.Robot) -> None:
-    from backhoe_planner.machine import working_envelope
-
-    envelope = working_envelope(robot)
+    envelope = machine.working_envelope(robot)
     if envelope is None:
         return
     rows = [
@@ -96,8 +98,6 @@ def _print_envelope(robot: bp.Robot) -> None:
 
 
 def _print_hydraulics(robot: bp.Robot) -> None:
-    from backhoe_planner.machine import digging_forces
-
     hydraulics = robot.hydraulics
     if hydraulics is None:
         return
@@ -121,7 +121,7 @@ def _print_hydraulics(robot: bp.Robot) -> None:
         f"  pump {6e4 * hydraulics.pump_flow:.0f} l/min at {1e-5 * hydraulics.pressure:.0f} bar, "
         f"{1e-3 * hydraulics.power_limit:.1f} kW from the engine"
     )
-    digging = digging_forces(robot)
+    digging = machine.digging_forces(robot)
     if digging is not None:
         OUT.print(
             f"  digging force at the teeth  bucket {1e-3 * digging.bucket:.1f} kN, stick {1e-3 * digging.stick:.1f} kN"

@@ -1,4 +1,4 @@
-"""`plan`, `view` and `check`: make a plan, play it, prove it anew."""
+"""`plan`, `view`, `check`, `plot` and `export`: make a plan, and use its file."""
 
 from __future__ import annotations
 
@@ -6,21 +6,27 @@ import contextlib
 import time as clock
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 import backhoe_planner as bp
-from backhoe_planner.cli.arguments import PlanFile, PlanUrdf, SceneFile, Urdf
+from backhoe_planner import motion, planning, show
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
-from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, print_warnings
+from backhoe_planner.cli.terminal import (
+    ERR,
+    FAILED,
+    OUT,
+    VERIFIED,
+    PlanFile,
+    PlanUrdf,
+    SceneFile,
+    Urdf,
+    print_warnings,
+)  # fmt: skip
 from backhoe_planner.files.output_file import check_writable
-from backhoe_planner.planning import DEFAULT_BUDGET
 
-if TYPE_CHECKING:
-    from backhoe_planner.planning import Plan
-
-__all__ = ["check", "plan", "view"]
+__all__ = ["check", "export", "plan", "plot", "view"]
 
 
 def plan(
@@ -31,10 +37,16 @@ def plan(
     ),
     method: Annotated[str, typer.Option(help="auto, reactive, optimal or paper.")] = "auto",
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
-    effort: Annotated[str, typer.Option(help="quick, normal or thorough: how much is searched.")] = "normal",
+    effort: Annotated[
+        str, typer.Option(help="quick, normal or thorough: bounds the search, in counted work.")
+    ] = "normal",
     budget: Annotated[
-        float, typer.Option(metavar="S", help="Time after which whatever still runs is ended [s].")
-    ] = DEFAULT_BUDGET,
+        float,
+        typer.Option(
+            metavar="S",
+            help="Seconds of computing time after which what still runs is ended; --effort bounds the search.",
+        ),
+    ] = planning.DEFAULT_BUDGET,
     view: Annotated[bool, typer.Option("--view", help="Show the steps in the browser, then play the plan.")] = False,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the plan offline.")
@@ -45,7 +57,11 @@ def plan(
 ) -> int:
     """Plan the task of a scene, and write the plan."""
     for target in (output, html):
-        if target is not None and target.exists() and any(_same_file(target, given) for given in (Path(urdf), scene)):
+        if (
+            target is not None
+            and target.exists()
+            and any(given.exists() and target.samefile(given) for given in (Path(urdf), scene))
+        ):
             raise bp.OutputError("is an input of this command", file=target)
     check_writable(output)
     if html is not None:
@@ -79,9 +95,7 @@ def view(
     if html is not None:
         _write_html(loaded, html)
         return VERIFIED
-    from backhoe_planner.show import Viewer
-
-    with Viewer() as viewer:
+    with show.Viewer() as viewer:
         _play(viewer, loaded)
     return VERIFIED
 
@@ -95,8 +109,30 @@ def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     return VERIFIED if loaded.verified else FAILED
 
 
-def _same_file(a: Path, b: Path) -> bool:
-    return b.exists() and a.samefile(b)
+def plot(
+    plan_file: PlanFile,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help=".png, .svg or .pdf", show_default=False)],
+    urdf: PlanUrdf = None,
+) -> int:
+    """Plot joints, rates, clearances, power and energy of a plan over time."""
+    check_writable(file)
+    show.plot_plan(bp.load_plan(plan_file, urdf=urdf), file)
+    OUT.print(f"wrote {file}")
+    return VERIFIED
+
+
+def export(
+    plan_file: PlanFile,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help=".csv, .npz, or .yaml (ROS 2 JointTrajectory)", show_default=False)
+    ],
+    urdf: PlanUrdf = None,
+) -> int:
+    """Write a plan's motion for other tools."""
+    check_writable(file)
+    planning.export_plan(bp.load_plan(plan_file, urdf=urdf), file)
+    OUT.print(f"wrote {file}")
+    return VERIFIED
 
 
 @contextlib.contextmanager
@@ -110,12 +146,9 @@ def _working(shown: bool) -> Iterator[None]:
 
 def _plan_in_viewer(
     robot: bp.Robot, scene: bp.Scene, method: str, seed: int, effort: str, budget: float, output: Path, as_json: bool
-) -> Plan:
-    from backhoe_planner.motion import build_problem
-    from backhoe_planner.show import Viewer
-
-    with Viewer() as viewer:
-        print_warnings(viewer.show_problem(build_problem(robot, scene)))
+) -> bp.Plan:
+    with show.Viewer() as viewer:
+        print_warnings(viewer.show_problem(motion.build_problem(robot, scene)))
         _announce(viewer)
         found = bp.plan(
             robot, scene, method=method, seed=seed, effort=effort, budget=budget,
@@ -127,12 +160,12 @@ def _plan_in_viewer(
     return found
 
 
-def _announce(viewer: Any) -> None:
+def _announce(viewer: show.Viewer) -> None:
     ERR.print(f"open {viewer.url} in a browser (Ctrl-C ends)")
     viewer.wait_for_browser()
 
 
-def _play(viewer: Any, found: Plan, *, announced: bool = False) -> None:
+def _play(viewer: show.Viewer, found: bp.Plan, *, announced: bool = False) -> None:
     """Show a plan until Ctrl-C."""
     print_warnings(viewer.play(found))
     if not announced:
@@ -143,9 +176,7 @@ def _play(viewer: Any, found: Plan, *, announced: bool = False) -> None:
             clock.sleep(0.2)
 
 
-def _write_html(found: Plan, html: Path, *, quiet: bool = False) -> None:
-    from backhoe_planner.show import write_page
-
-    print_warnings(write_page(found, html))
+def _write_html(found: bp.Plan, html: Path, *, quiet: bool = False) -> None:
+    print_warnings(show.write_page(found, html))
     if not quiet:
         OUT.print(f"page          {html}")

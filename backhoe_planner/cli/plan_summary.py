@@ -4,51 +4,48 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.table import Table
 from rich.text import Text
 
 import backhoe_planner as bp
+from backhoe_planner import live, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT
-
-if TYPE_CHECKING:
-    from backhoe_planner.motion import Detour
-    from backhoe_planner.planning import AskedSpeed, LawComparison, Plan
 
 __all__ = ["describe_quantity", "print_certificate", "print_plan", "print_recording"]
 
 _MOST_PARTS = 3  # parts of a path that are listed one by one: what still fits into a line or two
 
 
-def print_plan(found: Plan, output: Path, as_json: bool) -> None:
+def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     """The result of planning, as a summary or as JSON."""
     if as_json:
-        from backhoe_planner.planning import plan_to_dict
-
-        content = plan_to_dict(found)
+        content = planning.plan_to_dict(found)
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
         sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
         return
-    OUT.print(_verdict(found))
+    OUT.print(Text(*("verified", "bold green") if found.verified else (f"failed: {found.reason}", "bold red")))
     if found.message:
         OUT.print(f"  {found.message}")
-    certificate = found.certificate
-    tightest = certificate.min_clearance
+    metrics, tightest = found.metrics, found.certificate.min_clearance
     if tightest is not None:
         OUT.print(
             f"clearance     {tightest.distance:.3f} m at least between {tightest.link} "
             f"and {tightest.name} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
         )
-    tracking = certificate.tracking
-    if len(found.trajectory) < 2:
-        OUT.print(f"planned in    {found.metrics.planning_time:.2f} s")
-        OUT.print(f"plan          {output}")
-        return
+    if len(found.trajectory) > 1:
+        _print_motion(found)
+    OUT.print(f"planned in    {metrics.planning_time:.2f} s")
+    OUT.print(f"plan          {output}")
+
+
+def _print_motion(found: bp.Plan) -> None:
+    metrics, tracking = found.metrics, found.certificate.tracking
     angle = f", {DEGREES * tracking.max_angle_error:.2f} deg" if _asks_angle(found) else ""
     OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{angle} at most")
-    for detour in found.metrics.detours:
+    for detour in metrics.detours:
         OUT.print(
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
             f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off{_around(detour)}"
@@ -61,17 +58,17 @@ def print_plan(found: Plan, output: Path, as_json: bool) -> None:
             f"reaction      {reaction.obstacle} appears at {reaction.appears_at:.2f} s: "
             f"{reaction.way or 'no way to stop in time'}{stopped}"
         )
-    _print_zones(found)
-    metrics = found.metrics
+    visits = site.worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
+    if visits:
+        more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
+        OUT.print(f"zones         {visits[0]}{more}")
     OUT.print(f"duration      {metrics.duration:.2f} s ({len(found.trajectory)} samples)")
     OUT.print(f"work          {describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})")
     _print_comparison(metrics.objective)
     _print_asked_speed(metrics.asked_speed)
-    OUT.print(f"planned in    {metrics.planning_time:.2f} s")
-    OUT.print(f"plan          {output}")
 
 
-def print_certificate(plan: Plan) -> None:
+def print_certificate(plan: bp.Plan) -> None:
     """What is proven of a plan, row by row."""
     certificate = plan.certificate
     if certificate.verified:
@@ -92,7 +89,8 @@ def print_certificate(plan: Plan) -> None:
         if load is not None:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
             OUT.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
-    if not print_recording(plan):
+    print_recording(plan)
+    if not live.is_recording(plan):
         OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
     speed = certificate.tip_speed
     if speed is not None:
@@ -100,22 +98,18 @@ def print_certificate(plan: Plan) -> None:
             f"{'tip speed':<13}{100.0 * speed.ratio:5.1f} % of the asked {speed.available:g} m/s at most "
             f"({speed.time:.2f} s)"
         )
-    print_zone_table(plan)
+    _print_zone_table(site.worst_first(bp.zone_log(plan.robot, plan.scene, plan.trajectory)))
 
 
-def print_recording(found: Plan) -> bool:
-    """Of a plan that was driven by hand say so, and what it leaves out; whether it is one."""
-    from backhoe_planner.live import is_recording, unrecorded_changes
-
-    if not is_recording(found):
-        return False
-    OUT.print(f"{'recording':<13} driven by hand, {found.trajectory.duration:.2f} s")
-    for note in unrecorded_changes(found):
-        OUT.print(f"{'left out':<13} {note}")
-    return True
+def print_recording(plan: bp.Plan) -> None:
+    """Say that a plan was driven by hand, and what it leaves out; nothing for any other plan."""
+    if live.is_recording(plan):
+        OUT.print(f"recording     driven by hand, {plan.trajectory.duration:.2f} s")
+    for note in live.unrecorded_changes(plan):
+        OUT.print(f"left out      {note}")
 
 
-def _around(detour: Detour) -> str:
+def _around(detour: bp.Detour) -> str:
     """What a detour goes round, where the planner says so."""
     found = detour.obstruction
     if found is None:
@@ -123,20 +117,18 @@ def _around(detour: Detour) -> str:
     return f", for {found.name}" if found.kind == "joint" else f", around {found.name}"
 
 
-def _loads(found: Plan) -> str:
+def _loads(found: bp.Plan) -> str:
     loads = ["gravity", "inertia"]
     loads += ["payload"] if found.scene.payload > 0.0 else []
     loads += ["soil"] if found.scene.soil is not None else []
     return f"{', '.join(loads[:-1])} and {loads[-1]}"
 
 
-def _print_comparison(compared: LawComparison | None) -> None:
+def _print_comparison(compared: planning.LawComparison | None) -> None:
     """The objective along the path, and what the local law needs."""
     if compared is None:
         return
-    from backhoe_planner.motion import OBJECTIVES
-
-    unit = OBJECTIVES[compared.name].unit
+    unit = motion.OBJECTIVES[compared.name].unit
     line = f"{compared.name} {describe_quantity(compared.value, unit)} along the path"
     if compared.law is not None:
         line += f"; the local law {describe_quantity(compared.law, unit)}"
@@ -155,16 +147,14 @@ def _print_comparison(compared: LawComparison | None) -> None:
         OUT.print(f"              {line}")
 
 
-def _print_asked_speed(kept: AskedSpeed | None) -> None:
+def _print_asked_speed(kept: planning.AskedSpeed | None) -> None:
     """On how much of the path the asked speed is kept, and which limit is in the way elsewhere."""
     if kept is None:
         return
-    line = f"{kept.asked:g} m/s kept on {kept.kept_percent:.0f} % of the path"
-    if kept.slower:
-        parts = [f"{part.path_from:.2f} to {part.path_to:.2f} m ({part.limit})" for part in kept.slower[:_MOST_PARTS]]
-        more = f" and {len(kept.slower) - _MOST_PARTS} more" if len(kept.slower) > _MOST_PARTS else ""
-        line += f"; slower from {', '.join(parts)}{more}"
-    OUT.print(f"asked speed   {line}")
+    parts = [f"{part.path_from:.2f} to {part.path_to:.2f} m ({part.limit})" for part in kept.slower[:_MOST_PARTS]]
+    more = f" and {len(kept.slower) - _MOST_PARTS} more" if len(kept.slower) > _MOST_PARTS else ""
+    slower = f"; slower from {', '.join(parts)}{more}" if parts else ""
+    OUT.print(f"asked speed   {kept.asked:g} m/s kept on {kept.kept_percent:.0f} % of the path{slower}")
 
 
 def describe_quantity(value: float, unit: str) -> str:
@@ -178,14 +168,10 @@ def describe_quantity(value: float, unit: str) -> str:
     return f"{value:.4g} {unit}" if abs(value) < 1e4 else f"{value:,.0f} {unit}"
 
 
-def print_zone_table(found: Plan) -> None:
-    """A table of every visit to a zone, if there is any, the innermost distances first."""
-    from backhoe_planner.site import worst_first
-
-    visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
+def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:
     if not visits:
         return
-    OUT.print("zones that were come too near to")
+    OUT.print("zones visited")
     table = Table("zone", "distance", "link", "beyond it", "at [s]", "from [s]", "to [s]", box=None, pad_edge=False)
     for visit in visits:
         unit = "rad" if visit.kind == "swing_sector" else "m"
@@ -194,23 +180,7 @@ def print_zone_table(found: Plan) -> None:
     OUT.print(table)
 
 
-def _print_zones(found: Plan) -> None:
-    """One line about the zones that were come too near to, if any."""
-    from backhoe_planner.site import worst_first
-
-    visits = worst_first(bp.zone_log(found.robot, found.scene, found.trajectory))
-    if visits:
-        more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
-        OUT.print(f"{'zones':<13} {visits[0]}{more}")
-
-
-def _asks_angle(found: Plan) -> bool:
+def _asks_angle(found: bp.Plan) -> bool:
     task = found.scene.task
     poses = [task.goal] if task.goal is not None else found.scene.waypoints()
     return any(pose.pitch is not None or pose.rotation is not None for pose in poses if pose is not None)
-
-
-def _verdict(found: Plan) -> Text:
-    if found.verified:
-        return Text("verified", style="bold green")
-    return Text(f"failed: {found.reason}", style="bold red")

@@ -11,8 +11,8 @@ import typer
 from rich.text import Text
 
 import backhoe_planner as bp
-from backhoe_planner.cli.arguments import SceneFile, Urdf
-from backhoe_planner.cli.terminal import ERR, FAILED, print_warnings
+from backhoe_planner import show
+from backhoe_planner.cli.terminal import ERR, FAILED, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_writable
 
 __all__ = ["teleop"]
@@ -36,9 +36,7 @@ def teleop(
     check_writable(output)
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
-    from backhoe_planner.show import TeleopStation
-
-    with TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
+    with show.TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
         print_warnings(station.warnings)
         ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
         if not no_browser:

@@ -1,13 +1,26 @@
-"""Where the command line prints, and the exit statuses it ends with."""
+"""What several commands share: arguments, where they print, and their exit statuses."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import Console
 
-__all__ = ["BAD_INPUT", "DEGREES", "ERR", "FAILED", "INTERRUPTED", "OUT", "VERIFIED", "print_warnings"]
+__all__ = [
+    "BAD_INPUT", "DEGREES", "ERR", "FAILED", "INTERRUPTED", "OUT", "VERIFIED",
+    "PlanFile", "PlanUrdf", "SceneFile", "Urdf", "print_warnings",
+]  # fmt: skip
+
+Urdf = Annotated[str, typer.Argument(metavar="URDF", help="A URDF file, or example:NAME.", show_default=False)]
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).", show_default=False)]
+PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file (JSON).", show_default=False)]
+PlanUrdf = Annotated[
+    str | None, typer.Option("--urdf", metavar="URDF", help="Where the URDF lies now, if not where the plan says.")
+]
 
 VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 DEGREES = 180.0 / math.pi  # in a radian

@@ -23,13 +23,13 @@ from .page.page import plan_page as plan_page
 from .page.page import write_page as write_page
 from .plots.plots import plot_envelope as plot_envelope
 from .plots.plots import plot_plan as plot_plan
-from .teleop.joysticks import joint_rates as joint_rates
 from .teleop.messages import LARGEST as LARGEST
 from .teleop.messages import Add as Add
 from .teleop.messages import Sticks as Sticks
+from .teleop.messages import joint_rates as joint_rates
 from .teleop.messages import parse as parse
-from .teleop.server import TeleopServer as TeleopServer
 from .teleop.session import Session as Session
+from .teleop.station import TeleopServer as TeleopServer
 from .teleop.station import TeleopStation as TeleopStation
 from .teleop.station import free_name as free_name
 from .teleop.wording import Telling as Telling

@@ -22,8 +22,7 @@ from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, nearest_spots
 from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, scene_file
 
-__all__ = ["LiveSite", "Standing"]
-
+__all__ = ["LiveSite"]
 
 _MOST = 40  # obstacles, each of which costs time in every step
 _BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more
@@ -32,7 +31,7 @@ _LAND = (scene_file.HalfSpace, scene_file.HeightMap, scene_file.PointCloud)  # w
 
 
 @dataclass
-class Standing:
+class _Standing:
     """One obstacle, and when it came to where it is.
 
     Attributes
@@ -48,14 +47,6 @@ class Standing:
     gauged_at: Vector
 
 
-@dataclass(frozen=True)
-class _Taken:
-    """An obstacle of the scene that was taken away, and how far it had moved (3,) [m]."""
-
-    obstacle: Obstacle
-    shift: Vector
-
-
 class LiveSite:
     """The obstacles of one servo, and how far the machine is from each.
 
@@ -65,12 +56,12 @@ class LiveSite:
     def __init__(self, servo: Servo) -> None:
         self._servo = servo
         self._itself = Proximity(servo.robot, ())
-        self._standing: dict[str, Standing] = {}
+        self._standing: dict[str, _Standing] = {}
         for obstacle in build_obstacles(servo.scene, servo.robot):
             self._standing[obstacle.name] = self._stand(obstacle, 0.0)
         self._zones = frozenset(zone.name for zone in servo.scene.zones)
         self._of_scene = frozenset(self._standing)
-        self._taken: dict[str, _Taken] = {}
+        self._taken: dict[str, tuple[Obstacle, Vector]] = {}  # and how far each had moved (3,) [m]
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
@@ -120,10 +111,10 @@ class LiveSite:
         """
         self._check_free(name, "move")
         shift = np.array(to, dtype=float)
-        standing = self._standing[name]
-        if standing.obstacle.moves:
+        obstacle = self._standing[name].obstacle
+        if obstacle.moves:
             raise InputError("moves by itself", key=name)
-        moved = self._stand(standing.obstacle, self._servo.time, shift)
+        moved = self._stand(obstacle, self._servo.time, shift)
         self._check_room(moved)
         self._servo.move(name, shift - self._servo.shift_of(name))
         self._standing[name] = moved
@@ -140,7 +131,7 @@ class LiveSite:
         self._servo.remove(name)
         standing = self._standing.pop(name)
         if name in self._of_scene:
-            self._taken[name] = _Taken(standing.obstacle, shift)
+            self._taken[name] = standing.obstacle, shift
 
     def put_back(self, name: str) -> None:
         """Put an obstacle of the scene back where it was when it was taken away.
@@ -153,24 +144,21 @@ class LiveSite:
         if name not in self._taken:
             raise InputError("no obstacle of that name was taken away", key="put_back", found=name)
         self._check_new(name, "put_back")
-        taken = self._taken[name]
-        standing = self._stand(taken.obstacle, self._servo.time, taken.shift)
+        obstacle, shift = self._taken[name]
+        standing = self._stand(obstacle, self._servo.time, shift)
         self._check_room(standing)
-        self._servo.add(replace(taken.obstacle, appears_at=0.0))
-        self._servo.move(name, taken.shift)
+        self._servo.add(replace(obstacle, appears_at=0.0))
+        self._servo.move(name, shift)
         self._standing[name] = standing
         del self._taken[name]
 
     def nearest(self, q: Vector) -> dict[str, Nearest | None]:
         """The tightest spot to every obstacle and to the machine itself; None where nothing is within sight."""
         within = 2.0 * self._servo.scene.influence
-        found: dict[str, Nearest | None] = {}
-        for name, standing in self._standing.items():
-            if name not in self._servo.obstacles:
-                found[name] = None
-                continue
-            moment = self._gauge_time(standing)
-            sight = within + standing.obstacle.clearance
+        found: dict[str, Nearest | None] = dict.fromkeys(self._standing)
+        for name in self._servo.obstacles:
+            standing = self._standing[name]
+            sight, moment = within + standing.obstacle.clearance, self._gauge_time(standing)
             found[name] = nearest_spots(standing.gauge, (name,), q, time=moment, within=sight)[0]
         if self._itself.pairs:
             found[ITSELF] = nearest_spots(self._itself, (ITSELF,), q, time=0.0, within=within)[0]
@@ -203,12 +191,12 @@ class LiveSite:
 
     # --- room -----------------------------------------------------------------------
 
-    def _stand(self, obstacle: Obstacle, since: float, shift: Vector | None = None) -> Standing:
+    def _stand(self, obstacle: Obstacle, since: float, shift: Vector | None = None) -> _Standing:
         shift = np.zeros(3) if shift is None else shift
         there = replace(obstacle, appears_at=0.0, pieces=tuple(_moved(obstacle, shift)))
-        return Standing(obstacle, since, Proximity(self._servo.robot, (there,), self_collision=False), shift)
+        return _Standing(obstacle, since, Proximity(self._servo.robot, (there,), self_collision=False), shift)
 
-    def _gauge_time(self, standing: Standing) -> float:
+    def _gauge_time(self, standing: _Standing) -> float:
         """Time at which the gauge's obstacle is where the servo's is [s]."""
         velocity = standing.obstacle.velocity
         speed = float(velocity @ velocity)
@@ -216,7 +204,7 @@ class LiveSite:
             return 0.0
         return float((self._servo.shift_of(standing.obstacle.name) - standing.gauged_at) @ velocity) / speed
 
-    def _check_room(self, standing: Standing) -> None:
+    def _check_room(self, standing: _Standing) -> None:
         servo = self._servo
         q, v = servo.q, servo.v
         time = float((np.abs(v) / (_BRAKING * servo.limits.acceleration)).max())

@@ -1,4 +1,4 @@
-"""What a page may say to a tele-operation session, checked at the door.
+"""What a page may say to a tele-operation session, and what its joysticks mean.
 
 A message is one JSON object with a `type`. What cannot be understood is answered with a
 sentence that says why; it changes nothing.
@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.site import scene_file
 
@@ -29,6 +31,7 @@ __all__ = [
     "Stop",
     "Take",
     "Tip",
+    "joint_rates",
     "parse",
 ]
 
@@ -92,6 +95,30 @@ class Sticks(_Message):
     """Right stick: to the right, and forward."""
     speed: Annotated[float, Field(strict=True, ge=0.0, le=1.0, allow_inf_nan=False)] = 1.0
     """Part of every joint's rate at full deflection."""
+
+
+def joint_rates(sticks: Sticks, velocity: Vector) -> Vector:
+    """(n,) joint rates that an excavator's joysticks command [rad/s or m/s].
+
+    Both patterns have the swing (left stick, sideways) and the bucket (right stick, sideways:
+    curled in to the left, dumped to the right). They differ in which hand has the boom:
+
+        ISO:  left stick forward and back: the stick;  right: the boom
+        SAE:  left stick forward and back: the boom;   right: the stick
+
+    Forward puts the boom down and the stick out, in both.
+
+    Parameters
+    ----------
+    velocity: (n,) the joints' greatest rates. Swing, boom, stick and bucket are the
+        first four of them; further joints stand still.
+    """
+    (left_x, left_y), (right_x, right_y) = sticks.left, sticks.right
+    boom, stick = (right_y, left_y) if sticks.pattern == "iso" else (left_y, right_y)
+    # positive raises what is outboard: the boom comes up as its stick is pulled back
+    roles = np.array([-left_x, -boom, stick, right_x])[: len(velocity)]
+    parts = np.pad(roles, (0, len(velocity) - len(roles)))
+    return np.asarray(sticks.speed * parts * velocity)
 
 
 class Stop(_Message):

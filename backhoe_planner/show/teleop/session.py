@@ -14,21 +14,20 @@ from __future__ import annotations
 import math
 import threading
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError, SceneError
-from backhoe_planner.live import Feedback, Servo, ServoState
+from backhoe_planner.live import Feedback, Servo, ServoState, plan_from_recording
 from backhoe_planner.machine import Robot
-from backhoe_planner.motion import Drive
+from backhoe_planner.motion import Drive, Trajectory
+from backhoe_planner.planning import Plan, RecordingNotes
 from backhoe_planner.show.drawing.timeline import Nearest
-from backhoe_planner.show.teleop.joysticks import joint_rates
 from backhoe_planner.show.teleop.live_site import LiveSite
 from backhoe_planner.show.teleop.messages import (
     Add,
@@ -44,12 +43,12 @@ from backhoe_planner.show.teleop.messages import (
     Stop,
     Take,
     Tip,
+    joint_rates,
     parse,
 )
-from backhoe_planner.show.teleop.recording import Recording
-from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog
+from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog, zone_log
 
-__all__ = ["LARGEST_FORCE", "Phase", "Session", "Snapshot"]
+__all__ = ["LARGEST_FORCE", "Phase", "Recording", "Session", "Snapshot"]
 
 Phase = Literal["idle", "arming", "on", "ending"]
 Wish = Tip | Sticks | Stop
@@ -61,6 +60,36 @@ _AT_REST = 1e-9  # rad/s or m/s: below rounding of what the servo integrates
 _PATIENCE = (
     5.0  # s to come to rest in, after which a recording ends all the same; what is evaded may keep it from resting
 )
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A motion that was driven, from rest to rest, and what stood around it.
+
+    Attributes
+    ----------
+    dt: between samples [s].
+    q: (T, n) joint positions [rad or m].
+    obstacles: as in a scene file, times from the beginning of the recording.
+    notes: what a scene file cannot say of them.
+    """
+
+    dt: float
+    q: Matrix
+    obstacles: Sequence[dict[str, Any]]
+    notes: Sequence[str]
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return (len(self.q) - 1) * self.dt
+
+    def plan(self, robot: Robot, scene: Scene) -> Plan:
+        """The motion as a plan, with its certificate, and its visits to zones in the findings."""
+        motion = Trajectory.from_steps(np.asarray(self.dt * np.arange(len(self.q)), dtype=np.float64), self.q)
+        notes = RecordingNotes(dt=self.dt, notes=tuple(self.notes))
+        zones = zone_log(robot, scene, motion)
+        return plan_from_recording(robot, scene, motion, obstacles=self.obstacles, recording=notes, zones=zones)
 
 
 @dataclass(frozen=True)
@@ -290,7 +319,7 @@ class Session:
             self._held = Stop(type="stop")
         return self._held
 
-    def _load(self, q: NDArray[np.float64], v: NDArray[np.float64]) -> float:
+    def _load(self, q: Vector, v: Vector) -> float:
         """The part of what may be asked of pump, rods and engine that joint velocities v (n,) at q (n,) take."""
         if self._drive.hydraulics is None:
             return 0.0
@@ -309,7 +338,7 @@ class Session:
             velocity = self._arm_frame() @ velocity
         return self._servo.step(velocity, pitch_rate=wish.pitch_rate)
 
-    def _arm_frame(self) -> NDArray[np.float64]:
+    def _arm_frame(self) -> Matrix:
         """(3, 3) outward, left and up as columns; the world's own where the first joint is not upright."""
         x, y = (self._state.tip_position - self._axis_at)[:2]
         far = math.hypot(x, y)

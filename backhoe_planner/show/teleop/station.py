@@ -1,4 +1,4 @@
-"""A session with all that runs around it: the loop, the server, the picture, and the writer of recordings."""
+"""Runs a session: the loop, the server, the picture, and the writer of recordings."""
 
 from __future__ import annotations
 
@@ -7,23 +7,63 @@ import threading
 import time as clock
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.machine import Robot
+from backhoe_planner.show.page.page import live_page, read_parts
 from backhoe_planner.show.teleop.picture import Picture
-from backhoe_planner.show.teleop.recording import Recording
-from backhoe_planner.show.teleop.server import TeleopServer
-from backhoe_planner.show.teleop.session import Session
+from backhoe_planner.show.teleop.session import Recording, Session
+from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 from backhoe_planner.site import Scene
 
-__all__ = ["TeleopStation", "free_name"]
+__all__ = ["TeleopServer", "TeleopStation", "free_name"]
 
 _FRAME = 1.0 / 30.0  # s between pictures: fluent for the eye
 _AT_REST = 1e-9  # rad/s or m/s: below rounding of what the servo integrates
 _LATEST = 0.1  # s behind the clock at which the loop stops catching up: a longer burst of steps would be seen
+
+
+class _Socket(LiveSocket):
+    server: TeleopServer
+    page = 0
+
+    def open(self, *args: str, **kwargs: str) -> None:
+        super().open(*args, **kwargs)
+        self.page = self.server.session.join()
+        self.answer({"type": "you", "page": self.page})
+
+    def on_message(self, message: str | bytes) -> None:
+        if message == "drawn":
+            super().on_message(message)
+        elif self.heeds():
+            self.answer(self.server.session.hear(self.page, message))
+
+    def on_close(self) -> None:
+        self.server.session.leave(self.page)
+        super().on_close()
+
+
+class TeleopServer(LiveServer):
+    """A web server in a thread of its own; see `LiveServer`.
+
+    Parameters
+    ----------
+    session: that the pages watch and drive.
+    """
+
+    def __init__(self, session: Session, *, host: str = "127.0.0.1", port: int | None = None) -> None:
+        self.session = session
+        super().__init__(host=host, port=port)
+
+    def routes(self) -> list[Any]:
+        """What is served; tornado's rules."""
+        css, body, script = read_parts("backhoe_planner.show.teleop", "teleop.css", "teleop.html", "teleop.js")
+        page = live_page(css=css, body=body, script=script)
+        return [("/", LivePage, {"page": page, "server": self}), ("/socket", _Socket, {"server": self})]
 
 
 class TeleopStation:
