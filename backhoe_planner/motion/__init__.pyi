@@ -10,13 +10,13 @@ from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
 from .smooth_way import SmoothWay as SmoothWay
 from .timing.drive import Drive as Drive
+from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of
-from .timing.limit_usage import LimitUsage as LimitUsage
-from .timing.limit_usage import limit_usage as limit_usage
-from .timing.retiming import DRIVEN_WITHIN as DRIVEN_WITHIN
-from .timing.retiming import retimed as retimed
+from .timing.drive import limit_usage as limit_usage
 from .timing.time_optimal import Rows as Rows
 from .timing.time_optimal import fastest as fastest
+from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE
+from .timing.timing import retime as retime
 from .timing.timing import time_along as time_along
 from .timing.timing import time_polyline as time_polyline
 from .timing.timing import time_way as time_way

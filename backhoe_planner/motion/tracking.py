@@ -107,9 +107,7 @@ def track_path(
     station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
     step = np.abs(np.diff(trajectory.q, axis=0))
     sagitta = 0.125 * step.sum(axis=1) * (step @ reach)
-    between = np.zeros(len(trajectory))
-    between[:-1] = sagitta
-    between[1:] = np.maximum(between[1:], sagitta)
+    between = np.maximum(np.append(sagitta, 0.0), np.append(0.0, sagitta))
     between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
     on = (error + between <= tolerance) & (angle <= ANGLE_TOLERANCE)
     if not on.any():
@@ -126,9 +124,7 @@ def track_path(
     first, last = int(begins[np.argmin(error[begins])]), len(on) - 1 - int(np.argmax(on[::-1]))
     on[:first] = False  # brushing past during the approach is not following
     _close_gaps(on, first, last, station, 2.0 * tolerance)
-    detours = _detours(on, first, last, station, error, tips, trajectory.time)
-    detours += _skips(on, first, station, tips, trajectory.time, tolerance)
-    detours.sort(key=lambda detour: detour.time_from)
+    detours = _detours(on, station, error, tips, trajectory.time, tolerance)
     skipped = sum(detour.path_to - detour.path_from for detour in detours)
     edges = np.array([edge for detour in detours for edge in (detour.path_from, detour.path_to)])
     max_speed, max_speed_time = _max_speed(on, station, tips, trajectory, kinematics, edges, _BESIDE * tolerance)
@@ -200,10 +196,8 @@ def _follow(
 ) -> tuple[Vector, Vector, Vector, NDArray[np.float64]]:
     """Per sample: arc length, distance from the path, angle error, and tip position."""
     count = len(trajectory)
-    station, error, angle = np.zeros(count), np.zeros(count), np.zeros(count)
-    tips = np.zeros((count, 3))
-    reached = 0.0
-    joined = False
+    station, error, angle, tips = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3))
+    reached, begun = 0.0, False
     beginning = _beginning(path, tolerance)
     for row in range(count):
         at = kinematics.at(trajectory.q[row])
@@ -211,8 +205,8 @@ def _follow(
         from_begin = float(np.linalg.norm(at.tip_position - path.points[0]))
         if from_begin <= tolerance and reached <= beginning:
             # an approach may brush along the path before it settles on its beginning
-            reached, joined = 0.0, True
-        if not joined:
+            reached, begun = 0.0, True
+        if not begun:
             s, distance = 0.0, from_begin
         else:
             s, distance = path.nearest(at.tip_position, low=reached, high=min(reached + _LOOK_AHEAD, path.length))
@@ -251,26 +245,6 @@ def _cut_corners(path: TipPath, station: Vector, tips: NDArray[np.float64]) -> V
     return found
 
 
-def _skips(
-    on: NDArray[np.bool_], first: int, station: Vector, tips: NDArray[np.float64], time: Vector, tolerance: float
-) -> list[Detour]:
-    """Where the tip gets on along the path by more than it moves: that part was not followed."""
-    way = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    skips = on[:-1] & on[1:] & (np.diff(station) > 1.5 * way + 4.0 * tolerance)
-    return [
-        Detour(
-            time_from=float(time[row]),
-            time_to=float(time[row + 1]),
-            path_from=float(station[row]),
-            path_to=float(station[row + 1]),
-            length=float(way[row]),
-            max_deviation=0.0,
-        )
-        for row in np.flatnonzero(skips).tolist()
-        if row >= first
-    ]
-
-
 def _close_gaps(on: NDArray[np.bool_], first: int, last: int, station: Vector, shortest: float) -> None:
     """Touching the path for less than `shortest` [m] between two detours is one detour."""
     edges = np.flatnonzero(np.diff(on[first : last + 1].astype(int))) + first + 1
@@ -280,33 +254,15 @@ def _close_gaps(on: NDArray[np.bool_], first: int, last: int, station: Vector, s
 
 
 def _detours(
-    on: NDArray[np.bool_],
-    first: int,
-    last: int,
-    station: Vector,
-    error: Vector,
-    tips: NDArray[np.float64],
-    time: Vector,
+    on: NDArray[np.bool_], station: Vector, error: Vector, tips: NDArray[np.float64], time: Vector, tolerance: float
 ) -> list[Detour]:
-    found = []
-    row = first
-    while row <= last:
-        if on[row]:
-            row += 1
-            continue
-        end = row
-        while not on[end]:
-            end += 1
-        way = np.diff(tips[row - 1 : end + 1], axis=0)
-        found.append(
-            Detour(
-                time_from=float(time[row - 1]),
-                time_to=float(time[end]),
-                path_from=float(station[row - 1]),
-                path_to=float(station[end]),
-                length=float(np.sum(np.linalg.norm(way, axis=1))),
-                max_deviation=float(np.max(error[row:end])),
-            )
+    """Where the tip is off the path, and where it skips a part: gets on along the path by more than it moves."""
+    way = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    skips = np.diff(station) > 1.5 * way + 4.0 * tolerance
+    return [
+        Detour(
+            time_from=float(time[a]), time_to=float(time[b]), path_from=float(station[a]), path_to=float(station[b]),
+            length=float(np.sum(way[a:b])), max_deviation=float(np.max(error[a + 1 : b], initial=0.0)),
         )
-        row = end
-    return found
+        for a, b in pairwise(np.flatnonzero(on).tolist()) if b > a + 1 or skips[a]
+    ]  # fmt: skip

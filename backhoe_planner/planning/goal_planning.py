@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from backhoe_planner.arrays import Vector
 from backhoe_planner.law import run_iteration
 from backhoe_planner.machine import TipTarget
-from backhoe_planner.motion import drive_of, retimed, time_polyline
+from backhoe_planner.motion import drive_of, retime, time_polyline
 from backhoe_planner.planning.outcome import Outcome, no_posture
 from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed, shortest_time
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
@@ -94,7 +94,7 @@ def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> 
     if joints is None or joints.duration - stepper.time > least:
         motion = as_fast_as_allowed(stepper, straight.stepper).trajectory()
         # the law runs the joints at rates that all of them together may not have
-        if joints is None or joints.duration >= retimed(motion, limits, drive=drive).duration:
+        if joints is None or joints.duration >= retime(motion, limits, drive=drive).duration:
             return Outcome(motion, findings=Findings(way=straight.way))
     return Outcome(joints, findings=Findings(way="straight for the joints"))
 

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retimed
+from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, drive_of, retime
 from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.path_planning import AlongPath
@@ -175,7 +175,7 @@ class _OverTime:
 
     def _duration(self, outcome: Outcome) -> float:
         """How long a motion takes once torque, flow and power are looked at too [s]."""
-        return retimed(outcome.trajectory, self._limits, drive=drive_of(self._world.problem)).duration
+        return retime(outcome.trajectory, self._limits, drive=drive_of(self._world.problem)).duration
 
 
 def _describe(reaction: Reaction) -> str:

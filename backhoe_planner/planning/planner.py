@@ -21,7 +21,7 @@ from backhoe_planner.motion import (
     Problem,
     build_problem,
     drive_of,
-    retimed,
+    retime,
 )
 from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.moving_obstacles import plan_over_time
@@ -144,7 +144,7 @@ def _drivable(
     slowed = problem
     for _ in range(_SLOWER):
         outcome = _find_motion(World(slowed, seed=seed, work=Work(effort, brake), watch=watch), method)
-        outcome, certificate = _retimed(problem, outcome)
+        outcome, certificate = _retime(problem, outcome)
         loads = [use for use in (certificate.effort, certificate.hydraulics) if use is not None and not use.kept]
         if not loads or not problem.is_dynamic or outcome.reason:
             break
@@ -159,13 +159,13 @@ def _drivable(
     return outcome, certificate
 
 
-def _retimed(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
+def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     """The motion, slower where the machine could not drive it, and what is proven of it.
 
     Among what moves or appears, slower is a motion at other times: it is left as it was
     where that comes too near to anything.
     """
-    slower = retimed(outcome.trajectory, problem.limits, drive=drive_of(problem))
+    slower = retime(outcome.trajectory, problem.limits, drive=drive_of(problem))
     certificate = certify_problem(problem, slower)
     if slower is outcome.trajectory or not problem.is_dynamic or certificate.verified:
         return replace(outcome, trajectory=slower), certificate

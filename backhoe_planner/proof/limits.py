@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.motion import DRIVEN_WITHIN, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
+from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
 
 __all__ = ["LimitUse", "describe_ratio", "machine_uses", "position_use", "tip_speed_use"]
 
@@ -47,7 +47,7 @@ class LimitUse:
     @property
     def kept(self) -> bool:
         """Whether the limit holds."""
-        return self.ratio <= 1.0 + _WITHIN.get(self.kind, DRIVEN_WITHIN)
+        return self.ratio <= 1.0 + _WITHIN.get(self.kind, DRIVE_TOLERANCE)
 
     def describe(self) -> str:
         """A limit that does not hold, in a sentence."""

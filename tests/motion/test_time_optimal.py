@@ -23,7 +23,7 @@ from backhoe_planner.motion import (
     drive_of,
     fastest,
     limit_usage,
-    retimed,
+    retime,
     time_along,
 )
 from backhoe_planner.planning import load_plan, plan
@@ -352,16 +352,16 @@ def scene_at(motion: Trajectory) -> Scene:
     )
 
 
-def test_retimed_keeps_every_sample_and_slows_only_where_it_must(backhoe: Robot) -> None:
+def test_retime_keeps_every_sample_and_slows_only_where_it_must(backhoe: Robot) -> None:
     robot = strong(backhoe, {"pump_flow": 1.5e-3})
     motion, drive = brisk(robot), Drive(robot)
-    slower = retimed(motion, robot.limits, drive=drive)
+    slower = retime(motion, robot.limits, drive=drive)
     assert np.array_equal(slower.q, motion.q)
     use, before = (drive.use_along(found.moments()) for found in (slower, motion))
     assert max(np.max(use.effort), np.max(use.speeds)) <= 1.01
     # slowed by one factor throughout, it would take this long
     assert motion.duration < slower.duration < motion.duration * np.max(before.speeds)
-    assert retimed(slower, robot.limits, drive=drive) is slower
+    assert retime(slower, robot.limits, drive=drive) is slower
 
 
 def test_the_plan_file_holds_the_use_of_the_drive(backhoe: Robot, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What moves the joints of a machine, and how much of it there is.
+"""What moves the joints of a machine, how much of it there is, and how much of every limit a motion uses.
 
 Torques follow from inverse dynamics with payload and soil; they are bounded by the
 joints' effort and, with hydraulics, by the relief pressure. Speeds are bounded by the
@@ -10,18 +10,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array
-from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Robot
+from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Kinematics, Robot
 from backhoe_planner.motion.problem import Problem
-from backhoe_planner.motion.trajectory import Moments
+from backhoe_planner.motion.trajectory import Moments, Trajectory
 from backhoe_planner.site import Soil, SoilReaction
 
-__all__ = ["MOST", "Drive", "DriveUse", "beside", "drive_of"]
+__all__ = ["Drive", "DriveUse", "LimitUsage", "drive_of", "limit_usage"]
 
 
 _BRISK = 1.0  # rad/s or m/s of the fastest joint, at which the soil's force is fully there
-MOST = 1e6  # a limit exceeded by more counts as this, so that no ratio is infinite
+_MOST = 1e6  # a limit exceeded by more counts as this, so that no ratio is infinite
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +45,8 @@ class DriveUse:
 
     @property
     def speeds(self) -> Array:
-        """(K, n + 2) rod speed of each joint, flow, power; at most `MOST`."""
-        return np.minimum(np.column_stack((self.rod_speed, self.flow, self.power)), MOST)
+        """(K, n + 2) rod speed of each joint, flow, power; at most `_MOST`."""
+        return np.minimum(np.column_stack((self.rod_speed, self.flow, self.power)), _MOST)
 
 
 class Drive:
@@ -122,7 +123,7 @@ class Drive:
         limits = self.torque_limits(q)
         there = np.where(torque > 0.0, limits.positive, limits.negative)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, MOST)))
+            return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, _MOST)))
 
     def power_use(self, q: Array, v: Array, torque: Array) -> Array:
         """(...) power in the oil over what the engine puts in."""
@@ -150,12 +151,12 @@ class Drive:
         v = np.diff(moments.q, axis=0) / np.diff(moments.time)[:, None]
         return replace(
             use,
-            rod_speed=np.maximum(use.rod_speed, beside(self.rod_speed_use(middle, v))),
-            flow=np.maximum(use.flow, beside(self.flow_use(middle, v))),
+            rod_speed=np.maximum(use.rod_speed, _beside(self.rod_speed_use(middle, v))),
+            flow=np.maximum(use.flow, _beside(self.flow_use(middle, v))),
         )
 
 
-def beside(between: Array) -> Array:
+def _beside(between: Array) -> Array:
     """(K + 1, ...) at K + 1 moments the greater of the values (K, ...) before and after each."""
     return np.maximum(np.concatenate((between[:1], between)), np.concatenate((between, between[-1:])))
 
@@ -163,3 +164,83 @@ def beside(between: Array) -> Array:
 def drive_of(problem: Problem) -> Drive:
     """The drive of a problem's machine with the scene's payload and soil."""
     return Drive(problem.robot, effort=problem.limits.effort, payload=problem.scene.payload, soil=problem.scene.soil)
+
+
+@dataclass(frozen=True, eq=False)
+class LimitUsage:
+    """How much of L limits a motion uses at M moments.
+
+    Attributes
+    ----------
+    moments: the samples, and more inside long segments.
+    limits: L kinds with the joint that each belongs to: ``velocity``, ``acceleration``, ``torque`` and
+        ``rod speed`` of every joint; ``pump flow``, ``engine power`` and ``tip speed``, with no joint.
+    ratio: (M, L) 1 at the limit.
+    """
+
+    moments: Moments
+    limits: tuple[tuple[str, str], ...]
+    ratio: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """L, such as ``velocity boom``."""
+        return tuple(f"{kind} {joint}".strip() for kind, joint in self.limits)
+
+    @property
+    def binding(self) -> NDArray[np.int64]:
+        """(M,) index of the limit that is used most."""
+        return np.asarray(np.argmax(self.ratio, axis=1), dtype=np.int64)
+
+    @property
+    def greatest(self) -> Array:
+        """(M,) how much of that limit is used."""
+        return np.asarray(np.max(self.ratio, axis=1))
+
+    def worst(self, *kinds: str) -> tuple[int, int]:
+        """The moment and the limit, of these kinds, where most is used; there must be one."""
+        columns = [index for index, (kind, _) in enumerate(self.limits) if kind in kinds]
+        row, column = np.unravel_index(int(np.argmax(self.ratio[:, columns])), (len(self.ratio), len(columns)))
+        return int(row), columns[int(column)]
+
+
+def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = True) -> LimitUsage:
+    """What a motion uses of the limits of joints, drive and tip speed.
+
+    Velocities are those of the faster of the two segments beside a sample, accelerations
+    and torques those of `Trajectory.accelerations`. The tip's speed counts where the tip is
+    on the path and the scene limits it.
+
+    Parameters
+    ----------
+    tip_speed: whether it counts at all.
+    """
+    joints, moments = problem.robot.joint_names, trajectory.moments()
+    velocity = np.zeros_like(trajectory.q)
+    if len(trajectory) > 1:
+        velocity = _beside(np.abs(trajectory.segment_velocities())[moments.segment[:-1]])
+    kinds = ["velocity", "acceleration"]
+    columns = [velocity / problem.limits.velocity, np.abs(moments.a) / problem.limits.acceleration]
+    drive = drive_of(problem)
+    if drive.limited:
+        use = drive.use_along(moments)
+        kinds.append("torque")
+        columns.append(use.effort)
+        if drive.hydraulics is not None:
+            kinds.append("rod speed")
+            columns.append(use.speeds)
+    limits = [(kind, joint) for kind in kinds for joint in joints]
+    if drive.hydraulics is not None:
+        limits += [("pump flow", ""), ("engine power", "")]
+    task = problem.scene.task.path
+    if tip_speed and task is not None and task.speed is not None and problem.path is not None:
+        kinematics = Kinematics(problem.robot)
+        tips = np.array([kinematics.at(q).tip_position for q in moments.q])
+        near = np.array([problem.path.nearest(tip)[1] <= task.tolerance for tip in tips])
+        speed = np.zeros(1)
+        if len(tips) > 1:
+            moved = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(moments.time)
+            speed = _beside(np.where(near[1:] & near[:-1], moved, 0.0))
+        limits.append(("tip speed", ""))
+        columns.append(speed[:, None] / task.speed)
+    return LimitUsage(moments, tuple(limits), np.hstack(columns))

@@ -1,13 +1,15 @@
 """Joint positions along a path made into a motion from rest to rest, as fast as the limits allow.
 
 The speed along a smooth curve through the samples is time-optimal, see `path_limits`. The
-samples of the motion are checked, and slowed by as much as they exceed a limit.
+samples of the motion are checked, and slowed by as much as they exceed a limit: of the joints
+by one factor, of the drive where they do (`retime`).
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -18,10 +20,9 @@ from backhoe_planner.motion.path import step_lengths
 from backhoe_planner.motion.smooth_way import SmoothWay
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
-from backhoe_planner.motion.timing.retiming import retimed
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
-__all__ = ["time_along", "time_polyline", "time_way"]
+__all__ = ["DRIVE_TOLERANCE", "retime", "time_along", "time_polyline", "time_way"]
 
 
 _MANY = 5000  # samples of one motion, 100 s at the usual period; a slower one is thinned out
@@ -34,6 +35,11 @@ _PER_PIECE = 12  # intervals on every leg and corner of a way
 _PER_WAY = 300  # intervals on a way between two stops, at least about; `path_limits` corrects what lies between
 _LEAST_GRID = 1000  # intervals on a path between two stops
 _HALVINGS = 6  # of the first and the last interval, where a slow machine is at full speed soon
+
+DRIVE_TOLERANCE = 0.01  # over a limit of the drive that a sampled motion may be: its accelerations are differences
+_ENOUGH = 0.5 * DRIVE_TOLERANCE
+_ROUNDING = 1e-7  # of a limit of the joints
+_SLOWEST = 50.0  # times slower than it was, beyond which a motion stays as it is
 
 
 def time_along(
@@ -72,7 +78,7 @@ def time_along(
     law = time_path(shape, limits, drive=drive, tip_speed=speed)
     if law is None:
         time, samples = _ramp(along, q, limits)
-        return retimed(Trajectory.from_steps(time, samples), limits, drive=drive)
+        return retime(Trajectory.from_steps(time, samples), limits, drive=drive)
     time, samples = _thinned(
         _samples(law.duration, period),
         lambda moments: np.asarray(curve(law.at(moments)[0])),
@@ -104,7 +110,7 @@ def _kept(trajectory: Trajectory, limits: JointLimits, drive: Drive | None) -> T
     over = _over(trajectory, limits)
     if over > 1.0:
         trajectory = Trajectory.from_steps(trajectory.time * (over * (1.0 + 1e-9)), trajectory.q)
-    return retimed(trajectory, limits, drive=drive)
+    return retime(trajectory, limits, drive=drive)
 
 
 def time_polyline(q: Matrix, limits: JointLimits) -> Trajectory:
@@ -236,3 +242,72 @@ def _along_smooth(
     )
     q[0], q[-1] = way(begin), way(end)
     return time * max(_over(Trajectory.from_steps(time, q), limits) / _SPARE, 1.0), q
+
+
+# --- motions slowed to what the drive gives --------------------------------------------
+
+
+def retime(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) -> Trajectory:
+    """The motion, slower where its torques, speeds, flow or power are more than the machine has.
+
+    Only the times of the samples change, so that every distance to what stands still is the same.
+    Where a static load cannot be held, torques are not limited: slowing down does not reduce them.
+    """
+    if drive is None or not drive.limited or len(trajectory) < 3 or _drive_use(trajectory, drive) <= 1.0 + _ENOUGH:
+        return trajectory
+    for part in (1.0, 0.97):
+        slower = _locally(trajectory, limits, drive, part)
+        if slower is None or _over(slower, limits) > 1.0 + _ROUNDING:
+            continue
+        if _drive_use(slower, drive) <= 1.0 + _ENOUGH:
+            return slower
+    return _stretched(trajectory, drive)
+
+
+def _drive_use(trajectory: Trajectory, drive: Drive) -> float:
+    """The greatest use of the drive; without torque, where a load could not be held at rest either."""
+    use = drive.use_along(trajectory.moments(longest=np.inf))
+    most, worst = float(np.max(use.speeds)), float(np.max(use.effort))
+    if worst <= max(most, 1.0):
+        return max(most, worst)
+    still = np.zeros_like(trajectory.q)
+    load = drive.rigid_torques(trajectory.q, still, still)
+    for static in (load, load + drive.soil_torques(trajectory.q, trajectory.v)):
+        if np.any(drive.effort_use(trajectory.q, static) > 1.0):
+            return most
+    return worst
+
+
+def _locally(trajectory: Trajectory, limits: JointLimits, drive: Drive, part: float) -> Trajectory | None:
+    """Slower where it must be, never faster; None where no such run is found.
+
+    The place on the way is the time it had, so that velocity and acceleration of the
+    samples are its slope and bend.
+    """
+    v, a = trajectory.v.copy(), trajectory.accelerations()
+    segment = trajectory.segment_velocities()
+    v[0], v[-1] = segment[0], segment[-1]  # in motion at once, as the samples are
+    bend = a.copy()
+    bend[0], bend[-1] = bend[1], bend[-2]
+    shape = PathShape(trajectory.time, trajectory.q, v, bend[:-1], bend[1:])
+    wide = replace(limits, acceleration=np.maximum(limits.acceleration, 1.001 * np.max(np.abs(a), axis=0)))
+    law = time_path(shape, wide, drive=drive, most=part, rests=False)
+    return None if law is None else Trajectory.from_steps(law.time, trajectory.q)
+
+
+def _stretched(trajectory: Trajectory, drive: Drive) -> Trajectory:
+    """All of it slower by one factor; as it was where even the slowest would be too much."""
+
+    def slower(factor: float) -> Trajectory:
+        return Trajectory.from_steps(trajectory.time * factor, trajectory.q)
+
+    high = 1.05
+    while _drive_use(slower(high), drive) > 1.0 + _ENOUGH:
+        high *= 1.5
+        if high > _SLOWEST:
+            return trajectory
+    low = max(high / 1.5, 1.0)
+    for _ in range(8):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _drive_use(slower(middle), drive) <= 1.0 + _ENOUGH else (middle, high)
+    return slower(high)

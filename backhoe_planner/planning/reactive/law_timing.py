@@ -13,7 +13,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import Trajectory, drive_of, retimed, time_along
+from backhoe_planner.motion import Trajectory, drive_of, retime, time_along
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.proof import segment_is_clear
 
@@ -50,7 +50,7 @@ def as_fast_as_allowed(begun: Stepper, arrived: Stepper) -> Stepper:
         if quick.duration > (1.0 - _GAIN) * took:
             # the law runs the joints at rates that all of them together may not have
             own = Trajectory.from_steps(motion.time[first:] - motion.time[first], q)
-            took = retimed(own, limits, drive=drive).duration
+            took = retime(own, limits, drive=drive).duration
             if quick.duration > (1.0 - _GAIN) * took:
                 continue
         if all(segment_is_clear(begun.proximity, a, b, time=begun.time) for a, b in pairwise(quick.q)):
