@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "Matrix", "Vector"]
+__all__ = ["Array", "Flags", "Indices", "Matrix", "Vector"]
 
 Array: TypeAlias = NDArray[np.float64]
 """Of any shape."""
@@ -15,3 +15,7 @@ Matrix: TypeAlias = NDArray[np.float64]
 """With two axes."""
 Vector: TypeAlias = NDArray[np.float64]
 """With one axis."""
+Indices: TypeAlias = NDArray[np.intp]
+"""Rows of something, with one axis."""
+Flags: TypeAlias = NDArray[np.bool_]
+"""True and false, with one axis."""

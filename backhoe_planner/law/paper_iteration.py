@@ -13,20 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.law.directionality import (
-    Magnification,
-    Reference,
-    link_chain,
-    link_jacobian,
-    link_velocities,
-)
+from backhoe_planner.law.directionality import Magnification, Reference, link_chain, link_jacobian, link_velocities
 from backhoe_planner.law.law import joint_velocity
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import Gains, Nearby, Proximity
 
 __all__ = ["ITERATIONS", "Push", "paper_gains", "paper_step", "run_iteration"]
-
 
 ITERATIONS = 100
 _PUSH = 0.2  # |xdot_o| per iteration [m]

@@ -20,15 +20,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
 
 __all__ = ["Shield", "Shielded"]
-
 
 _ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W
 _STOPPING_PART = 1.6  # gamma T: 2 would stop exactly at the clearance
@@ -50,7 +48,7 @@ class Shielded:
 
     v: Vector
     slack: float
-    binding: NDArray[np.intp]
+    binding: Indices
 
 
 class Shield:
@@ -147,7 +145,7 @@ class Shield:
 
     def _clearance_rows(
         self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float
-    ) -> tuple[Rows, NDArray[np.intp]]:
+    ) -> tuple[Rows, Indices]:
         """The rows -g v <= gamma margin + drift that can bind at all, and the nearby pairs that they are of."""
         if len(nearby) == 0:
             return Rows.none("clearance", len(self.limits.velocity)), np.zeros(0, dtype=np.intp)

@@ -23,24 +23,16 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Array, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.live.rejoining import (
-    NoRejoining,
-    Rejoining,
-    RejoiningQuery,
-    find_rejoining,
-    is_still_clear,
-)
+from backhoe_planner.live.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import ServoState
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
 
 __all__ = ["FollowerState", "FollowerStatus", "PlanFollower"]
-
 
 _PULL = 10.0  # 1/s
 _PART = 0.5  # of the acceleration that the way back onto the plan is braked with
@@ -124,22 +116,17 @@ class PlanFollower:
     def __init__(
         self, servo: Servo, plan: Plan | Trajectory, *, executor: Executor | None = None, seed: int = 0
     ) -> None:
-        trajectory = plan if isinstance(plan, Trajectory) else plan.trajectory
-        names = None if isinstance(plan, Trajectory) else plan.robot.joint_names
-        if names is not None and tuple(names) != tuple(servo.robot.joint_names):
+        robot = servo.robot
+        if isinstance(plan, Plan) and plan.robot.joint_names != robot.joint_names:
+            found, own = ", ".join(plan.robot.joint_names), ", ".join(robot.joint_names)
             raise InputError(
-                "is a plan for other joints than the machine's",
-                key="plan.robot",
-                found=", ".join(names),
-                allowed=", ".join(servo.robot.joint_names),
+                "is a plan for other joints than the machine's", key="plan.robot", found=found, allowed=own
             )
-        if trajectory.q.shape[1] != servo.robot.n:
-            raise InputError(
-                "has another number of joints than the machine",
-                key="plan.trajectory",
-                found=trajectory.q.shape[1],
-                allowed=str(servo.robot.n),
-            )
+        trajectory = plan.trajectory if isinstance(plan, Plan) else plan
+        count = trajectory.q.shape[1]
+        if count != robot.n:
+            wrong = "has another number of joints than the machine"
+            raise InputError(wrong, key="plan.trajectory", found=count, allowed=str(robot.n))
         if seed < 0:
             raise InputError("must not be negative", key="seed", found=seed)
         self.servo = servo
@@ -236,14 +223,13 @@ class PlanFollower:
         reference.advance(pace * servo.dt)
         if self._progress.made(reference.clock, deviation, servo.dt):
             self._got_on()
-        elif self._progress.waited > _PATIENCE and not self._plan_reached(reference, deviation):
+        elif self._progress.waited > _PATIENCE and not (
+            reference is self._plan and reference.ended and deviation < _ARRIVED
+        ):
             self._lose_patience(state)
         if self._round is not None:
             self._watch_round(deviation)
         return state
-
-    def _plan_reached(self, reference: _Reference, deviation: float) -> bool:
-        return reference is self._plan and reference.ended and deviation < _ARRIVED
 
     def _got_on(self) -> None:
         if self._holding:  # what was in the way has gone meanwhile
@@ -356,8 +342,7 @@ class _Reference:
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.time, self.q = trajectory.time, trajectory.q
-        count = self.q.shape[1]
-        self._rates = trajectory.segment_velocities() if len(trajectory) > 1 else np.zeros((1, count))
+        self._rates = trajectory.segment_velocities() if len(trajectory) > 1 else np.zeros_like(self.q)
         self._end = float(self.time[-1])
         self.clock = 0.0
 
@@ -375,7 +360,7 @@ class _Reference:
         q = self.q[row] + (self.clock - float(self.time[row])) * rates
         return q, np.zeros_like(rates) if self.ended else rates
 
-    def rest(self) -> NDArray[np.float64]:
+    def rest(self) -> Array:
         """(K, n) samples that are still to come."""
         return np.asarray(self.q[int(self.time.searchsorted(self.clock, side="right")) :])
 

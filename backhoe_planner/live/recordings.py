@@ -67,8 +67,7 @@ def is_recording(plan: Plan) -> bool:
 
 def unrecorded_changes(plan: Plan) -> tuple[str, ...]:
     """Changes of the site during a recording that a scene file cannot hold, in words; none for other plans."""
-    recording = plan.findings.recording
-    return recording.notes if is_recording(plan) and recording is not None else ()
+    return plan.findings.recording.notes if is_recording(plan) and plan.findings.recording is not None else ()
 
 
 def problem_to_show(plan: Plan) -> Problem:

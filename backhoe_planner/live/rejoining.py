@@ -34,7 +34,6 @@ from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
 __all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_still_clear"]
 
-
 _EFFORTS = (EFFORTS["quick"], EFFORTS["normal"])  # of the sampling, at the first attempt and at the further ones
 _EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
 _HARD = (0.003, 0.01)  # further ones in turn
@@ -154,9 +153,7 @@ class _Search:
         self._start = self._drawn_back(self._query.q)
         places = list(islice(self._places(), _PLACES if self._query.attempt else 1))
         found = self._way_to(places) if places else None
-        if found is not None:
-            return found
-        return NoRejoining(self._why(here), searched=bool(places))
+        return found or NoRejoining(self._why(here), searched=bool(places))
 
     def _why(self, here: Obstruction | None) -> str:
         """Why no way was found, in words."""
@@ -190,13 +187,11 @@ class _Search:
         first = None
         last = len(self._q) - 1
         for row in range(last + 1):
-            alone = first is None and self._margin(self._q[row]) >= 0.0
-            if alone:
-                first = row
-            elif first is None:
-                self._note(row)
             if first is None:
-                continue
+                if self._margin(self._q[row]) < 0.0:
+                    self._note(row)
+                    continue
+                first = row
             leads_on = row < last and segment_is_clear(
                 self._proximity, self._q[row], self._q[row + 1], depth=_DEPTH, spare=-TOUCH
             )

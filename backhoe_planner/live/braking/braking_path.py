@@ -17,13 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import Robot
 
 __all__ = ["MOST_PARTS", "BrakingPath", "JointState", "PathClearance", "Placements", "bend"]
-
 
 MOST_PARTS = 8  # of a braking path: the work of a step is bounded
 _BEND = 0.002  # m that a point may deviate from the chord of a part, as much as is kept on top of a clearance
@@ -60,8 +58,8 @@ class PathClearance(NamedTuple):
     clear: bool
     stands_clear: bool
     bound: Vector
-    gaps: NDArray[np.float64]
-    closely: NDArray[np.bool_]
+    gaps: Array
+    closely: Flags
 
 
 def bend(travel: Matrix, delta: Vector, turning: Vector) -> Vector:

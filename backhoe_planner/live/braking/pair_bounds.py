@@ -11,17 +11,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.site import pace
 
 __all__ = ["BUFFER", "TOLERANCE", "Awake", "Near", "PairBounds"]
-
-Indices = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
 TOLERANCE = 1e-9  # m

@@ -11,7 +11,6 @@ velocity is chosen by what its own check will see.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.law import Rows
@@ -21,8 +20,6 @@ from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Awake, P
 from backhoe_planner.live.braking.separation import Separation
 
 __all__ = ["MOST_ROWS", "PathCheck"]
-
-Indices = NDArray[np.intp]
 
 MOST_ROWS = 400  # of one kind in a problem, the tightest: the work of a step is bounded
 _LOOKS = 12  # pairs that are measured anew per path at most, each some 20 us

@@ -15,17 +15,14 @@ same holds for a plane that moves with the link, and the corners of the obstacle
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.machine import Robot, self_pairs, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
 
 __all__ = ["Separation"]
-
-Indices = NDArray[np.intp]
 
 MACHINE = -1  # owner of the pairs of the machine with itself
 _MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
@@ -131,7 +128,7 @@ class Separation:
         self._refresh()
         return np.arange(first, first + count, dtype=np.intp)
 
-    def remove(self, number: int) -> NDArray[np.bool_]:
+    def remove(self, number: int) -> Flags:
         """Forget an obstacle; (P,) which of the pairs are left."""
         kept = self.owner != number
         for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity", "drift"):

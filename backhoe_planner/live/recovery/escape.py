@@ -31,9 +31,8 @@ from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import Rows
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.separation import Separation
@@ -41,9 +40,6 @@ from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 
 __all__ = ["MOST_LOOKS", "EscapeRoute", "EscapeSearch", "RouteSearch"]
-
-Indices = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 _DESCENTS, _DESCENT_LOOKS = 40, 120  # how many are tried, and the postures of one
 _NEAR_BY = 0.5  # rad or m
@@ -155,8 +151,7 @@ class EscapeSearch:
             looks += _looks(q, goal)
             if looks > _LINE_LOOKS:
                 break
-            free = yield from self._line_is_allowed(q, goal, self._ceiling)
-            if free:
+            if (yield from self._line_is_allowed(q, goal, self._ceiling)):
                 return EscapeRoute(np.array([q, goal]), False)
         nodes = yield from self._connect(q, goals)
         if nodes is None:
@@ -166,8 +161,7 @@ class EscapeSearch:
 
     def returns(self, q: Vector) -> Generator[None, None, bool]:
         """Whether the joints can come straight back within their limits from q (n,) where nothing is violated."""
-        free = yield from self._line_is_allowed(q, np.clip(q, self._lower, self._upper), _SLIGHT)
-        return free
+        return (yield from self._line_is_allowed(q, np.clip(q, self._lower, self._upper), _SLIGHT))
 
     # --- one posture -------------------------------------------------------------------
 
@@ -201,9 +195,8 @@ class EscapeSearch:
             hard = violated[close]
             rows, others = falls[hard], falls[~hard]
             own = close[hard]
-            wish = nothing
+            wish = nothing if aim is None else aim - q
             if aim is not None:
-                wish = aim - q
                 wish = wish * (trust / max(float(np.abs(wish).max()), _SHORTEST))
             found = way_back(
                 rows, _HOLDS * (deepest[own] - depth[own]),
@@ -315,8 +308,7 @@ class EscapeSearch:
                 more = _looks(nodes[here], nodes[ahead]) if here + 1 < ahead < len(nodes) else _LINE_LOOKS
                 if looks + more < _LINE_LOOKS:
                     looks += more
-                    free = yield from self._line_is_allowed(nodes[here], nodes[ahead], self._ceiling)
-                    if free:
+                    if (yield from self._line_is_allowed(nodes[here], nodes[ahead], self._ceiling)):
                         after = ahead
                         break
             here = after

@@ -38,19 +38,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import Rows
-from backhoe_planner.live.braking.braking_path import (
-    MOST_PARTS,
-    BrakingPath,
-    JointState,
-    PathClearance,
-    Placements,
-)
+from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
 from backhoe_planner.live.braking.pair_bounds import Awake
 from backhoe_planner.live.braking.path_check import PathCheck
@@ -60,9 +54,6 @@ from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 
 __all__ = ["Recovery", "RecoveryPath", "RecoveryStep"]
-
-Indices = NDArray[np.intp]
-Flags = NDArray[np.bool_]
 
 _ATTEMPTS = 3
 _BLENDS = (0.5, 0.2)
@@ -119,6 +110,20 @@ class RecoveryPath:
     path: BrakingPath
     clearance: PathClearance
     level: Vector
+
+
+class _Depths(NamedTuple):
+    """The deepest violations of the pairs' obstacles along a braking path.
+
+    Attributes
+    ----------
+    level, most: (K,) at the end of the step, and anywhere [m].
+    worse: (K,) the pairs that come too deep, their distances [m] and gradients there, and when [s]; None where none do.
+    """
+
+    level: Vector
+    most: Vector
+    worse: tuple[Flags, Vector, Matrix, float] | None
 
 
 class Recovery:
@@ -205,7 +210,7 @@ class Recovery:
         return low, high
 
     def choose(self, pairs: Indices, stands: Flags, step: RecoveryStep) -> tuple[Vector, RecoveryPath | None]:
-        """How deep the violated pairs are (K,) [m], and the way on, measured where it leads.
+        """How deep the violated pairs are (K,) [m], and the way on; None where none was found, so that it brakes.
 
         The violated pairs are measured where the step ends and along its braking path.
         Where the linear rows promised more than that, what was found there is one more
@@ -213,25 +218,17 @@ class Recovery:
 
         stands: (P,) of every pair whether its obstacle stands still.
         """
-        at, separation = self._at, self._separation
-        owner = separation.owner[pairs]
-        distance, rows = separation.gradients(pairs, at, 0)
-        depth = separation.clearance[pairs] - distance
-        deepest = by_owner(depth, owner)
+        distance, rows = self._separation.gradients(pairs, self._at, 0)
+        depth = self._separation.clearance[pairs] - distance
+        deepest = by_owner(depth, self._separation.owner[pairs])
         self._continue_search(pairs, stands, step.state.q, deepest)
-        route, target = self._route, step.target
-        below = route is not None and not route.falling
-        fastest = min(max(RECOVERY * float(deepest.max(initial=0.0)), SLOWEST_RECOVERY), FASTEST_RECOVERY)
-        if route is not None:
-            target = self._along(route, step)
-            fastest = 0.0 if below else _FOLLOWED_FALL
-        elif self._waits:
-            target, fastest = step.brake, _WAITING_FALL
+        below = self._route is not None and not self._route.falling
+        target, fastest = self._aim(step, float(deepest.max(initial=0.0)))
         ceiling = np.maximum(self._ceiling[pairs], deepest) if below else deepest
         slack = _HOLDS * (ceiling - depth)
+        all_rows, all_slack = rows, slack
         others: tuple[Rows, ...] = (step.evasion,)
         tried = step.brake
-        all_rows, all_slack = rows, slack
         for attempt in range(_ATTEMPTS + len(_BLENDS)):
             if attempt < _ATTEMPTS:
                 fall = way_back(
@@ -248,37 +245,55 @@ class Recovery:
             path = self._check.path(step.state.q, v)
             found = self._check.clearance(step.awake, path, anything_moves=step.anything_moves)
             if len(found.bound) == 0:
-                path.place(at)
-            keeps, before = True, ceiling + _LEVEL if below else deepest - _FALLS
-            most = np.zeros(len(pairs))
-            level = most
-            for span in self._spans(path):
-                at.place(_STEP_END, step.state.q + v * span)
-                there, cuts = separation.gradients(pairs, at, _STEP_END)
-                deep = separation.clearance[pairs] - there
-                now = by_owner(deep, owner)
-                worse = deep > np.maximum(before, 0.0)
-                if not below:
-                    # still falling there, so that it falls all the way, braking too
-                    worse |= (deep > np.maximum(now - _FALLS, 0.0)) & (cuts @ v >= 0.0)
-                    before = now
-                if span == self._dt:
-                    level = now
-                most = np.maximum(most, now)
-                if worse.any():
-                    keeps = False
-                    cut = slack[worse] + (there - distance)[worse] / span + cuts[worse] @ v
-                    all_rows, all_slack = np.vstack((all_rows, cuts[worse])), np.append(all_slack, cut)
-                    break
-            if keeps and found.stands_clear and (found.clear or attempt == _ATTEMPTS - 1):
-                if below and (most > 0.0).any():  # what is out may have to go in again
-                    level = ceiling
+                path.place(self._at)
+            depths = self._depths_along(pairs, path, ceiling if below else deepest, below=below)
+            if depths.worse is not None:
+                worse, there, falls, span = depths.worse
+                cut = slack[worse] + (there - distance)[worse] / span + falls[worse] @ v
+                all_rows, all_slack = np.vstack((all_rows, falls[worse])), np.append(all_slack, cut)
+            elif found.stands_clear and (found.clear or attempt == _ATTEMPTS - 1):
+                # on a way below what is out may have to go in again
+                level = ceiling if below and (depths.most > 0.0).any() else depths.level
                 return depth, RecoveryPath(path, found, level)
             if not found.clear:
                 # nothing may be asked for that the way back could not give
                 more = self._check.rows(step.awake, path, found)
                 others = (*others, more._replace(h=np.maximum(more.h, 0.0)))
         return depth, None
+
+    def _aim(self, step: RecoveryStep, deepest: float) -> tuple[Vector, float]:
+        """(n,) the velocity that is wished, and how fast the deepest violation is to fall [m/s]."""
+        route = self._route
+        if route is not None:
+            return self._along(route, step), _FOLLOWED_FALL if route.falling else 0.0
+        if self._waits:
+            return step.brake, _WAITING_FALL
+        return step.target, min(max(RECOVERY * deepest, SLOWEST_RECOVERY), FASTEST_RECOVERY)
+
+    def _depths_along(self, pairs: Indices, path: BrakingPath, most: Vector, *, below: bool) -> _Depths:
+        """How deep the pairs get on a braking path, until one is deeper than allowed.
+
+        most: (K,) the depth to stay within on a way below, and else to fall from [m].
+        """
+        separation, at, owner = self._separation, self._at, self._separation.owner[pairs]
+        before = most + _LEVEL if below else most - _FALLS
+        highest = level = np.zeros(len(pairs))
+        for span in self._spans(path):
+            at.place(_STEP_END, path.q + path.v * span)
+            there, falls = separation.gradients(pairs, at, _STEP_END)
+            depth = separation.clearance[pairs] - there
+            now = by_owner(depth, owner)
+            worse = depth > np.maximum(before, 0.0)
+            if not below:
+                # still falling there, so that it falls all the way, braking too
+                worse |= (depth > np.maximum(now - _FALLS, 0.0)) & (falls @ path.v >= 0.0)
+                before = now
+            if span == self._dt:
+                level = now
+            highest = np.maximum(highest, now)
+            if worse.any():
+                return _Depths(level, highest, (worse, there, falls, span))
+        return _Depths(level, highest, None)
 
     def _spans(self, path: BrakingPath) -> list[float]:
         """When to measure along a braking path [s]: at the end of the step, and so often that little lies between."""
@@ -336,13 +351,10 @@ class Recovery:
             if route is None:
                 route = yield from escape.falling(q)
             if route is not None and len(route.nodes) > 1:
-                free = yield from escape.returns(route.nodes[-1])
-                if free:
+                if (yield from escape.returns(route.nodes[-1])):
                     return route
-                below = yield from escape.below(q)
-                return route if below is None else below
-        route = yield from escape.below(q)
-        return route
+                return (yield from escape.below(q)) or route
+        return (yield from escape.below(q))
 
     def _end_search(self, q: Vector, route: EscapeRoute | None) -> None:
         self._rests = route is None and self._tries % 3 < 2

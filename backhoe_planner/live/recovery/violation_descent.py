@@ -19,14 +19,11 @@ nearest to the wish is taken. Where no joint rate makes V smaller, t is 0.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
 
 __all__ = ["by_owner", "way_back"]
-
-Indices = NDArray[np.intp]
 
 _WISH = 1e-3  # weight of the wish beside the speed of the way back
 _SMALLEST = 1e-12

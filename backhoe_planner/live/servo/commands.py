@@ -12,7 +12,6 @@ from backhoe_planner.machine import Robot
 
 __all__ = ["Commands"]
 
-
 _FASTEST_WISH = 100.0  # m/s or rad/s
 
 

@@ -26,9 +26,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Indices, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.braking_path import MOST_PARTS, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
@@ -46,8 +45,6 @@ from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
 from backhoe_planner.site import Obstacle, build_obstacles, pace, scaled_limits, scene_file, within_sectors
 
 __all__ = ["Servo"]
-
-Indices = NDArray[np.intp]
 
 _WARN = 0.10  # m of margin within which the status says so, and the force begins
 _AT_REST = 1e-3  # rad/s or m/s: a machine that creeps more slowly counts as standing
@@ -319,9 +316,18 @@ class Servo:
     def _move(self, command: Command) -> ServoState:
         """From the command to the state: what is near, what is wished, the nearest safe velocity, the step."""
         near = self._look()
-        wish = self._tip.wish(self._state.q, self._commands, near)
+        q, v, _ = self._state
+        wish = self._tip.wish(q, self._commands, near)
         pace = min(self._bounds.pace(near), self._pace_of_sectors())
-        request = self._request(wish, pace)
+        wished = wish.v if pace == 1.0 else pace * wish.v
+        request = VelocityWish(
+            v=wished,
+            target=self._joints.towards(wished, v),
+            task=wish.task,
+            null=wish.null,
+            for_tip=self._commands.tip is not None,
+            range=self._joints.velocity_range(q, v, wished),
+        )
         chosen = self._filter.choose(self._state, request, near, anything_moves=self._site.anything_moves)
         self._bounds.renew(near, self._at, self._steps)
         self._advance(chosen.v, chosen.end)
@@ -336,19 +342,6 @@ class Servo:
             self._bounds.drift()
         self._tip.place(self._state.q)
         return self._bounds.near(self._at)
-
-    def _request(self, wish: JointWish, pace: float) -> VelocityWish:
-        """What is asked of this step: the wish at a part of its speed, and the joints' limits."""
-        q, v, _ = self._state
-        wished = wish.v if pace == 1.0 else pace * wish.v
-        return VelocityWish(
-            v=wished,
-            target=self._joints.towards(wished, v),
-            task=wish.task,
-            null=wish.null,
-            for_tip=self._commands.tip is not None,
-            range=self._joints.velocity_range(q, v, wished),
-        )
 
     def _pace_of_sectors(self) -> float:
         """Part of the wished speed that the swing sectors leave."""
@@ -455,7 +448,7 @@ def _start(robot: Robot, scene: scene_file.Scene) -> Vector:
         if not found.reached:
             raise InputError("the machine cannot stand there", key="start.tip", found=pose.position)
         return found.q
-    joints: Mapping[str, float] = scene.start.joints or {}
+    joints = scene.start.joints or {}
     missing = [name for name in robot.joint_names if name not in joints]
     if missing:
         raise InputError(f"joints are missing: {', '.join(missing)}", key="start.joints")

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Flags, Indices, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.separation import MACHINE, Separation
 from backhoe_planner.machine import Robot, voxel_boxes
@@ -19,8 +18,6 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, build_obstacle, scene_file
 
 __all__ = ["Surroundings", "number_within"]
-
-Indices = NDArray[np.intp]
 
 _FARTHEST = 1000.0  # m
 _VOXELS = (0.001, 100.0)  # m
@@ -54,7 +51,7 @@ class Surroundings:
         self._next_number = 0
         self._name_of: dict[int, str] = {}
         self._movers: list[_Placed] = []
-        self.stands: NDArray[np.bool_]
+        self.stands: Flags
         self.speed: Vector
         self.revision = 0
         self._sort()
@@ -100,7 +97,7 @@ class Surroundings:
                 if link not in self._robot.all_link_names:
                     raise InputError("the machine has no such link", key=f"{spec.name}.links", found=link)
             obstacle = build_obstacle(spec, folder=self._scene.folder, clearance=self._scene.clearance)
-        if obstacle.name in self._placed or any(obstacle.name == other.name for other in self._waiting):
+        if obstacle.name in self._placed or self._is_waiting(obstacle.name):
             raise InputError("there is an obstacle of that name", key="name", found=obstacle.name)
         return obstacle
 
@@ -108,7 +105,7 @@ class Surroundings:
         """Voxels in which points (k, 3) lie, as an obstacle; None without points. See `Servo.add_points`."""
         if not isinstance(name, str) or not name:
             raise InputError("is no name", key="name", found=name)
-        if any(name == obstacle.name for obstacle in self._waiting) or (
+        if self._is_waiting(name) or (
             name in self._placed and not isinstance(self._placed[name].obstacle.spec, scene_file.PointCloud)
         ):
             raise InputError("there is an obstacle of that name, which is no scan", key="name", found=name)
@@ -121,17 +118,15 @@ class Surroundings:
         if not (np.abs(cloud) <= _FARTHEST).all():
             raise InputError("lie too far away", key=name, allowed=f"numbers of at most {_FARTHEST:g} m")
         resolution = number_within("resolution", resolution, *_VOXELS)
-        clearance = (
-            self._scene.clearance if clearance is None else number_within("clearance", clearance, 0.0, _FARTHEST)
-        )
+        if clearance is not None:
+            clearance = number_within("clearance", clearance, 0.0, _FARTHEST)
         if len(cloud) == 0:
             return None
+        boxes = voxel_boxes(cloud, resolution)
         return Obstacle(
             name=name,
-            pieces=tuple(
-                shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in voxel_boxes(cloud, resolution)
-            ),
-            clearance=clearance,
+            pieces=tuple(shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in boxes),
+            clearance=self._scene.clearance if clearance is None else clearance,
             links=None,
             appears_at=0.0,
             velocity=np.zeros(3),
@@ -163,9 +158,9 @@ class Surroundings:
         self._waiting = [obstacle for obstacle in self._waiting if obstacle.appears_at > now]
         return due
 
-    def take_away(self, name: str) -> NDArray[np.bool_]:
+    def take_away(self, name: str) -> Flags:
         """(P,) which of the pairs are left. What is still to appear is taken away as well."""
-        if any(name == obstacle.name for obstacle in self._waiting):
+        if self._is_waiting(name):
             self._waiting = [obstacle for obstacle in self._waiting if obstacle.name != name]
             return np.ones(len(self._separation), dtype=bool)
         placed = self._find(name)
@@ -179,8 +174,7 @@ class Surroundings:
     def move(self, name: str, by: object) -> Indices:
         """Indices of the pairs of an obstacle that now stands elsewhere."""
         placed = self._find(name)
-        there = _three(placed.shift + _three(by, "by"), "by")
-        placed.shift[:] = there
+        placed.shift[:] = _three(placed.shift + _three(by, "by"), "by")
         self.revision += 1
         return self._pairs(placed)
 
@@ -201,12 +195,14 @@ class Surroundings:
 
     def _find(self, name: str) -> _Placed:
         if name not in self._placed:
-            if any(name == obstacle.name for obstacle in self._waiting):
+            if self._is_waiting(name):
                 raise InputError("the obstacle has not appeared yet", key="name", found=name)
-            raise InputError(
-                "there is no obstacle of that name", key="name", found=name, allowed=", ".join(self._placed)
-            )
+            there = ", ".join(self._placed)
+            raise InputError("there is no obstacle of that name", key="name", found=name, allowed=there)
         return self._placed[name]
+
+    def _is_waiting(self, name: str) -> bool:
+        return any(obstacle.name == name for obstacle in self._waiting)
 
     def _pairs(self, placed: _Placed) -> Indices:
         return np.asarray((self._separation.owner == placed.number).nonzero()[0])

@@ -6,9 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.law import CompletedLaw, CriticalRows
 from backhoe_planner.live.braking.braking_path import Placements
 from backhoe_planner.live.braking.joint_bounds import JointBounds
@@ -18,7 +17,6 @@ from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
 
 __all__ = ["JointWish", "TipTask"]
-
 
 _INFLUENCE = 0.3  # m: further away the null space need not care
 _UP = np.array([0.0, 0.0, 1.0])
@@ -166,7 +164,7 @@ class TipTask:
         return np.asarray(tip + into * self._sense)
 
 
-def _movable_tip_rows(robot: Robot) -> NDArray[np.bool_]:
+def _movable_tip_rows(robot: Robot) -> Flags:
     """(3,) which directions any joint can move the tip in at all."""
     rng, kinematics = np.random.default_rng(0), Kinematics(robot)
     found = [movable_rows(kinematics.at(robot.random_q(rng)).jacobian[:3]) for _ in range(8)]
