@@ -1,10 +1,10 @@
-from .drawing.animation import PlanAnimation as PlanAnimation
-from .drawing.animation import Track as Track
+from .drawing.drawing import PlanAnimation as PlanAnimation
+from .drawing.drawing import Track as Track
+from .drawing.drawing import node_name as node_name
+from .drawing.drawing import node_names as node_names
 from .drawing.framing import FIELD_OF_VIEW as FIELD_OF_VIEW
 from .drawing.framing import frame as frame
 from .drawing.machine_meshes import machine_meshes as machine_meshes
-from .drawing.names import node_name as node_name
-from .drawing.names import node_names as node_names
 from .drawing.palette import FAR as FAR
 from .drawing.palette import TIGHT as TIGHT
 from .drawing.palette import margin_rgb as margin_rgb
@@ -21,7 +21,7 @@ from .drawing.timeline import timeline as timeline
 from .page.display import Display as Display
 from .page.page import plan_page as plan_page
 from .page.page import write_page as write_page
-from .plots.plots import plot_envelope as plot_envelope
+from .plots.envelope_plot import plot_envelope as plot_envelope
 from .plots.plots import plot_plan as plot_plan
 from .teleop.messages import LARGEST as LARGEST
 from .teleop.messages import Add as Add

@@ -1,4 +1,4 @@
-"""Facets, lines, sky, lights and camera as meshcat's objects.
+"""Facets, lines, animations, sky, lights and camera as meshcat's objects, and names of its nodes.
 
 meshcat's own mesh carries no normals and no opacity per vertex, and it has no lights;
 three.js, which reads the messages, knows all of them.
@@ -6,24 +6,98 @@ three.js, which reads the messages, knows all of them.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import meshcat.geometry as g
 import numpy as np
+import umsgpack
 from meshcat.commands import SetProperty
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, View
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets
 
-__all__ = ["line_segments", "mesh", "set_camera", "set_property", "set_stage"]
+__all__ = [
+    "PlanAnimation", "Track", "line_segments", "mesh", "node_name", "node_names",
+    "set_camera", "set_property", "set_stage",
+]  # fmt: skip
 
+# A slash would start a new level; the viewer keeps children in a plain JavaScript
+# object, on which these names are taken before anything is added.
+_SLASH = "\N{DIVISION SLASH}"
+_TAKEN = frozenset((
+    "<object>", "__defineGetter__", "__defineSetter__", "__lookupGetter__", "__lookupSetter__", "__proto__",
+    "constructor", "hasOwnProperty", "isPrototypeOf", "propertyIsEnumerable", "toLocaleString", "toString", "valueOf",
+))  # fmt: skip
+_TYPES = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "material.color": "color"}
+_FLOAT32 = 0x17  # meshcat's extension code
 
 _SKY_TOP = [0.62, 0.76, 0.90]
 _SKY_BOTTOM = [0.95, 0.96, 0.96]
 _UNWANTED = ("Lights/SpotLight", "Lights/PointLightNegativeX", "Lights/PointLightPositiveX", "Lights/AmbientLight",
              "Lights/FillLight", "Grid", "Axes")  # fmt: skip
+
+
+def node_name(name: str) -> str:
+    """`name` so that it can be one level of a path in the viewer's tree."""
+    plain = name.replace("/", _SLASH).strip() or "_"
+    return f"{plain}_" if plain in _TAKEN else plain
+
+
+def node_names(names: Iterable[str]) -> dict[str, str]:
+    """The node of every name; two names that would share one are kept apart."""
+    found: dict[str, str] = {}
+    for name in names:
+        node, number = node_name(name), 2
+        while node in found.values():
+            node, number = f"{node_name(name)} ({number})", number + 1
+        found[name] = node
+    return found
+
+
+class Track(NamedTuple):
+    """One property of one node over time.
+
+    Attributes
+    ----------
+    path: of the node in the viewer's tree.
+    kind: ``position``, ``scale``, ``quaternion`` (x, y, z, w) or ``material.color``.
+    time: (K,) rising [s].
+    values: (K, 3) or, for a quaternion, (K, 4).
+    """
+
+    path: str
+    kind: str
+    time: Vector
+    values: Matrix
+
+
+class PlanAnimation:
+    """Tracks that play together in the browser; stands where meshcat expects its own ``Animation``.
+
+    Numbers are packed as 32 bits: a second of motion costs about 1 kB per moving link.
+    """
+
+    def __init__(self, tracks: Sequence[Track], duration: float) -> None:
+        self.tracks = tuple(tracks)
+        self.duration = duration
+
+    def lower(self) -> list[dict[str, Any]]:
+        """As meshcat's viewer reads it: one clip per node."""
+        clips: dict[str, list[dict[str, Any]]] = {}
+        for path, kind, time, values in self.tracks:
+            track = {"name": f".{kind}", "type": _TYPES[kind], "times": _packed(time), "values": _packed(values)}
+            clips.setdefault(path, []).append(track)
+        return [
+            {"path": path, "clip": {"fps": 1, "name": "plan", "duration": self.duration, "tracks": tracks}}
+            for path, tracks in clips.items()
+        ]
+
+
+def _packed(values: Array) -> Any:
+    return umsgpack.Ext(_FLOAT32, np.ascontiguousarray(values, dtype="<f4").tobytes())
 
 
 class _FacetGeometry(g.Geometry):  # type: ignore[misc]

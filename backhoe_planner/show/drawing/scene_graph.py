@@ -22,12 +22,19 @@ import trimesh
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics, tip_travel_bound
 from backhoe_planner.motion import Problem
-from backhoe_planner.show.drawing.animation import PlanAnimation, Track
-from backhoe_planner.show.drawing.drawing import mesh, set_camera, set_property, set_stage
+from backhoe_planner.show.drawing.drawing import (
+    PlanAnimation,
+    Track,
+    mesh,
+    node_name,
+    node_names,
+    set_camera,
+    set_property,
+    set_stage,
+)
 from backhoe_planner.show.drawing.framing import View, frame
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
 from backhoe_planner.show.drawing.machine_meshes import LinkMesh, machine_meshes
-from backhoe_planner.show.drawing.names import node_name, node_names
 from backhoe_planner.show.drawing.palette import FAR, GOAL, PATH, TRACE, Rgba, margin_rgb
 from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
@@ -99,7 +106,8 @@ class SceneGraph:
         self._draw_machine(meshes)
         self._draw_site(centre)
         self._draw_task()
-        self._draw_critical_points()
+        for name in self._obstacles:
+            self._draw_critical_point(name)
         self.move(posture)
 
     # --- what stands still ----------------------------------------------------------
@@ -200,10 +208,6 @@ class SceneGraph:
         for axis, rgba in enumerate(((0.85, 0.2, 0.2, 1.0), (0.2, 0.65, 0.25, 1.0), (0.2, 0.4, 0.9, 1.0))):
             end = position + length * rotation[:, axis]
             _draw_line(node["xyz"[axis]], np.array([position, end]), 0.05 * length, rgba)
-
-    def _draw_critical_points(self) -> None:
-        for name in self._obstacles:
-            self._draw_critical_point(name)
 
     def _draw_critical_point(self, name: str) -> None:
         """A rod of length 1, hidden until there is something to be shown."""

@@ -14,7 +14,7 @@ from backhoe_planner.machine import Envelope, Kinematics, Robot, reachable_point
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import solid
-from backhoe_planner.show.plots.figure_file import figure_format, plain_text, save_figure
+from backhoe_planner.show.plots.figure_file import check_figure_file, plain_text, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,7 +47,7 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
     OutputError: another suffix, or the folder cannot be written.
     InputError: matplotlib is not installed.
     """
-    figure_format(path)
+    check_figure_file(path)
     from matplotlib.figure import Figure
 
     envelope = working_envelope(robot)

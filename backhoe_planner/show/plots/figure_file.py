@@ -15,14 +15,14 @@ from backhoe_planner.files.output_file import check_writable, whole_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figure_format", "plain_text", "save_figure"]
+__all__ = ["check_figure_file", "plain_text", "save_figure"]
 
-_FORMATS = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+_FORMATS = (".png", ".svg", ".pdf")
 _RESOLUTION = 150  # dots per inch: text of 8 points is readable on a screen
 
 
-def figure_format(path: str | os.PathLike[str]) -> str:
-    """The format that a file's suffix asks for; call it before anything is drawn.
+def check_figure_file(path: str | os.PathLike[str]) -> None:
+    """That a figure can be drawn and written; call it before anything is drawn.
 
     Raises
     ------
@@ -32,29 +32,20 @@ def figure_format(path: str | os.PathLike[str]) -> str:
     suffix = Path(path).suffix.lower()
     if suffix not in _FORMATS:
         raise OutputError(
-            "a figure cannot be written in this format",
-            file=os.fspath(path),
-            found=suffix or "no suffix",
+            "a figure cannot be written in this format", file=os.fspath(path), found=suffix or "no suffix",
             allowed=", ".join(_FORMATS),
-        )
+        )  # fmt: skip
     check_writable(path)
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError("figures need matplotlib", hint="pip install backhoe_planner[plots]")
-    return _FORMATS[suffix]
 
 
 def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write `figure`.
-
-    Raises
-    ------
-    OutputError: the suffix is not known, or the folder cannot be written.
-    """
-    form = figure_format(path)
+    """Write `figure`, whole or not at all, in the format of the suffix."""
     drawn = io.BytesIO()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        figure.savefig(drawn, format=form, dpi=_RESOLUTION)
+        figure.savefig(drawn, format=Path(path).suffix[1:].lower(), dpi=_RESOLUTION)
     with whole_file(path, "wb") as stream:
         stream.write(drawn.getvalue())
 

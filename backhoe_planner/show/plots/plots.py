@@ -16,14 +16,13 @@ from backhoe_planner.motion import OBJECTIVES, Problem, Trajectory, limit_usage,
 from backhoe_planner.planning import Plan, compare_with_law
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
-from backhoe_planner.show.plots.envelope_plot import plot_envelope
-from backhoe_planner.show.plots.figure_file import figure_format, plain_text, save_figure
+from backhoe_planner.show.plots.figure_file import check_figure_file, plain_text, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-__all__ = ["plot_envelope", "plot_plan"]
+__all__ = ["plot_plan"]
 
 _Panel = Callable[["Axes", Plan, Problem, Timeline], None]
 
@@ -50,7 +49,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     OutputError: another suffix, or the folder cannot be written.
     InputError: matplotlib is not installed.
     """
-    figure_format(path)
+    check_figure_file(path)
     from matplotlib.figure import Figure
 
     problem = plan.problem
@@ -73,11 +72,8 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     verdict = "verified" if plan.verified else f"failed ({plan.reason.replace('_', ' ')})"
     figure.suptitle(
         f"{plain_text(plan.scene.name or plan.robot.name)}: {driven}{verdict}",
-        x=0.01,
-        ha="left",
-        fontsize=12,
-        weight="bold",
-    )
+        x=0.01, ha="left", fontsize=12, weight="bold",
+    )  # fmt: skip
     all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axes, panel in zip(all_axes, panels, strict=True):
         axes.spines[["top", "right"]].set_visible(False)

@@ -27,6 +27,9 @@ _LONGEST_ARROW = 1.2  # m, for the largest force
 _LEAST_SHOWN = 0.3  # N
 _HIDDEN = 1e-5
 _POSTURES = 16  # that are to be in view
+_TOLD = (  # fields of a snapshot that the page gets as they are
+    "asked", "zones", "movable", "taken", "driver", "pages", "asking", "recording", "recorded", "circulate", "failure",
+)  # fmt: skip
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -105,10 +108,9 @@ class Picture:
     def _content(self, snapshot: Snapshot) -> dict[str, Any]:
         state, anchors = snapshot.state, self._graph.anchors
         shifts = {name: shift for name, shift in snapshot.shifts.items() if shift is not None}
-        return {
+        return {name: getattr(snapshot, name) for name in _TOLD} | {
             "time": state.time,
             "status": state.status.value,
-            "asked": snapshot.asked,
             "told": self._wording.next(state, asked=snapshot.asked)._asdict(),
             "pace": state.pace,
             "margin": state.margin,
@@ -119,19 +121,9 @@ class Picture:
             "force": np.linalg.norm(state.feedback_force),
             "largest_force": LARGEST_FORCE,
             "has_pitch": self._problem.robot.has_pitch,
-            "zones": snapshot.zones,
             "anchors": {name: anchors[name] + shift for name, shift in shifts.items() if name in anchors},
             "shifts": shifts,
             "nodes": {name: self._graph.node_of(name) for name in sorted(snapshot.movable - self._undrawn)},
-            "movable": snapshot.movable,
-            "taken": snapshot.taken,
-            "driver": snapshot.driver,
-            "pages": snapshot.pages,
-            "asking": snapshot.asking,
-            "recording": snapshot.recording,
-            "recorded": snapshot.recorded,
-            "circulate": snapshot.circulate,
-            "failure": snapshot.failure,
         }
 
     # --- the force on the hand --------------------------------------------------------

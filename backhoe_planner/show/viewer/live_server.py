@@ -53,9 +53,6 @@ class LivePage(tornado.web.RequestHandler):
         self.set_header("Cache-Control", "no-store")
         self.finish(self.page)
 
-    def data_received(self, chunk: bytes) -> None:
-        """Nothing is ever sent here."""
-
 
 class LiveSocket(tornado.websocket.WebSocketHandler):
     """The connection to one page; what is drawn and told goes out through it."""
@@ -97,9 +94,6 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
     def on_close(self) -> None:
         """A page has gone."""
         self.server.remove(self)
-
-    def data_received(self, chunk: bytes) -> None:
-        """Nothing is ever sent here."""
 
     def bring(self) -> None:
         """Write what waits, unless the browser is still busy with what it got before."""
