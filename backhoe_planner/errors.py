@@ -20,15 +20,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = [
-    "InputError",
-    "OutputError",
-    "PlanFileError",
-    "PlannerError",
-    "RobotError",
-    "SceneError",
-    "nearest_name",
-]
+__all__ = ["InputError", "OutputError", "PlanFileError", "PlannerError", "RobotError", "SceneError", "nearest_name"]
 
 
 class PlannerError(Exception):

@@ -1,11 +1,13 @@
+from .capability.data_sheet import DiggingForces as DiggingForces
+from .capability.data_sheet import Envelope as Envelope
+from .capability.data_sheet import digging_forces as digging_forces
+from .capability.data_sheet import reachable_points as reachable_points
+from .capability.data_sheet import working_envelope as working_envelope
 from .capability.denavit_hartenberg import dh_table as dh_table
-from .capability.digging import DiggingForces as DiggingForces
-from .capability.digging import digging_forces as digging_forces
-from .capability.envelope import Envelope as Envelope
-from .capability.envelope import reachable_points as reachable_points
-from .capability.envelope import working_envelope as working_envelope
 from .collision_model import geometry_model as geometry_model
 from .collision_model import self_pairs as self_pairs
+from .collision_model import tip_travel_bound as tip_travel_bound
+from .collision_model import travel_bounds as travel_bounds
 from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
 from .description.link_shapes import Visual as Visual
 from .description.urdf import example_names as example_names
@@ -15,8 +17,8 @@ from .dynamics import GRAVITY as GRAVITY
 from .dynamics import Dynamics as Dynamics
 from .dynamics import MotionEnergy as MotionEnergy
 from .dynamics import motion_energy as motion_energy
-from .hydraulics.cylinder import Cylinder as Cylinder
 from .hydraulics.hydraulics import BothWays as BothWays
+from .hydraulics.hydraulics import Cylinder as Cylinder
 from .hydraulics.hydraulics import Hydraulics as Hydraulics
 from .hydraulics.linkage import FourBar as FourBar
 from .hydraulics.linkage import Triangle as Triangle
@@ -31,8 +33,6 @@ from .kinematics.kinematics import wrap_angle as wrap_angle
 from .kinematics.target import TargetBatch as TargetBatch
 from .kinematics.target import TipTarget as TipTarget
 from .kinematics.target import movable_rows as movable_rows
-from .reach import tip_travel_bound as tip_travel_bound
-from .reach import travel_bounds as travel_bounds
 from .robot import JointLimits as JointLimits
 from .robot import Robot as Robot
 from .robot import load_robot as load_robot

@@ -1,7 +1,11 @@
-"""The machine's collision shape as Pinocchio sees it, and which parts may meet.
+"""The machine's collision shape as Pinocchio sees it, which parts may meet, and how far they can travel.
 
 Neighbouring links overlap at their joint, and some parts touch in every posture:
 such pairs say nothing and are left out. All others count.
+
+`travel_bounds` gives, for every collision piece and joint, the farthest r_j that a point
+of the piece can ever be from that joint's axis. A motion dq then moves no point of the
+piece further than sum_j |dq_j| r_j: on this bound the certificate and the broad phase rest.
 """
 
 from __future__ import annotations
@@ -11,10 +15,12 @@ from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["geometry_model", "self_pairs"]
+__all__ = ["geometry_model", "self_pairs", "tip_travel_bound", "travel_bounds"]
 
 _SAMPLES = 60  # postures: a rate of 0.9 is then known to within 0.04 (one standard deviation)
 _TOUCHES_BY_CONSTRUCTION = 0.9  # of the sampled postures
@@ -70,3 +76,50 @@ def _touch_rates(robot: Robot, pairs: list[tuple[int, int]]) -> dict[tuple[str, 
         results = zip(pairs, geometry.collisionResults, strict=True)
         hits.update({_links(robot, pair) for pair, result in results if result.isCollision()})
     return {links: hits[links] / _SAMPLES for links in {_links(robot, pair) for pair in pairs}}
+
+
+def travel_bounds(robot: Robot) -> Matrix:
+    """(pieces, n) radii r [m/rad, or 1 for a prismatic joint]; 0 for joints further out."""
+    bounds = np.zeros((len(robot.pieces), robot.n))
+    for row, piece in enumerate(robot.pieces):
+        bounds[row] = _bounds_of_points(robot, piece.joint, piece.piece.hull, piece.piece.radius)
+    return bounds
+
+
+def tip_travel_bound(robot: Robot) -> NDArray[np.float64]:
+    """(n,) the same for the tip."""
+    frame = robot.model.frames[robot.tip_frame]
+    return _bounds_of_points(robot, int(frame.parentJoint), frame.placement.translation[None, :], 0.0)
+
+
+def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float) -> NDArray[np.float64]:
+    """(n,) for points (k, 3) fixed in the frame of `joint`, fattened by `radius`."""
+    model = robot.model
+    found = np.zeros(robot.n)
+    if joint == 0:
+        return found
+    from_origin = float(np.max(np.linalg.norm(points, axis=1))) + radius
+    found[joint - 1] = 1.0 if robot.prismatic[joint - 1] else _off_axis(points, robot.joint_axes[joint - 1]) + radius
+    outer = joint
+    inner = int(model.parents[joint])
+    while inner > 0:
+        step = model.jointPlacements[outer].translation
+        from_origin += _slide(robot, outer)
+        off = _off_axis(step[None, :], robot.joint_axes[inner - 1])
+        found[inner - 1] = 1.0 if robot.prismatic[inner - 1] else off + from_origin
+        from_origin += float(np.linalg.norm(step))
+        outer, inner = inner, int(model.parents[inner])
+    return found
+
+
+def _slide(robot: Robot, joint: int) -> float:
+    """The longest slide of a prismatic joint away from its zero [m]; 0 for a hinge."""
+    if not robot.prismatic[joint - 1]:
+        return 0.0
+    return float(max(abs(robot.limits.lower[joint - 1]), abs(robot.limits.upper[joint - 1])))
+
+
+def _off_axis(points: Matrix, axis: NDArray[np.float64]) -> float:
+    """The largest distance of (k, 3) points from the line through 0 along `axis`."""
+    along = points @ axis
+    return float(np.max(np.linalg.norm(points - along[:, None] * axis, axis=1)))

@@ -3,12 +3,12 @@ from .costs import trajectory_costs as trajectory_costs
 from .costs import trajectory_energy as trajectory_energy
 from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import Nodes as Nodes
+from .path import SmoothWay as SmoothWay
 from .path import TipPath as TipPath
 from .path import step_lengths as step_lengths
 from .problem import Problem as Problem
 from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
-from .smooth_way import SmoothWay as SmoothWay
 from .timing.drive import Drive as Drive
 from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of

@@ -116,7 +116,7 @@ class PathCost:
 
     def of_steps(self, stations: Array, q: Array) -> float:
         """The steps of a resolved stretch, q (K, n) at `stations` (K,) [m], in rad."""
-        return self._sum(stations, q, smoothing=self._smoothing)
+        return self._sum(stations, q, as_reported=False)
 
     def of_run(self, stations: Array, q: Array) -> float:
         """The same from rest to rest, with what the changes of the joints' rates take, in rad."""
@@ -134,24 +134,24 @@ class PathCost:
 
     def value(self, stations: Array, q: Array) -> float:
         """The steps in the objective's own unit, without what the search adds."""
-        return self.per_radian * self._sum(stations, q, smoothing=0.0)
+        return self.per_radian * self._sum(stations, q, as_reported=True)
 
-    def _sum(self, stations: Array, q: Array, *, smoothing: float) -> float:
+    def _sum(self, stations: Array, q: Array, *, as_reported: bool) -> float:
         if len(q) < 2:
             return 0.0
         nodes = self.nodes(q, self.tip_velocities(q))
-        return float(np.sum(self._between(nodes[:-1], nodes[1:], np.diff(stations), smoothing)))
+        return float(np.sum(self.between(nodes[:-1], nodes[1:], np.diff(stations), as_reported=as_reported)))
 
     def nodes(self, q: Array, tip: TipVelocities) -> Nodes:
         """Configurations q (B, n) with what the objective needs of them, see `Objective.nodes`."""
         found: Nodes = self.objective.nodes(q, self._machine, tip)
         return found
 
-    def between(self, a: Nodes, b: Nodes, span: Array) -> Array:
-        """(...) of the steps from a to b over `span` (...) [m], all broadcast, in rad."""
-        return self._between(a, b, span, self._smoothing)
+    def between(self, a: Nodes, b: Nodes, span: Array, *, as_reported: bool = False) -> Array:
+        """(...) of the steps from a to b over `span` (...) [m], all broadcast, in rad.
 
-    def _between(self, a: Nodes, b: Nodes, span: Array, smoothing: float) -> Array:
+        With `as_reported`, without what the search adds.
+        """
         shape = np.broadcast_shapes(a.q.shape[:-1], b.q.shape[:-1])
         dq = [b.q[..., j] - a.q[..., j] for j in range(a.q.shape[-1])]
         squared = np.zeros(shape)
@@ -161,11 +161,11 @@ class PathCost:
             np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
         dt = np.maximum(self.objective.duration(dt, a, b, self._machine), _SHORTEST)
         step = Step(a, b, dq, squared, dt)
-        if not smoothing > 0.0:
+        if as_reported or not self._smoothing > 0.0:
             return np.asarray(self.objective.of_step(step, self._machine) / self.per_radian)
         lost = dt if np.isinf(self.speed) else np.maximum(dt - span / self.speed, 0.0)
         held = self._time_price * lost + self.objective.overhead(step, self._machine, self.per_radian)
-        held = smoothing / self._rate * squared / dt + held
+        held = self._smoothing / self._rate * squared / dt + held
         if self.objective.is_time:  # of which only what is lost can be had
             return np.asarray(held)
         return np.asarray(self.objective.of_step(step, self._machine) / self.per_radian + held)

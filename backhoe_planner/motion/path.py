@@ -1,8 +1,16 @@
-"""The specified path of the tip: straight legs between waypoints."""
+"""Paths: the specified one of the tip, straight from waypoint to waypoint; one of the joints, with round corners.
+
+At a corner the joints' way leaves the leg at a distance d before it and joins the next leg
+at d behind it, on the parabola that has both legs as tangents, so that it can be run
+through without stopping. With the length s along the legs as the parameter, dq/ds turns
+linearly from the one leg's direction to the other's: the way is C1, and d2q/ds2 is
+piecewise constant.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +19,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import TipTarget, wrap_angle
 from backhoe_planner.site import Waypoint
 
-__all__ = ["TipPath", "step_lengths"]
+__all__ = ["SmoothWay", "TipPath", "step_lengths"]
 
 
 _TURN_LENGTH = 0.5  # m per rad: how long a leg counts on which the tip only turns
@@ -157,3 +165,66 @@ class TipPath:
         middle = 0.5 * sum(before) + part * turn
         half = 0.5 * ((1.0 - part) * (before[1] - before[0]) + part * (after[1] - after[0]))
         return (middle - half, middle + half)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothWay:
+    """Legs and parabolic corners in joint space, `way(s)`.
+
+    Attributes
+    ----------
+    corners: (K, n) where the legs meet; the way itself passes by those that are cut.
+    stations: (K,) length along the legs up to each corner [s of joint time].
+    cuts: (K,) d of each corner, 0 at the ends and where the way goes into the corner
+        and must stop there.
+    """
+
+    corners: Matrix
+    stations: Vector
+    cuts: Vector
+
+    def __post_init__(self) -> None:
+        for array in (self.corners, self.stations, self.cuts):
+            array.setflags(write=False)
+
+    @property
+    def length(self) -> float:
+        """Of the legs, the end of s."""
+        return float(self.stations[-1])
+
+    @property
+    def knots(self) -> Vector:
+        """Where a leg or a corner piece begins or ends, increasing, from 0 to the length."""
+        return np.unique(np.concatenate((self.stations - self.cuts, self.stations + self.cuts)))
+
+    @property
+    def stops(self) -> Vector:
+        """Where a motion along the way must be at rest: the ends and the corners not cut."""
+        return np.array(self.stations[self.cuts == 0.0])
+
+    def __call__(self, s: float | Vector, order: int = 0) -> Matrix:
+        """(n,) or (k, n) derivative of that order (0, 1 or 2) with respect to s, from the right."""
+        at = np.atleast_1d(np.asarray(s, dtype=float))
+        legs = np.diff(self.corners, axis=0)
+        steps = np.diff(self.stations)
+        leg = np.clip(np.searchsorted(self.stations, at, side="right") - 1, 0, len(steps) - 1)
+        slope = legs / steps[:, None]
+        found = np.zeros((len(at), self.corners.shape[1]))
+        if order == 0:
+            found = self.corners[leg] + (at - self.stations[leg])[:, None] * slope[leg]
+        elif order == 1:
+            found = slope[leg]
+        for corner in np.flatnonzero(self.cuts > 0.0):
+            d, begin = self.cuts[corner], self.stations[corner] - self.cuts[corner]
+            inside = (at >= begin) & (at < begin + 2.0 * d)
+            if not inside.any():
+                continue
+            into, turn = slope[corner - 1], (slope[corner] - slope[corner - 1]) / (2.0 * d)
+            along = (at[inside] - begin)[:, None]
+            if order == 0:
+                found[inside] = self.corners[corner] - d * into + along * into + 0.5 * along**2 * turn
+            elif order == 1:
+                found[inside] = into + along * turn
+            else:
+                found[inside] = turn
+        return found if np.ndim(s) else found[0]

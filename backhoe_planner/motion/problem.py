@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import SceneError, nearest_name
+from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import JointLimits, Robot, TipTarget
 from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
@@ -80,15 +80,9 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         different = [b for a, b in zip((None, *waypoints), waypoints, strict=False) if a != b]
         path = TipPath(different if len(different) > 1 else waypoints)  # one that stands twice adds nothing
     return Problem(
-        robot=robot,
-        scene=scene,
-        limits=scaled_limits(robot, scene),
-        obstacles=build_obstacles(scene, robot),
-        start_q=start_q,
-        start_target=start_target,
-        goal=goal,
-        path=path,
-    )
+        robot, scene, limits=scaled_limits(robot, scene), obstacles=build_obstacles(scene, robot),
+        start_q=start_q, start_target=start_target, goal=goal, path=path,
+    )  # fmt: skip
 
 
 def hand_set_gains(problem: Problem) -> Gains | None:
@@ -100,15 +94,8 @@ def hand_set_gains(problem: Problem) -> Gains | None:
 def _check_joint_names(robot: Robot, scene: Scene, key: str, names: dict[str, float]) -> None:
     for name in names:
         if name not in robot.joint_names:
-            near = nearest_name(name, robot.joint_names)
-            raise SceneError(
-                "the machine has no such joint",
-                file=scene.file,
-                key=key,
-                found=name,
-                allowed=", ".join(robot.joint_names),
-                hint=f"did you mean {near!r}?" if near else None,
-            )
+            problem = "the machine has no such joint"
+            raise SceneError.unknown_name(problem, name, names=robot.joint_names, file=scene.file, key=key)
 
 
 def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]:

@@ -109,17 +109,9 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     problems += _task_problems(problem, trajectory, tracking, kinematics)
     problems += [use.describe() for use in (effort, hydraulics, tip_speed) if use is not None and not use.kept]
     return Certificate(
-        min_clearance=tightest,
-        clearances=clearances,
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
-        effort=effort,
-        hydraulics=hydraulics,
-        tracking=tracking,
-        tip_speed=tip_speed,
-        problems=tuple(problems),
-    )
+        tightest, clearances, position=position, velocity=velocity, acceleration=acceleration, effort=effort,
+        hydraulics=hydraulics, tracking=tracking, tip_speed=tip_speed, problems=tuple(problems),
+    )  # fmt: skip
 
 
 def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking, kinematics: Kinematics) -> list[str]:

@@ -29,10 +29,9 @@ def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
         if not isinstance(zone, SwingSector):
             continue
         key = f"zones[{index}] ({zone.name})"
+        name = robot.joint_names[0]
         if robot.prismatic[0]:
-            raise SceneError(
-                "the first joint does not swing, it slides", file=scene.file, key=key, found=robot.joint_names[0]
-            )
+            raise SceneError("the first joint does not swing, it slides", file=scene.file, key=key, found=name)
         lower[0], upper[0] = max(lower[0], zone.start + zone.stop), min(upper[0], zone.end - zone.stop)
         if not lower[0] < upper[0]:
             raise SceneError(
@@ -40,15 +39,10 @@ def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
                 file=scene.file,
                 key=key,
                 found=f"{zone.start:g} to {zone.end:g}, each kept off by {zone.stop:g}",
-                allowed=f"{robot.joint_names[0]} moves from {own.lower[0]:g} to {own.upper[0]:g}",
+                allowed=f"{name} moves from {own.lower[0]:g} to {own.upper[0]:g}",
             )
-    return JointLimits(
-        lower=lower,
-        upper=upper,
-        velocity=own.velocity * scene.limits.velocity_scale,
-        acceleration=acceleration,
-        effort=own.effort.copy(),
-    )
+    velocity = own.velocity * scene.limits.velocity_scale
+    return replace(own, lower=lower, upper=upper, velocity=velocity, acceleration=acceleration)
 
 
 def within_sectors(robot: Robot, scene: Scene) -> Robot:

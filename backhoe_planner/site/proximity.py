@@ -118,16 +118,16 @@ class Proximity:
         travel: list[Vector] = []
         owner: list[int] = []  # index of the obstacle, -1 for the machine itself
         other: list[int] = []  # joint of the second body
-        first_of: list[int] = []  # index of the obstacle's first geometry
+        self._first_geometry: list[int] = []  # of each obstacle
         second: list[int] = []  # part of the obstacle, or the machine's other piece
         for index, obstacle in enumerate(self.obstacles):
-            first_of.append(int(self._model.ngeoms))
+            self._first_geometry.append(int(self._model.ngeoms))
             for part, piece in enumerate(obstacle.pieces):
                 geometry = self._model.addGeometryObject(
                     pin.GeometryObject(f"obstacle {index}/{part}", 0, 0, piece.placement, piece.shape)
                 )
                 for row, link_piece in enumerate(robot.pieces):
-                    if link_piece.joint == 0 or not _counts(obstacle, link_piece.link):
+                    if link_piece.joint == 0 or not (obstacle.links is None or link_piece.link in obstacle.links):
                         continue
                     self._model.addCollisionPair(pin.CollisionPair(row, geometry))
                     pairs.append(Pair(link_piece.link, "obstacle", obstacle.name, row, obstacle.clearance))
@@ -152,12 +152,10 @@ class Proximity:
         self.owner = np.array(owner, dtype=int)
         self.second = tuple(second)
         self._other_joint = np.array(other, dtype=int)
-        self._first_geometry = first_of
         joint_of = np.array([robot.pieces[pair.piece].joint for pair in pairs], dtype=int)
-        self._mask_link = robot.support[joint_of] if count else np.zeros((0, robot.n))
-        self._moves = self._mask_link > 0.0
-        self._minus_mask_link = -self._mask_link
-        self._mask_other = robot.support[self._other_joint] if count else np.zeros((0, robot.n))
+        self._moves = robot.support[joint_of] > 0.0
+        self._minus_mask_link = -robot.support[joint_of]
+        self._mask_other = robot.support[self._other_joint]
         velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
         self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
         self.speed = np.linalg.norm(self._velocity, axis=1)
@@ -328,7 +326,7 @@ class Proximity:
             flat += (px, py, pz, py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
         raw = np.array(flat).reshape(-1, 16)
         pair = np.array(found, dtype=np.intp)
-        distance, normal, point_1, point_2 = raw[:, 0], raw[:, 1:4], raw[:, 4:7], raw[:, 10:13]
+        distance, normal = raw[:, 0], raw[:, 1:4]
         # the speed of a point p along n is n . v + (p x n) . omega
         J = self._data.J.reshape(6, self.robot.n)  # of one joint alone it is 1-D
         along = normal @ J[:3]
@@ -337,21 +335,10 @@ class Proximity:
             gradient += (along + raw[:, 13:] @ J[3:]) * self._mask_other[pair]
         drift = np.einsum("ki,ki->k", normal, self._velocity[pair]) if self._moving else np.zeros(len(found))
         return Nearby(
-            pair=pair,
-            distance=distance,
-            margin=distance - self.clearance[pair],
-            normal=normal,
-            point_link=point_1,
-            point_obstacle=point_2,
-            gradient=gradient,
-            drift=drift,
-            moves=self._moves[pair],
-        )
+            pair, distance, margin=distance - self.clearance[pair], normal=normal, point_link=raw[:, 4:7],
+            point_obstacle=raw[:, 10:13], gradient=gradient, drift=drift, moves=self._moves[pair],
+        )  # fmt: skip
 
 
 def _age(time: float, appears_at: Vector) -> Vector:
     return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)
-
-
-def _counts(obstacle: Obstacle, link: str) -> bool:
-    return obstacle.links is None or link in obstacle.links

@@ -88,7 +88,6 @@ def soil_force(
     forward: Array,
     soil: Soil,
     width: float,
-    lip: float = LIP,
 ) -> Array:
     """(..., 3) the force of the soil on the teeth [N], world.
 
@@ -101,12 +100,11 @@ def soil_force(
     pitch: (...) of the line bucket pin to tip [rad].
     forward: (..., 3) level unit vector out along the arm, world.
     width: of the blade [m].
-    lip: angle from the line bucket pin to tip down to the cutting plate [rad].
     """
     velocity, forward = np.asarray(tip_velocity, dtype=float), np.asarray(forward, dtype=float)
     depth = np.maximum(soil.surface - np.asarray(tip_position, dtype=float)[..., 2], 0.0)
     # the face's normal into the bucket: (faces, -cos) out along the arm and up
-    tilt = np.asarray(pitch, dtype=float) - lip
+    tilt = np.asarray(pitch, dtype=float) - LIP
     faces = np.sin(tilt)
     alpha = _usable(np.arccos(np.clip(-np.cos(tilt), -1.0, 1.0)), soil)
     into = faces * np.sum(velocity * forward, axis=-1)
@@ -131,10 +129,10 @@ class SoilReaction:
         machine's last link has no collision shape to measure.
     """
 
-    def __init__(self, robot: Robot, soil: Soil, *, lip: float = LIP) -> None:
+    def __init__(self, robot: Robot, soil: Soil) -> None:
         if not robot.has_pitch:
             raise InputError("soil acts on a bucket, whose last joint's axis stays level", key="soil", found=robot.name)
-        self._soil, self._lip = soil, lip
+        self._soil = soil
         self._width = bucket_width(robot) if soil.width is None else soil.width
         self._kinematics = BatchKinematics(robot)
 
@@ -170,7 +168,6 @@ class SoilReaction:
             forward=forward / np.linalg.norm(forward, axis=1, keepdims=True),
             soil=self._soil,
             width=self._width,
-            lip=self._lip,
         )
 
 

@@ -514,7 +514,7 @@ BAD: dict[str, tuple[Callable[[Data], None], list[str]]] = {
         both(cylinder(2, child=[0.4, 0.062, -1.1]), cylinder(3, child=[0.4, -0.062, -1.1])),
         ["cylinders[2] (boom left)", "dead centre near"],
     ),
-    "later version": (at("version", 2), ["version", "input should be 1", "found 2"]),
+    "later version": (at("version", 2), ["version", "found 2", "allowed: 1"]),
 }
 
 

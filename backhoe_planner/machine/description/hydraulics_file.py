@@ -20,19 +20,10 @@ from backhoe_planner.errors import RobotError, nearest_name
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import read_yaml
 from backhoe_planner.machine.description.urdf import Urdf, axis_of
-from backhoe_planner.machine.hydraulics.cylinder import Cylinder
-from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
+from backhoe_planner.machine.hydraulics.hydraulics import Cylinder, Hydraulics
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
 
-__all__ = [
-    "CylinderRecord",
-    "EngineRecord",
-    "HydraulicsRecord",
-    "PumpRecord",
-    "RockerRecord",
-    "description_beside",
-    "read_hydraulics",
-]
+__all__ = ["HydraulicsRecord", "description_beside", "read_hydraulics"]
 
 
 _LARGEST = 1e9  # Pa, W: a pressure of 1e9 Pa no oil line bears
@@ -158,23 +149,15 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
         record = HydraulicsRecord.model_validate(content)
     except ValidationError as error:
         raise RobotError(explain(error, content, root=HydraulicsRecord, lines=lines), file=file) from None
-    cylinders = []
     places = [_Place(file, f"cylinders[{index}]", spec.name) for index, spec in enumerate(record.cylinders)]
-    for spec, place in zip(record.cylinders, places, strict=True):
-        joint = _turning_joint(spec.joint, urdf.joints, place)
-        linkage = _linkage(spec, joint, place)
-        cylinders.append(
-            Cylinder(
-                name=spec.name,
-                joint=spec.joint,
-                bore=spec.bore,
-                rod=spec.rod,
-                closed=spec.closed,
-                open=spec.open,
-                linkage=linkage,
-                flow=record.pump.flow if spec.flow is None else min(spec.flow, record.pump.flow),
-            )
+    cylinders = [
+        Cylinder(
+            **spec.model_dump(include={"name", "joint", "bore", "rod", "closed", "open"}),
+            linkage=_linkage(spec, _turning_joint(spec.joint, urdf.joints, place), place),
+            flow=record.pump.flow if spec.flow is None else min(spec.flow, record.pump.flow),
         )
+        for spec, place in zip(record.cylinders, places, strict=True)
+    ]
     ranges = {}
     for name in dict.fromkeys(cylinder.joint for cylinder in cylinders):
         mine = [(c, place) for c, place in zip(cylinders, places, strict=True) if c.joint == name]
@@ -208,18 +191,15 @@ class _Place:
 
 def _turning_joint(name: str, joints: Mapping[str, yourdfpy.Joint], place: _Place) -> yourdfpy.Joint:
     turning = [joint.name for joint in joints.values() if joint.type == "revolute"]
+    allowed = ", ".join(turning) or "none"
     if name not in joints:
         near = nearest_name(name, turning)
         hint = f"; did you mean {near!r}?" if near else ""
-        raise place.wrong(
-            f"the URDF has no such joint{hint}", key="joint", found=name, allowed=", ".join(turning) or "none"
-        )
+        raise place.wrong(f"the URDF has no such joint{hint}", key="joint", found=name, allowed=allowed)
     if name not in turning:
+        found = f"{name}, {joints[name].type}"
         raise place.wrong(
-            "a cylinder moves a joint that turns between limits",
-            key="joint",
-            found=f"{name}, {joints[name].type}",
-            allowed=", ".join(turning) or "none",
+            "a cylinder moves a joint that turns between limits", key="joint", found=found, allowed=allowed
         )
     return joints[name]
 
@@ -297,25 +277,18 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
     ends: list[float] = []
     for cylinder, place in cylinders:
         shortest, longest = cylinder.linkage.length_range
+        closed, opened = cylinder.closed, cylinder.open
         # beside another cylinder, one may pass the dead centre at which it is shortest
-        if alone and cylinder.closed < shortest:
-            raise place.wrong(
-                "is shorter than the pins come together",
-                key="closed",
-                found=cylinder.closed,
-                allowed=f"{shortest:.4f} m or more",
-            )
-        if cylinder.open > longest:
-            raise place.wrong(
-                "is longer than the pins come apart",
-                key="open",
-                found=cylinder.open,
-                allowed=f"{longest:.4f} m or less",
-            )
+        if alone and closed < shortest:
+            allowed = f"{shortest:.4f} m or more"
+            raise place.wrong("is shorter than the pins come together", key="closed", found=closed, allowed=allowed)
+        if opened > longest:
+            allowed = f"{longest:.4f} m or less"
+            raise place.wrong("is longer than the pins come apart", key="open", found=opened, allowed=allowed)
         at_limits = cylinder.linkage.length(np.linspace(lower, upper, _SAMPLES))
         for key, end, beyond in (
-            ("closed", cylinder.closed, float(np.min(at_limits))),
-            ("open", cylinder.open, float(np.max(at_limits))),
+            ("closed", closed, float(np.min(at_limits))),
+            ("open", opened, float(np.max(at_limits))),
         ):
             if (beyond < end - 1e-9) if key == "closed" else (beyond > end + 1e-9):
                 raise place.wrong(

@@ -93,8 +93,7 @@ def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[LinkPiece, ...]:
                 pieces += _pieces_of(urdf, collision.geometry, T_joint_link * se3(collision.origin))
             except InputError as error:
                 raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > collision") from error
-        for index, piece in enumerate(pieces):
-            found.append(LinkPiece(name=f"{link.name}/{index}", link=link.name, joint=joint, piece=piece))
+        found += [LinkPiece(f"{link.name}/{k}", link.name, joint, piece) for k, piece in enumerate(pieces)]
     return tuple(found)
 
 
@@ -142,15 +141,5 @@ def visuals_of(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:
             else:
                 kind, size = "mesh", tuple(float(s) for s in _mesh_scale(geometry.mesh))
                 mesh = urdf.mesh_path(geometry.mesh.filename)
-            found.append(
-                Visual(
-                    link=link.name,
-                    joint=joint,
-                    placement=T_joint_link * se3(visual.origin),
-                    kind=kind,
-                    size=size,
-                    mesh=mesh,
-                    rgba=rgba,
-                )
-            )
+            found.append(Visual(link.name, joint, T_joint_link * se3(visual.origin), kind, size, mesh, rgba))
     return tuple(found)

@@ -11,6 +11,7 @@ Forces push positive, lengths grow positive.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,9 +21,9 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.hydraulics.cylinder import Cylinder
+from backhoe_planner.machine.hydraulics.linkage import Linkage
 
-__all__ = ["BothWays", "Hydraulics"]
+__all__ = ["BothWays", "Cylinder", "Hydraulics"]
 
 
 _CLOSES = 1e-7  # m: an angle whose length is this far off is on another branch
@@ -41,6 +42,45 @@ class BothWays:
 
     positive: Array
     negative: Array
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A double-acting cylinder, and the linkage by which it moves its joint.
+
+    Attributes
+    ----------
+    name: unique.
+    joint: the joint that it moves.
+    bore, rod: diameters [m].
+    closed, open: shortest and longest pin-to-pin length [m].
+    linkage: length and moment arm over the joint's angle.
+    flow: the most that its valve passes [m^3/s].
+    """
+
+    name: str
+    joint: str
+    bore: float
+    rod: float
+    closed: float
+    open: float
+    linkage: Linkage
+    flow: float
+
+    @property
+    def stroke(self) -> float:
+        """[m]"""
+        return self.open - self.closed
+
+    @property
+    def cap_area(self) -> float:
+        """Of the piston, on which oil presses to extend [m^2]."""
+        return 0.25 * math.pi * self.bore**2
+
+    @property
+    def annulus_area(self) -> float:
+        """Of the piston less the rod, on which oil presses to retract [m^2]."""
+        return 0.25 * math.pi * (self.bore**2 - self.rod**2)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -16,8 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion.path import step_lengths
-from backhoe_planner.motion.smooth_way import SmoothWay
+from backhoe_planner.motion.path import SmoothWay, step_lengths
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory

@@ -1,7 +1,7 @@
-"""The working envelope: how far, how deep and how high the machine reaches.
+"""The figures of a data sheet: how far, how deep and how high the machine reaches, and how hard it digs.
 
-For a machine that works in one upright plane, figures as on a data sheet (in the spirit
-of ISO 7135 and SAE J1193), from the URDF alone:
+The working envelope of a machine that works in one upright plane (in the spirit of
+ISO 7135 and SAE J1193), from the URDF alone:
 
 - digging depth: the greatest depth of the tip below the ground z = 0;
 - reach at ground level: the greatest horizontal distance of the tip from the first
@@ -11,6 +11,16 @@ of ISO 7135 and SAE J1193), from the URDF alone:
 - bucket rotation and swing arc: the ranges of the last and the first joint.
 
 The sheet does not give the dump pitch; -80 degrees is ours.
+
+Digging forces at relief pressure (in the spirit of ISO 6015 and SAE J1179), from geometry
+alone:
+
+- bucket: the greatest force at the tooth tip, across the line bucket pin to tip, that the
+  bucket's cylinders give by curling, over the range of the bucket;
+- stick: the same of the stick's cylinders, across the line stick pin to tip, over the
+  range of the stick, with the bucket where its own force is greatest.
+
+All other cylinders hold, the machine neither tips nor slides, and nothing weighs.
 """
 
 from __future__ import annotations
@@ -21,14 +31,16 @@ import numpy as np
 from scipy.optimize import minimize
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine.kinematics.kinematics import Kinematics, wrap_angle
+from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics, wrap_angle
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["DUMP_PITCH", "Envelope", "reachable_points", "working_envelope"]
+__all__ = ["DiggingForces", "Envelope", "digging_forces", "reachable_points", "working_envelope"]
 
 
-DUMP_PITCH = np.radians(-80.0)
+_DUMP_PITCH = np.radians(-80.0)
 _GRID = 9  # points per joint
+_SAMPLES = 4001  # of a joint's range: a thousandth of a radian apart, torque being flat at its greatest
+_AT_PIN = 1e-3  # m: a tip this near the last pin cannot dig about it
 _SEEDS = 4  # of the grid's best points: one may lie beside a lesser maximum
 
 
@@ -60,17 +72,15 @@ def working_envelope(robot: Robot) -> Envelope | None:
     if not robot.has_pitch:
         return None
     plane = _Plane(robot)
-    reach, height = plane.largest(0), plane.largest(1)
-    depth = -plane.largest(1, sign=-1.0)
     loading = plane.loading()
     limits = robot.limits
     return Envelope(
-        digging_depth=depth,
+        digging_depth=-plane.largest(1, sign=-1.0),
         reach_at_ground=plane.reach_at_ground(),
         loading_height=None if loading is None else loading[1],
         loading_reach=None if loading is None else loading[0],
-        largest_reach=reach,
-        largest_height=height,
+        largest_reach=plane.largest(0),
+        largest_height=plane.largest(1),
         bucket_rotation=float(limits.upper[-1] - limits.lower[-1]),
         swing_arc=float(limits.upper[0] - limits.lower[0]) if plane.swings else None,
     )
@@ -87,22 +97,25 @@ class _Plane:
 
     def __init__(self, robot: Robot) -> None:
         self._kinematics = Kinematics(robot)
-        middle = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
-        at = self._kinematics.at(middle)
+        self._middle = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
+        at = self._kinematics.at(self._middle)
         # a first joint that does not raise anything swings the plane
         self.swings = bool(abs(at.J_world[5, 0]) > 0.99)
         self._first = 1 if self.swings else 0
-        self._held = middle
         finite = np.isfinite(robot.limits.lower) & np.isfinite(robot.limits.upper)
         self._lower = np.where(finite, robot.limits.lower, -np.pi)[self._first :]
         self._upper = np.where(finite, robot.limits.upper, np.pi)[self._first :]
         self._axis = at.points[0][:2]
 
+    def _at(self, angles: Vector) -> Configuration:
+        """The machine with the joints in the plane at `angles`."""
+        q = self._middle.copy()
+        q[self._first :] = angles
+        return self._kinematics.at(q)
+
     def point(self, angles: Vector) -> Vector:
         """(2,) radius and height [m] for the joints in the plane."""
-        q = self._held.copy()
-        q[self._first :] = angles
-        tip = self._kinematics.at(q).tip_position
+        tip = self._at(angles).tip_position
         return np.array([tip[0] - self._axis[0], tip[2]])
 
     def largest(self, axis: int, *, sign: float = 1.0) -> float:
@@ -119,17 +132,12 @@ class _Plane:
         angles = self._upper.copy()
         for turn in (0.0, -2.0 * np.pi, 2.0 * np.pi):
             angles[-1] = 0.0
-            last = wrap_angle(DUMP_PITCH - self._pitch(angles)) + turn
+            last = wrap_angle(_DUMP_PITCH - self._at(angles).pitch) + turn
             if self._lower[-1] <= last <= self._upper[-1]:
                 angles[-1] = last
                 radius, height = self.point(angles)
                 return float(radius), float(height)
         return None
-
-    def _pitch(self, angles: Vector) -> float:
-        q = self._held.copy()
-        q[self._first :] = angles
-        return self._kinematics.at(q).pitch
 
     def _best(self, axis: int, sign: float, *, on_ground: bool = False) -> Vector:
         """(k,) joints with the largest sign * point[axis]: from a grid's best, then SLSQP."""
@@ -154,3 +162,51 @@ class _Plane:
             if sign * reached[axis] > value:
                 best, value = found.x, sign * reached[axis]
         return np.asarray(np.clip(best, self._lower, self._upper))
+
+
+@dataclass(frozen=True)
+class DiggingForces:
+    """Forces at the tooth tip; see the module's text.
+
+    Attributes
+    ----------
+    bucket: by the last joint's cylinders [N]; bucket_at: position of that joint [rad].
+    stick: by those of the joint before [N]; stick_at: its position [rad].
+    """
+
+    bucket: float
+    bucket_at: float
+    stick: float
+    stick_at: float
+
+
+def digging_forces(robot: Robot) -> DiggingForces | None:
+    """The digging forces; None without cylinders on the last two joints, without a pitch, or with the tip on a pin."""
+    if robot.hydraulics is None or robot.n < 2 or not robot.has_pitch:
+        return None
+    if {robot.n - 2, robot.n - 1} - set(robot.hydraulics.joint_of.tolist()):
+        return None
+    kinematics = Kinematics(robot)
+    q = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
+    curl, q[-1] = _strongest(robot, q, robot.n - 1)
+    points = kinematics.at(q).points
+    pull, stick_at = _strongest(robot, q, robot.n - 2)
+    to_bucket_pin, to_stick_pin = np.linalg.norm(points[-1] - points[[-2, -3]], axis=1)
+    if to_bucket_pin < _AT_PIN:
+        return None
+    return DiggingForces(curl / float(to_bucket_pin), float(q[-1]), pull / float(to_stick_pin), stick_at)
+
+
+def _strongest(robot: Robot, q: Vector, joint: int) -> tuple[float, float]:
+    """The greatest torque that curls the joint [N m], and where in its range [rad]."""
+    assert robot.hydraulics is not None
+    angles = np.linspace(robot.limits.lower[joint], robot.limits.upper[joint], _SAMPLES)
+    postures = np.tile(q, (_SAMPLES, 1))
+    postures[:, joint] = angles
+    limits = robot.hydraulics.torque_limits(postures)
+    # to curl is to lower the tip where the arm reaches out, and so the pitch
+    level = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
+    lifts = Kinematics(robot).at(level).pitch_row[joint] > 0.0
+    torque = (limits.negative if lifts else limits.positive)[:, joint]
+    best = int(np.argmax(torque))
+    return float(torque[best]), float(angles[best])
