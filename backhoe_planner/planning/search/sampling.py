@@ -8,6 +8,7 @@ are about times.
 from __future__ import annotations
 
 import itertools
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -106,6 +107,10 @@ def _quiet() -> Iterator[None]:
         util.setLogLevel(level)
 
 
+# OMPL has one seed for the whole process: a search beside another one would take random numbers from it
+_SEEDED = threading.Lock()
+
+
 class _Search:
     """One run of RRTConnect, in joint times (positions over velocity limits).
 
@@ -122,7 +127,8 @@ class _Search:
 
     def run(self, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
         try:
-            found = self._solve(start, goals, seed)
+            with _SEEDED:
+                found = self._solve(start, goals, seed)
         finally:
             raised, self._raised = self._raised, None
         if raised is not None:
