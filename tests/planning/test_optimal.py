@@ -206,7 +206,7 @@ def test_plans_keep_limits_and_clearances_by_the_certificate(backhoe: bp.Robot, 
     assert told.value == pytest.approx(plan.metrics.energy[name], rel=1e-9)  # it begins on the path
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(4))
 def test_no_plan_is_worse_than_the_law_and_a_free_start_is_no_worse(backhoe: bp.Robot, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = np.array([0.0, 0.5, -1.3, -0.9]) + 0.2 * rng.standard_normal(4)

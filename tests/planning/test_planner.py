@@ -84,13 +84,13 @@ def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int)
         assert refutations(plan, refine=refine, itself=False) == []
 
 
-@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("seed", range(10))
 def test_no_verified_plan_of_a_random_scene_is_refuted(planar4: bp.Robot, seed: int) -> None:
     scene = random_planar_scene(planar4, np.random.default_rng(seed))
     plan = bp.plan(planar4, scene, effort="quick")
     assert plan.verified == (plan.reason == "") == plan.certificate.verified
     assert refutations(plan, refine=4) == []
-    if seed != 1:
+    if seed in (2, 3, 4, 5, 7):
         assert plan.verified, plan.message
 
 
