@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import InputError, nearest_name
+from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import (
     Problem,
@@ -124,14 +124,7 @@ def _checked_method(method: str) -> Method:
     for known in METHODS:
         if method == known:
             return known
-    near = nearest_name(method, METHODS)
-    raise InputError(
-        "no such method",
-        key="method",
-        found=method,
-        allowed=", ".join(METHODS),
-        hint=f"did you mean {near!r}?" if near else None,
-    )
+    raise InputError.unknown_name("no such method", method, names=METHODS, key="method")
 
 
 def _drivable(

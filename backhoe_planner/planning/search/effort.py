@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from backhoe_planner.errors import InputError, nearest_name
+from backhoe_planner.errors import InputError
 
 __all__ = ["DEFAULT_BUDGET", "EFFORTS", "Brake", "Effort", "OutOfTime", "Work", "effort_named"]
 
@@ -87,14 +87,7 @@ def effort_named(name: str) -> Effort:
     InputError: there is none.
     """
     if name not in EFFORTS:
-        near = nearest_name(name, EFFORTS)
-        raise InputError(
-            "no such effort",
-            key="effort",
-            found=name,
-            allowed=", ".join(EFFORTS),
-            hint=f"did you mean {near!r}?" if near else None,
-        )
+        raise InputError.unknown_name("no such effort", name, names=EFFORTS, key="effort")
     return EFFORTS[name]
 
 
