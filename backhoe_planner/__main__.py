@@ -8,8 +8,6 @@ import sys
 from types import FrameType
 from typing import NoReturn
 
-__all__ = ["main"]
-
 _INTERRUPTED = 130
 
 

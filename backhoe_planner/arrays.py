@@ -7,8 +7,6 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "Flags", "Indices", "Matrix", "Vector"]
-
 Array: TypeAlias = NDArray[np.float64]
 """Of any shape."""
 Matrix: TypeAlias = NDArray[np.float64]

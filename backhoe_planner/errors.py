@@ -20,8 +20,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = ["InputError", "OutputError", "PlanFileError", "PlannerError", "RobotError", "SceneError", "nearest_name"]
-
 
 class PlannerError(Exception):
     """Root of every error that this package raises on purpose."""

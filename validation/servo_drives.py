@@ -21,7 +21,7 @@ from scipy.optimize import linprog
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
-from backhoe_planner.site import build_obstacle, scene_file
+from backhoe_planner.site import build_obstacle, obstacle_shapes
 from validation.obstacles import Record, halfspace, random_obstacle
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import LinkDistances, Nearest
@@ -70,7 +70,7 @@ def free_posture(robot: bp.Robot, rng: np.random.Generator) -> Vector:
 class _Standing:
     """An obstacle on the site: what it is, its distance function, how far it has moved (3,) [m]."""
 
-    spec: scene_file.ObstacleSpec
+    spec: obstacle_shapes.ObstacleSpec
     distance: SignedDistance
     shift: Vector = field(default_factory=lambda: np.zeros(3))
     moves: bool = False

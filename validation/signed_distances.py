@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import load_mesh
-from backhoe_planner.site import scene_file
+from backhoe_planner.site import obstacle_shapes
 
 __all__ = [
     "SignedDistance",
@@ -57,17 +57,17 @@ def hull_distance(points: Matrix, hull: trimesh.Trimesh) -> NDArray[np.float64]:
     return np.asarray(np.max(points @ hull.face_normals.T - offsets, axis=1))
 
 
-def obstacle_distance(spec: scene_file.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
+def obstacle_distance(spec: obstacle_shapes.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
     """The distance to an obstacle of a scene, where it stands at time 0, as a function of points (K, 3).
 
     Raises
     ------
     NotImplementedError: heightmaps and point clouds are not written out here.
     """
-    if isinstance(spec, scene_file.HalfSpace):
+    if isinstance(spec, obstacle_shapes.HalfSpace):
         point, normal = np.array(spec.point), np.array(spec.normal)
         return lambda points: np.asarray((points - point) @ normal)
-    if isinstance(spec, scene_file.Capsule):
+    if isinstance(spec, obstacle_shapes.Capsule):
         start, end = np.array(spec.start), np.array(spec.end)
         return lambda points: capsule_distance(points, start, end, spec.radius)
     rotation, place = spec.placement.rotation, spec.placement.translation
@@ -75,14 +75,14 @@ def obstacle_distance(spec: scene_file.ObstacleSpec, scene: bp.Scene) -> SignedD
     def local(points: Matrix) -> Matrix:
         return np.asarray((points - place) @ rotation)
 
-    if isinstance(spec, scene_file.Sphere):
+    if isinstance(spec, obstacle_shapes.Sphere):
         return lambda points: sphere_distance(points - place, spec.radius)
-    if isinstance(spec, scene_file.Box):
+    if isinstance(spec, obstacle_shapes.Box):
         size = np.array(spec.size)
         return lambda points: box_distance(local(points), size)
-    if isinstance(spec, scene_file.Cylinder):
+    if isinstance(spec, obstacle_shapes.Cylinder):
         return lambda points: cylinder_distance(local(points), spec.radius, spec.length)
-    if isinstance(spec, scene_file.Mesh):
+    if isinstance(spec, obstacle_shapes.Mesh):
         mesh = load_mesh(scene.folder / spec.file)
         mesh.apply_scale(spec.scale)
         return lambda points: -np.asarray(trimesh.proximity.signed_distance(mesh, local(points)))

@@ -18,8 +18,6 @@ import backhoe_planner as bp
 from backhoe_planner.cli import inspect_command, plan_commands, teleop_command
 from backhoe_planner.cli.terminal import BAD_INPUT, ERR, FAILED, INTERRUPTED, VERIFIED
 
-__all__ = ["app", "main"]
-
 app = typer.Typer(
     help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
     no_args_is_help=True,

@@ -15,8 +15,6 @@ from backhoe_planner import machine, show
 from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf
 from backhoe_planner.files.output_file import check_writable
 
-__all__ = ["inspect", "schema"]
-
 
 def inspect(
     urdf: Urdf,

@@ -26,8 +26,6 @@ from backhoe_planner.cli.terminal import (
 )  # fmt: skip
 from backhoe_planner.files.output_file import check_writable
 
-__all__ = ["check", "export", "plan", "plot", "view"]
-
 
 def plan(
     urdf: Urdf,

@@ -14,8 +14,6 @@ import backhoe_planner as bp
 from backhoe_planner import live, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT
 
-__all__ = ["describe_quantity", "print_certificate", "print_plan", "print_recording"]
-
 _MOST_PARTS = 3  # parts of a path that are listed one by one: what still fits into a line or two
 
 

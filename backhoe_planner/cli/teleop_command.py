@@ -15,8 +15,6 @@ from backhoe_planner import show
 from backhoe_planner.cli.terminal import ERR, FAILED, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_writable
 
-__all__ = ["teleop"]
-
 
 def teleop(
     urdf: Urdf,

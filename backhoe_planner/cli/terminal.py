@@ -10,11 +10,6 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-__all__ = [
-    "BAD_INPUT", "DEGREES", "ERR", "FAILED", "INTERRUPTED", "OUT", "VERIFIED",
-    "PlanFile", "PlanUrdf", "SceneFile", "Urdf", "print_warnings",
-]  # fmt: skip
-
 Urdf = Annotated[str, typer.Argument(metavar="URDF", help="A URDF file, or example:NAME.", show_default=False)]
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).", show_default=False)]
 PlanFile = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file (JSON).", show_default=False)]

@@ -11,8 +11,6 @@ from typing import IO, Any
 
 from backhoe_planner.errors import OutputError
 
-__all__ = ["check_writable", "whole_file"]
-
 
 @contextlib.contextmanager
 def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:

@@ -16,8 +16,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from backhoe_planner.errors import nearest_name
 from backhoe_planner.files.yaml_text import KeyPath
 
-__all__ = ["Figure", "Record", "describe", "exactly_one", "explain"]
-
 _LARGEST_FIGURE = 1e30  # in any unit: squares of it are still numbers
 
 _BRIEF = 80  # characters: a value that is longer is not repeated in a message

@@ -17,8 +17,6 @@ import yaml
 
 from backhoe_planner.errors import InputError, SceneError
 
-__all__ = ["KeyPath", "read_yaml"]
-
 KeyPath = tuple[str | int, ...]
 
 

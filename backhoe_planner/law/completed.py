@@ -38,8 +38,6 @@ from backhoe_planner.law.null_space import TaskInverse, resolve, resolve_on_null
 from backhoe_planner.machine import Configuration, Robot
 from backhoe_planner.site import Gains, Nearby
 
-__all__ = ["CompletedLaw", "CriticalRows", "Wish", "activation", "push_factor"]
-
 _EPSILON = 2e-2  # (m/rad)^2: rows weaker than its root fade out
 _LARGEST_PUSH = 3.0  # times nominal
 _NEAREST_PUSH = math.sqrt(1.0 + _LARGEST_PUSH)

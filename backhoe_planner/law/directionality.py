@@ -41,8 +41,6 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Configuration
 
-__all__ = ["LinkChain", "Magnification", "Reference", "link_chain", "link_jacobian", "link_velocities"]
-
 Magnification = Literal["printed", "norm_preserving"]
 Reference = Literal["tip_referenced", "standard"]
 

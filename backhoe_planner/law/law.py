@@ -25,8 +25,6 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law.null_space import pseudo_inverse
 
-__all__ = ["general_solution", "joint_velocity", "null_space_term", "projector"]
-
 
 def projector(J_e: Matrix) -> Matrix:
     """(n, n) N = I - J_e^+ J_e of equation (3), for J_e (m, n)."""

@@ -17,8 +17,6 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 
-__all__ = ["TaskInverse", "pseudo_inverse", "resolve", "resolve_on_null_line"]
-
 RANK_TOLERANCE = 1e-4  # of the largest singular value
 _ROUNDING = 1e-10  # of the scale of a matrix: singular values below are rounding
 

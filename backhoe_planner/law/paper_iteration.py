@@ -19,8 +19,6 @@ from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movabl
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import Gains, Nearby, Proximity
 
-__all__ = ["ITERATIONS", "Push", "paper_gains", "paper_step", "run_iteration"]
-
 ITERATIONS = 100
 _PUSH = 0.2  # |xdot_o| per iteration [m]
 

@@ -23,8 +23,6 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 
-__all__ = ["PRICE", "UNBOUNDED", "Kind", "QuadraticProgram", "Rows", "Solution", "solve_program", "step_on_path"]
-
 PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
 UNBOUNDED = 1e30  # from here on daqp counts a bound as none
 

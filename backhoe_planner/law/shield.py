@@ -26,8 +26,6 @@ from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
 
-__all__ = ["Shield", "Shielded"]
-
 _ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W
 _STOPPING_PART = 1.6  # gamma T: 2 would stop exactly at the clearance
 _RECOVERY = 1.0  # 1/s, rate at which a violated clearance or limit is to be left

@@ -32,8 +32,6 @@ from backhoe_planner.live.servo.servo_state import ServoState
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
 
-__all__ = ["FollowerState", "FollowerStatus", "PlanFollower"]
-
 _PULL = 10.0  # 1/s
 _PART = 0.5  # of the acceleration that the way back onto the plan is braked with
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still

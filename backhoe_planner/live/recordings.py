@@ -16,8 +16,6 @@ from backhoe_planner.planning import Findings, Plan, RecordingNotes, measure_mot
 from backhoe_planner.proof import certify_problem
 from backhoe_planner.site import Scene, Transgression, scene_from_dict
 
-__all__ = ["is_recording", "plan_from_recording", "problem_to_show", "unrecorded_changes"]
-
 
 def plan_from_recording(
     robot: Robot,

@@ -32,8 +32,6 @@ from backhoe_planner.planning import (
 from backhoe_planner.proof import TOUCH, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
-__all__ = ["NoRejoining", "Rejoining", "RejoiningQuery", "find_rejoining", "is_still_clear"]
-
 _EFFORTS = (EFFORTS["quick"], EFFORTS["normal"])  # of the sampling, at the first attempt and at the further ones
 _EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
 _HARD = (0.003, 0.01)  # further ones in turn

@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["geometry_model", "self_pairs", "tip_travel_bound", "travel_bounds"]
-
 _SAMPLES = 60  # postures: a rate of 0.9 is then known to within 0.04 (one standard deviation)
 _TOUCHES_BY_CONSTRUCTION = 0.9  # of the sampled postures
 

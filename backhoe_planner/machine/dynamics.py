@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["GRAVITY", "Dynamics", "MotionEnergy", "motion_energy"]
-
-
 GRAVITY = 9.81  # m/s^2
 
 

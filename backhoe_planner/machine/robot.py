@@ -24,9 +24,6 @@ from backhoe_planner.machine.description.link_shapes import LinkPiece, Visual, l
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 
-__all__ = ["JointLimits", "Robot", "load_robot"]
-
-
 _DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none
 _FULL_RATE_AFTER = 0.5  # s: acceleration where neither URDF nor scene gives one
 

@@ -44,9 +44,6 @@ from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import SoilReaction
 
-__all__ = ["WIDEST_STEP", "PathCost", "trajectory_costs", "trajectory_energy"]
-
-
 WIDEST_STEP = 0.7  # rad or m that one joint may move in a step
 _SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added: enough to choose between motions that cost nothing
 _TYPICAL = 64  # seeded postures over which loads are averaged

@@ -25,8 +25,6 @@ from backhoe_planner.machine import Dynamics, Hydraulics, MotionEnergy, Robot
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import SoilReaction
 
-__all__ = ["OBJECTIVES", "LoadedMachine", "Nodes", "Objective", "Step", "TipVelocities", "Usual", "find_objective"]
-
 # (B, 3) or (3,) of the tip on the step that ends at a node and on the one that begins there [m/s], None for at rest
 TipVelocities = tuple[Array | None, Array | None]
 Parts = TypeVar("Parts", bound="Nodes")

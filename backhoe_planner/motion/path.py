@@ -19,9 +19,6 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import TipTarget, wrap_angle
 from backhoe_planner.site import Waypoint
 
-__all__ = ["SmoothWay", "TipPath", "step_lengths"]
-
-
 _TURN_LENGTH = 0.5  # m per rad: how long a leg counts on which the tip only turns
 _JOINT_TURN_LENGTH = 0.1  # m that a radian of the joints counts as, so that a motion goes on where the tip stands
 

@@ -13,8 +13,6 @@ from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import Gains, Goal, Obstacle, Pose, Scene, build_obstacles, scaled_limits, within_sectors
 
-__all__ = ["Problem", "build_problem", "hand_set_gains"]
-
 
 @dataclass(frozen=True, eq=False)
 class Problem:

@@ -19,9 +19,6 @@ from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import Obstruction
 
-__all__ = ["ANGLE_TOLERANCE", "GOAL_TOLERANCE", "Detour", "Tracking", "progress", "track_goal", "track_path"]
-
-
 GOAL_TOLERANCE = 1e-3  # m
 ANGLE_TOLERANCE = 1e-2  # rad
 _BEGINNING = 0.1  # of the path: while less is done, the tip may still be approaching

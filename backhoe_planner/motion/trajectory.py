@@ -11,9 +11,6 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import JointLimits
 
-__all__ = ["SAMPLE_PERIOD", "Moments", "Trajectory", "chord_sagitta"]
-
-
 SAMPLE_PERIOD = 0.02  # s between the samples of a planned motion
 # rad or m of a joint between two moments at which limits are looked at: the greatest flow of
 # a rod is met to within 0.1 %

@@ -18,9 +18,6 @@ from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
 
-__all__ = ["ToGoal", "describe_attempts"]
-
-
 _LONG_SEARCH = 8  # times as many starting points, before a goal is said to be in collision
 _MOST_POSTURES = 8  # that the law is sent to, one attempt each
 

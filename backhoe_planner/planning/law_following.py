@@ -26,9 +26,6 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
 
-__all__ = ["follow_with_law"]
-
-
 _RASTER = 0.05  # m on which the path ahead is searched for a point to rejoin at
 _COARSE = 0.25  # m to the next such point, once one was found that cannot be got to
 _MOST_DETOURS = 8

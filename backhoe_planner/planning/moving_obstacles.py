@@ -30,9 +30,6 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, swept
 
-__all__ = ["plan_over_time"]
-
-
 _Reacted = tuple[Outcome, str, float | None]  # how the motion goes on, and when the machine stands [s]
 
 _WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s

@@ -16,8 +16,6 @@ from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
 
-__all__ = ["Outcome", "at_rest", "bad_start", "blocked_path", "no_posture"]
-
 
 @dataclass(frozen=True, eq=False)
 class Outcome:

@@ -28,9 +28,6 @@ from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world import World
 
-__all__ = ["AlongPath", "plan_along_path", "waypoint_out_of_reach"]
-
-
 _MOST_WAYPOINTS = 32  # of a path are tried before it is planned
 _GUESSES = 24  # for each of them
 _ROOM = 5e-4  # m of margin below which the samples lie closer

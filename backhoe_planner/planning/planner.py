@@ -36,9 +36,6 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
 
-__all__ = ["plan"]
-
-
 _SLOWER = 3  # times that a motion is planned with slower joints
 _TOO_MUCH = 10.0  # times a limit
 _SEARCH = 4  # times the usual starting points of the inverse kinematics, for a start that is given by the tip

@@ -15,9 +15,6 @@ from backhoe_planner.planning.search.sampling import JointPath, sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world import World
 
-__all__ = ["find_detour", "find_transit", "play"]
-
-
 _SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
 _TUBES = (0.25, 0.6, 1.5)  # m, and half of what is left out, that a detour may go off the path
 _DETOURS = 4  # of which the shortest is taken

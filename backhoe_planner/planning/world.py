@@ -15,8 +15,6 @@ from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstacle, Proximity
 
-__all__ = ["World"]
-
 
 class World:
     """A problem among certain obstacles, and the work that may be done on it.

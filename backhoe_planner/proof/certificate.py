@@ -15,8 +15,6 @@ from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
 from backhoe_planner.site import Obstruction, Proximity, Scene
 
-__all__ = ["Certificate", "certify", "certify_problem"]
-
 
 @dataclass(frozen=True)
 class Certificate:

@@ -20,9 +20,6 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.site import Obstruction, Proximity
 
-__all__ = ["KEPT_WITHIN", "TOUCH", "find_clearances", "path_segment_is_clear", "segment_is_clear"]
-
-
 RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance
 _RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
 KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts as keeping it

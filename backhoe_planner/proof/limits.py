@@ -8,8 +8,6 @@ import numpy as np
 
 from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
 
-__all__ = ["LimitUse", "describe_ratio", "machine_uses", "position_use", "tip_speed_use"]
-
 _ROUNDING = 1e-6  # of a limit
 # of the asked speed: a motion is timed along the arc of the path, from which the tip may be off by its tolerance
 _TIP_SPEED_WITHIN = 0.03

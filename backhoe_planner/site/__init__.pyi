@@ -1,6 +1,9 @@
 from .clearance_screen import ClearanceScreen as ClearanceScreen
 from .limits import scaled_limits as scaled_limits
 from .limits import within_sectors as within_sectors
+from .obstacle_shapes import Box as Box
+from .obstacle_shapes import Capsule as Capsule
+from .obstacle_shapes import HalfSpace as HalfSpace
 from .obstacles import Obstacle as Obstacle
 from .obstacles import build_obstacle as build_obstacle
 from .obstacles import build_obstacles as build_obstacles
@@ -9,11 +12,8 @@ from .obstruction import Obstruction as Obstruction
 from .proximity import Nearby as Nearby
 from .proximity import Proximity as Proximity
 from .quantities import Finite as Finite
-from .scene_file import Box as Box
-from .scene_file import Capsule as Capsule
 from .scene_file import Gains as Gains
 from .scene_file import Goal as Goal
-from .scene_file import HalfSpace as HalfSpace
 from .scene_file import Pose as Pose
 from .scene_file import Scene as Scene
 from .scene_file import Soil as Soil

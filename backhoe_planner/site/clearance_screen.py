@@ -15,9 +15,6 @@ from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, ConfigurationBatch, Piece
 from backhoe_planner.site.proximity import Proximity
 
-__all__ = ["ClearanceScreen"]
-
-
 _PORTION = 2_000_000  # numbers in one array at most
 _MOST_BALLS = 8  # around one piece
 

@@ -10,8 +10,6 @@ from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import JointLimits, Robot
 from backhoe_planner.site.scene_file import Scene, SwingSector
 
-__all__ = ["scaled_limits", "within_sectors"]
-
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
     """The machine's limits with the scene's velocity scale, accelerations and swing sectors.

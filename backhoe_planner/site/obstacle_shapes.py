@@ -30,19 +30,6 @@ from backhoe_planner.site.quantities import (
 )
 from backhoe_planner.site.survey_files import read_heights, read_points
 
-__all__ = [
-    "Box",
-    "Capsule",
-    "Cylinder",
-    "HalfSpace",
-    "HeightMap",
-    "Mesh",
-    "ObstacleRecord",
-    "ObstacleSpec",
-    "PointCloud",
-    "Sphere",
-]
-
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up: what a bucket's teeth leave behind
 _TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep
 _FLATTEST = 1e-5  # of the radius: a flatter cylinder's prism is flat to what builds hulls

@@ -18,10 +18,8 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site import scene_file
-
-__all__ = ["Obstacle", "build_obstacle", "build_obstacles", "swept"]
-
+from backhoe_planner.site import obstacle_shapes
+from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
 
 _MOST_PIECES = 20_000  # of one obstacle: with the 20 pieces of a machine they make 400,000 pairs
 
@@ -48,8 +46,8 @@ class Obstacle:
     links: tuple[str, ...] | None
     appears_at: float
     velocity: Vector
-    spec: scene_file.ObstacleSpec
-    zone: scene_file.ZoneSpec | None = None
+    spec: obstacle_shapes.ObstacleSpec
+    zone: ZoneSpec | None = None
 
     @property
     def slow(self) -> float:
@@ -62,7 +60,7 @@ class Obstacle:
         return bool(np.any(self.velocity))
 
 
-def build_obstacles(scene: scene_file.Scene, robot: Robot) -> tuple[Obstacle, ...]:
+def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
     """Every obstacle of a scene, then every zone that is solid, checked against the machine's link names.
 
     Raises
@@ -70,10 +68,10 @@ def build_obstacles(scene: scene_file.Scene, robot: Robot) -> tuple[Obstacle, ..
     SceneError: a file is missing, empty or malformed, or `links` names no link.
     """
     built = []
-    solids: list[tuple[str, scene_file.ObstacleSpec, scene_file.ZoneSpec | None]]
+    solids: list[tuple[str, obstacle_shapes.ObstacleSpec, ZoneSpec | None]]
     solids = [(f"obstacles[{index}] ({spec.name})", spec, None) for index, spec in enumerate(scene.obstacles)]
     for index, zone in enumerate(scene.zones):
-        if not isinstance(zone, scene_file.SwingSector):
+        if not isinstance(zone, SwingSector):
             solids.append((f"zones[{index}] ({zone.name})", zone.solid(), zone))
     for key, spec, record in solids:
         for link in spec.links or ():
@@ -91,7 +89,7 @@ def build_obstacles(scene: scene_file.Scene, robot: Robot) -> tuple[Obstacle, ..
     return tuple(built)
 
 
-def build_obstacle(spec: scene_file.ObstacleSpec, *, folder: Path, clearance: float) -> Obstacle:
+def build_obstacle(spec: obstacle_shapes.ObstacleSpec, *, folder: Path, clearance: float) -> Obstacle:
     """One obstacle.
 
     Parameters

@@ -7,8 +7,6 @@ from typing import Literal
 
 from pydantic import ConfigDict, with_config
 
-__all__ = ["Obstruction", "ObstructionKind"]
-
 ObstructionKind = Literal["obstacle", "machine", "joint"]
 
 

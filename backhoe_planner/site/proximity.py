@@ -30,8 +30,6 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
 
-__all__ = ["Nearby", "Pair", "Proximity"]
-
 Indices = NDArray[np.intp]
 
 

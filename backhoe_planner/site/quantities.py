@@ -10,21 +10,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import Field
 
-__all__ = [
-    "LARGEST",
-    "AnyLength",
-    "Finite",
-    "Length",
-    "NonNegative",
-    "PitchRange",
-    "Positive",
-    "Quaternion",
-    "Vector3",
-    "direction",
-    "rotation_matrix",
-    "unit_quaternion",
-]
-
 # strict: neither true nor "0.3" is a number
 LARGEST = 1e5  # m, kg, s, ...: no site is larger, and products of a few such numbers are still finite
 Finite = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]

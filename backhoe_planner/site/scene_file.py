@@ -24,14 +24,8 @@ from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import shipped
 from backhoe_planner.site.obstacle_shapes import (
     Box,
-    Capsule,
-    Cylinder,
     HalfSpace,
-    HeightMap,
-    Mesh,
     ObstacleSpec,
-    PointCloud,
-    Sphere,
 )
 from backhoe_planner.site.quantities import (
     AnyLength,
@@ -46,38 +40,6 @@ from backhoe_planner.site.quantities import (
     rotation_matrix,
     unit_quaternion,
 )
-
-__all__ = [
-    "Box",
-    "Cab",
-    "Capsule",
-    "Ceiling",
-    "Cylinder",
-    "Floor",
-    "Gains",
-    "Goal",
-    "HalfSpace",
-    "HeightMap",
-    "Limits",
-    "Mesh",
-    "ObstacleSpec",
-    "PathTask",
-    "PointCloud",
-    "Pose",
-    "Scene",
-    "Soil",
-    "Sphere",
-    "Start",
-    "SwingSector",
-    "Task",
-    "Wall",
-    "Waypoint",
-    "ZoneSpec",
-    "load_scene",
-    "obstacle_from_dict",
-    "scene_from_dict",
-    "scene_schema",
-]
 
 
 class Pose(Record):

@@ -29,9 +29,6 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.machine import GRAVITY, BatchKinematics, ConfigurationBatch, Robot
 from backhoe_planner.site.scene_file import Soil
 
-__all__ = ["LIP", "SoilReaction", "blade_force", "bucket_width", "failure_angle", "soil_force"]
-
-
 LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
 _FLATTEST = np.radians(10.0)  # a flatter blade only slides
 _CREEP = 0.01  # m/s: below, the force fades, so that it is continuous where the motion turns round

@@ -10,8 +10,6 @@ import trimesh
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 
-__all__ = ["read_heights", "read_points"]
-
 
 def read_heights(path: Path) -> Vector:
     """(rows, columns) heights [m] from a CSV without header.

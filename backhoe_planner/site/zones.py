@@ -21,8 +21,6 @@ from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
 
-__all__ = ["Level", "Motion", "Transgression", "ZoneLog", "pace", "worst_first", "zone_log"]
-
 Level = Literal["warn", "slow", "stop"]
 
 _Key = tuple[str, Level]

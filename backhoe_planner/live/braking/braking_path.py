@@ -21,8 +21,6 @@ import pinocchio as pin
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import Robot
 
-__all__ = ["MOST_PARTS", "BrakingPath", "JointState", "PathClearance", "Placements", "bend"]
-
 MOST_PARTS = 8  # of a braking path: the work of a step is bounded
 _BEND = 0.002  # m that a point may deviate from the chord of a part, as much as is kept on top of a clearance
 

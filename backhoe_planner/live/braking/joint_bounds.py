@@ -11,8 +11,6 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
 
-__all__ = ["BRAKING", "FASTEST_RECOVERY", "RECOVERY", "SLOWEST_RECOVERY", "JointBounds", "Load", "VelocityRange"]
-
 BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest is left for corrections
 RECOVERY = 1.0  # 1/s: speed of the way back by what is missing
 SLOWEST_RECOVERY, FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s, so that the way back ends, and begins gently

@@ -17,8 +17,6 @@ from backhoe_planner.live.braking.braking_path import BrakingPath, PathClearance
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.site import pace
 
-__all__ = ["BUFFER", "TOLERANCE", "Awake", "Near", "PairBounds"]
-
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
 TOLERANCE = 1e-9  # m
 _FAR = 1e3  # m

@@ -19,8 +19,6 @@ from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds
 from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Awake, PairBounds
 from backhoe_planner.live.braking.separation import Separation
 
-__all__ = ["MOST_ROWS", "PathCheck"]
-
 MOST_ROWS = 400  # of one kind in a problem, the tightest: the work of a step is bounded
 _LOOKS = 12  # pairs that are measured anew per path at most, each some 20 us
 

@@ -22,8 +22,6 @@ from backhoe_planner.machine import Robot, self_pairs, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
 
-__all__ = ["Separation"]
-
 MACHINE = -1  # owner of the pairs of the machine with itself
 _MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
 _FAR = 1e3  # m: where nothing is

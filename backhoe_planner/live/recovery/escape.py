@@ -39,8 +39,6 @@ from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 
-__all__ = ["MOST_LOOKS", "EscapeRoute", "EscapeSearch", "RouteSearch"]
-
 _DESCENTS, _DESCENT_LOOKS = 40, 120  # how many are tried, and the postures of one
 _NEAR_BY = 0.5  # rad or m
 _GOALS, _CLEAR_GOALS = 300, 40  # postures tried, and those kept for being clear

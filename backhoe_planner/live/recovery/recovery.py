@@ -53,8 +53,6 @@ from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, Rout
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 
-__all__ = ["Recovery", "RecoveryPath", "RecoveryStep"]
-
 _ATTEMPTS = 3
 _BLENDS = (0.5, 0.2)
 _HOLDS = 2.0  # 1/s: how soon what is not the deepest is taken hold of

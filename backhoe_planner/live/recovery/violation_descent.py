@@ -23,8 +23,6 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
 
-__all__ = ["by_owner", "way_back"]
-
 _WISH = 1e-3  # weight of the wish beside the speed of the way back
 _SMALLEST = 1e-12
 

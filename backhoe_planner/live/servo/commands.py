@@ -10,8 +10,6 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.live.servo.servo_state import Command
 from backhoe_planner.machine import Robot
 
-__all__ = ["Commands"]
-
 _FASTEST_WISH = 100.0  # m/s or rad/s
 
 

@@ -25,8 +25,6 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 
-__all__ = ["Feedback", "Refusal"]
-
 _SEED = 1e-7  # J: what may be lent, to a force against the hand, before anything was taken
 _LEAK = 1e-13  # J per sample, so that an empty ledger can fill again
 _SMOOTHED_OVER = 0.01  # s

@@ -31,8 +31,6 @@ from backhoe_planner.live.braking.path_check import MOST_ROWS, PathCheck
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.recovery import Recovery, RecoveryStep
 
-__all__ = ["SafeVelocity", "VelocityFilter", "VelocityWish", "velocity_program"]
-
 _ATTEMPTS = 3  # problems that are solved per step
 _BLENDS = (0.5, 0.2)  # parts of the way from braking to what was tried last
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that is no other

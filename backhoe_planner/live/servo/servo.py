@@ -44,8 +44,6 @@ from backhoe_planner.live.servo.tip_task import JointWish, TipTask
 from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
 from backhoe_planner.site import Obstacle, build_obstacles, pace, scaled_limits, scene_file, within_sectors
 
-__all__ = ["Servo"]
-
 _WARN = 0.10  # m of margin within which the status says so, and the force begins
 _AT_REST = 1e-3  # rad/s or m/s: a machine that creeps more slowly counts as standing
 _LEAST_WISH = 1e-6  # rad/s or m/s: less counts as no wish

@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 from backhoe_planner.arrays import Vector
 
-__all__ = ["Command", "ServoState", "Status"]
-
 
 class Status(str, Enum):
     """What the servo is doing; the first that holds, from the bottom up."""

@@ -15,9 +15,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.separation import MACHINE, Separation
 from backhoe_planner.machine import Robot, voxel_boxes
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site import Obstacle, build_obstacle, scene_file
-
-__all__ = ["Surroundings", "number_within"]
+from backhoe_planner.site import Obstacle, Scene, build_obstacle, obstacle_from_dict, obstacle_shapes
 
 _FARTHEST = 1000.0  # m
 _VOXELS = (0.001, 100.0)  # m
@@ -44,7 +42,7 @@ class Surroundings:
     revision: how often anything was put there, taken away, moved by hand or given another velocity.
     """
 
-    def __init__(self, robot: Robot, scene: scene_file.Scene, separation: Separation) -> None:
+    def __init__(self, robot: Robot, scene: Scene, separation: Separation) -> None:
         self._robot, self._scene, self._separation = robot, scene, separation
         self._placed: dict[str, _Placed] = {}
         self._waiting: list[Obstacle] = []
@@ -92,7 +90,7 @@ class Surroundings:
     def build(self, obstacle: Obstacle | Mapping[str, Any]) -> Obstacle:
         """An obstacle ready to be put there, see `Servo.add`."""
         if isinstance(obstacle, Mapping):
-            spec = scene_file.obstacle_from_dict(obstacle)
+            spec = obstacle_from_dict(obstacle)
             for link in spec.links or ():
                 if link not in self._robot.all_link_names:
                     raise InputError("the machine has no such link", key=f"{spec.name}.links", found=link)
@@ -106,7 +104,7 @@ class Surroundings:
         if not isinstance(name, str) or not name:
             raise InputError("is no name", key="name", found=name)
         if self._is_waiting(name) or (
-            name in self._placed and not isinstance(self._placed[name].obstacle.spec, scene_file.PointCloud)
+            name in self._placed and not isinstance(self._placed[name].obstacle.spec, obstacle_shapes.PointCloud)
         ):
             raise InputError("there is an obstacle of that name, which is no scan", key="name", found=name)
         try:
@@ -130,7 +128,7 @@ class Surroundings:
             links=None,
             appears_at=0.0,
             velocity=np.zeros(3),
-            spec=scene_file.PointCloud(name=name, shape="pointcloud", file="", resolution=resolution),
+            spec=obstacle_shapes.PointCloud(name=name, shape="pointcloud", file="", resolution=resolution),
         )
 
     # --- changes -----------------------------------------------------------------------

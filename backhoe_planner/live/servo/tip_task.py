@@ -16,8 +16,6 @@ from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
 
-__all__ = ["JointWish", "TipTask"]
-
 _INFLUENCE = 0.3  # m: further away the null space need not care
 _UP = np.array([0.0, 0.0, 1.0])
 _NOTHING = np.zeros((0, 3))

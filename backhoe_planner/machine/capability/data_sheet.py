@@ -34,9 +34,6 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics, wrap_angle
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["DiggingForces", "Envelope", "digging_forces", "reachable_points", "working_envelope"]
-
-
 _DUMP_PITCH = np.radians(-80.0)
 _GRID = 9  # points per joint
 _SAMPLES = 4001  # of a joint's range: a thousandth of a radian apart, torque being flat at its greatest

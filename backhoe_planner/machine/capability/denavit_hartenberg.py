@@ -16,9 +16,6 @@ import pinocchio as pin
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["DhRow", "DhTable", "dh_table"]
-
-
 _PARALLEL = 1e-9  # rad, and m: nearer than this, axes are parallel or meet but for rounding
 
 

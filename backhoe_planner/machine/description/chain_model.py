@@ -10,8 +10,6 @@ from lxml import etree
 from backhoe_planner.errors import RobotError
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, se3
 
-__all__ = ["chain_model"]
-
 
 def chain_model(urdf: Urdf, tip: str | None) -> tuple[str, pin.Model]:
     """The link that is moved, and Pinocchio's model in which only the joints above it move.

@@ -23,9 +23,6 @@ from backhoe_planner.machine.description.urdf import Urdf, axis_of
 from backhoe_planner.machine.hydraulics.hydraulics import Cylinder, Hydraulics
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
 
-__all__ = ["HydraulicsRecord", "description_beside", "read_hydraulics"]
-
-
 _LARGEST = 1e9  # Pa, W: a pressure of 1e9 Pa no oil line bears
 _SAMPLES = 1441  # of a joint's range, in which a linkage is tried
 _ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever

@@ -15,9 +15,6 @@ from backhoe_planner.machine.description.urdf import Urdf, se3
 from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
 from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, sphere
 
-__all__ = ["LinkPiece", "Visual", "link_pieces", "visuals_of"]
-
-
 # A link's mesh is taken as its convex hull unless the hull would close a cavity.
 _LINK_HULL_EXCESS = 2.0  # times the mesh's volume: a solid link with recesses is below, an open bucket far above
 _PIECES_PER_LINK_MESH = 8  # at most: every piece is one more pair with each obstacle

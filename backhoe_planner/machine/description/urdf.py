@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import RobotError, nearest_name
 
-__all__ = ["Urdf", "axis_of", "example_names", "read_urdf", "se3", "shipped"]
-
 _MOVING = ("revolute", "continuous", "prismatic")
 _REFUSED = {
     "floating": "a floating joint has no limits to plan within",

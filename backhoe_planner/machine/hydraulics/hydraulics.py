@@ -23,9 +23,6 @@ from backhoe_planner.arrays import Array
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.linkage import Linkage
 
-__all__ = ["BothWays", "Cylinder", "Hydraulics"]
-
-
 _CLOSES = 1e-7  # m: an angle whose length is this far off is on another branch
 _BESIDE = 1e-7  # rad: this far beyond the end of the stroke is still the end
 

@@ -15,9 +15,6 @@ import numpy as np
 
 from backhoe_planner.arrays import Array
 
-__all__ = ["FourBar", "Linkage", "Triangle"]
-
-
 _ROUNDING = 1e-9  # a cosine this far beyond 1 is 1
 
 

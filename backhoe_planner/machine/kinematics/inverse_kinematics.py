@@ -21,8 +21,6 @@ from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, Kinem
 from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, movable_rows
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["InverseKinematics", "solve_batch", "solve_inverse_kinematics"]
-
 Mask = NDArray[np.bool_]
 
 _ITERATIONS = 40  # most converge quadratically, in few; near singular postures the damping makes it many

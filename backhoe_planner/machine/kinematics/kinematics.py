@@ -19,8 +19,6 @@ from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
 
-__all__ = ["BatchKinematics", "Configuration", "ConfigurationBatch", "Kinematics", "wrap_angle"]
-
 _Angle = TypeVar("_Angle", float, Array)
 
 

@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
-__all__ = ["TargetBatch", "TipTarget", "movable_rows"]
-
 Mask = NDArray[np.bool_]
 
 _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6

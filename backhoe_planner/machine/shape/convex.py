@@ -20,8 +20,6 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.shape.shapes import hull, is_flat
 
-__all__ = ["convex_cover", "load_mesh", "terrain_columns", "voxel_boxes"]
-
 Cells = NDArray[np.int64]
 
 _RESOLUTION = 60_000  # voxels in which V-HACD looks at a mesh: cells of 2.5 % of a cube's edge

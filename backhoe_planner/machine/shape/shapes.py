@@ -18,25 +18,6 @@ from scipy.spatial import ConvexHull, QhullError
 
 from backhoe_planner.arrays import Vector
 
-__all__ = [
-    "Gauge",
-    "Piece",
-    "box",
-    "capsule",
-    "convex",
-    "cylinder",
-    "halfspace",
-    "hull",
-    "in_doubt",
-    "is_flat",
-    "measure_again",
-    "prepare",
-    "sphere",
-    "thickened",
-    "transform",
-]
-
-
 _SIDES = 32  # of the prism around a cylinder: 1 / cos(pi / 32) is 0.49 % more than its radius
 _FLAT = 1e-6  # of the largest extent, and in metres: thinner is flat to what builds hulls
 _THICKNESS = 1e-3  # m given to what is flat

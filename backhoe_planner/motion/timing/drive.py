@@ -18,9 +18,6 @@ from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Moments, Trajectory
 from backhoe_planner.site import Soil, SoilReaction
 
-__all__ = ["Drive", "DriveUse", "LimitUsage", "drive_of", "limit_usage"]
-
-
 _BRISK = 1.0  # rad/s or m/s of the fastest joint, at which the soil's force is fully there
 _MOST = 1e6  # a limit exceeded by more counts as this, so that no ratio is infinite
 

@@ -25,9 +25,6 @@ from backhoe_planner.machine import Hydraulics, JointLimits
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 
-__all__ = ["PathShape", "time_path"]
-
-
 _SPARE = 0.9998  # of every limit: what the sampling of the motion may add
 _WITHIN = 5e-4  # over a limit that is allowed between the points of the grid
 _CORRECTIONS = 5  # runs, each slower where the one before was over a limit

@@ -23,9 +23,6 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array
 
-__all__ = ["Rows", "TimeLaw", "fastest"]
-
-
 _STEPS = 60  # of Newton's method on a concave piecewise linear function, which ends by itself
 _ROUNDING = 1e-10  # relative: rows and room below this are rounding
 

@@ -21,9 +21,6 @@ from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
-__all__ = ["DRIVE_TOLERANCE", "retime", "time_along", "time_polyline", "time_way"]
-
-
 _MANY = 5000  # samples of one motion, 100 s at the usual period; a slower one is thinned out
 _MOST = 1_000_000  # samples before it is
 _LEAST_STEP = 2.5e-3  # rad or m of a joint from sample to sample in a thinned motion: a tenth of `Trajectory.moments`

@@ -17,9 +17,6 @@ from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
-__all__ = ["SHARP", "round_corners", "time_stretch"]
-
-
 SHARP = np.radians(5.0)  # a corner that is sharper is rounded or stopped at
 _SHARPEST = np.radians(120.0)  # one that is sharper still is stopped at
 _PART = 0.4  # of the tolerance that a rounded corner may be off the path

@@ -30,8 +30,6 @@ from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
 
-__all__ = ["cheapen_stretch", "monotone_curve"]
-
 Mask = NDArray[np.bool_]
 
 _WIDTH = 3  # neighbours on either side of a knot

@@ -30,9 +30,6 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.planning.search.effort import Brake
 
-__all__ = ["Edge", "EdgeKind", "LayeredGraph", "Node", "Route"]
-
-
 StepCost = Callable[[Matrix, Matrix, float], Matrix]
 Node = tuple[int, int]  # layer, index within it
 

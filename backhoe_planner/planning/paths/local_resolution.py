@@ -19,9 +19,6 @@ from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Obstruction, Proximity
 
-__all__ = ["has_open_range", "resolve_along", "sample_stations"]
-
-
 _LEAST_SPACING = 1e-4  # m
 _SPACING = 0.02  # m between samples at most
 _TIME_PER_METRE = 3.0  # s: at which speed the law's rates are read as steps

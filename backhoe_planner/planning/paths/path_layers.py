@@ -20,8 +20,6 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.planning.search.effort import Brake
 
-__all__ = ["PathLayers", "redundancy_of"]
-
 Mask = NDArray[np.bool_]
 
 _SAME = 0.01  # rad or m: solutions nearer than this are one

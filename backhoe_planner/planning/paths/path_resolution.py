@@ -23,9 +23,6 @@ from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
-__all__ = ["Bypass", "PathResolver", "Resolution"]
-
-
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 
 _LAYER = 0.05  # m of path between layers

@@ -26,8 +26,6 @@ from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
 
-__all__ = ["null_bases", "smooth_stretch", "stretch_cost", "strict_targets"]
-
 Mask = NDArray[np.bool_]
 
 _ROUNDS = 20

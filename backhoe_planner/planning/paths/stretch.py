@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.site import Obstruction
 
-__all__ = ["Stretch"]
-
 
 @dataclass(frozen=True, eq=False)
 class Stretch:

@@ -17,9 +17,6 @@ from backhoe_planner.motion import Trajectory, drive_of, retime, time_along
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.proof import segment_is_clear
 
-__all__ = ["as_fast_as_allowed", "places_on", "shortest_time"]
-
-
 _SPACINGS = (0.1, 0.05, 0.02)  # s of the slowest joint between places; the closer, the nearer to the law's way
 _FEWEST = 4  # intervals between them
 _INTERVALS = 300  # on a way, at whose ends limits are looked at

@@ -22,9 +22,6 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.site import Nearby, Obstruction
 
-__all__ = ["Attempt", "approach_goal"]
-
-
 _ARRIVED = 2e-5  # m and rad
 _AT_GOAL = 1e-4  # m and rad, with all that is asked
 _LONGEST = 40.0  # s of motion per attempt

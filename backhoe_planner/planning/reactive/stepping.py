@@ -21,9 +21,6 @@ from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Proximity
 
-__all__ = ["Step", "Stepper", "Watcher"]
-
-
 STEP = 0.02  # s
 _BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
 _HALVINGS = 5

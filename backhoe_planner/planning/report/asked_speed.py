@@ -13,9 +13,6 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, TipPath, Trajectory, limit_usage
 from backhoe_planner.planning.report.comparison import part_on_path
 
-__all__ = ["AskedSpeed", "Slower", "asked_speed"]
-
-
 KEPT = 0.9  # of the asked speed, from which on it counts as kept
 
 

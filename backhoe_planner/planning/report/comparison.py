@@ -34,19 +34,6 @@ from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 
-__all__ = [
-    "Comparison",
-    "LawComparison",
-    "compare_with_law",
-    "joined",
-    "law_motion",
-    "least_norm_resolution",
-    "part_on_path",
-    "stations_of",
-    "timed_alone",
-]
-
-
 _EXACT = 1e-9
 _CORRECTIONS = 12
 _STANDING = 1e-6  # m: a leg on which only the bucket turns

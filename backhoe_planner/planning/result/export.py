@@ -16,8 +16,6 @@ from backhoe_planner.errors import OutputError
 from backhoe_planner.files.output_file import whole_file
 from backhoe_planner.planning.result.plan import Plan
 
-__all__ = ["FORMATS", "export_plan"]
-
 
 def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     """Write the motion as the file's ending says, whole or not at all.

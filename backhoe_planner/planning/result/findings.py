@@ -5,8 +5,6 @@ from __future__ import annotations
 from backhoe_planner.files.records import Record
 from backhoe_planner.site import Obstruction, Transgression
 
-__all__ = ["NOTHING", "Findings", "NearestPose", "Reaction", "RecordingNotes"]
-
 
 class NearestPose(Record):
     """The nearest to a target that the tip can get to."""

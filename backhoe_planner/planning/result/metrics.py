@@ -15,8 +15,6 @@ from backhoe_planner.planning.report.comparison import LawComparison, compare_wi
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction
 
-__all__ = ["DetourTotal", "Metrics", "measure_motion"]
-
 _APART = 0.05  # m: a detour as it is measured begins and ends this far from where it was planned at most
 
 

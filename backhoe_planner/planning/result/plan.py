@@ -33,8 +33,6 @@ from backhoe_planner.planning.result.plan_file import (
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene, scene_from_dict
 
-__all__ = ["METHODS", "Plan", "load_plan", "plan_to_dict"]
-
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
 
 

@@ -24,18 +24,6 @@ from backhoe_planner.planning.result.metrics import Metrics
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Finite, Obstruction
 
-__all__ = [
-    "CertificateRecord",
-    "DynamicsRecord",
-    "Method",
-    "PlanRecord",
-    "Reason",
-    "RobotRecord",
-    "TrajectoryRecord",
-    "read_plan_file",
-    "write_plan_file",
-]
-
 Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
 Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]
 LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed"]

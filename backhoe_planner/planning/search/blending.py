@@ -9,9 +9,6 @@ from backhoe_planner.motion import SmoothWay, chord_sagitta
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
-__all__ = ["blend"]
-
-
 _HALVINGS = 7
 _SHARED = 0.5  # part of a leg that each of two corners may take
 _ALONE = 0.95  # part of a leg that the only corner on it may take

@@ -15,8 +15,6 @@ import numpy as np
 
 from backhoe_planner.errors import InputError
 
-__all__ = ["DEFAULT_BUDGET", "EFFORTS", "Brake", "Effort", "OutOfTime", "Work", "effort_named"]
-
 DEFAULT_BUDGET = (
     60.0  # s: several times what `normal` takes on one idle core, so that a busy machine ends by counts too
 )

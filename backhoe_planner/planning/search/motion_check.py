@@ -26,8 +26,6 @@ from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import Proximity
 
-__all__ = ["MotionCheck"]
-
 Condition = Callable[[Vector], bool]
 
 _SLOPE = 0.05  # by which the spare grows per metre of travel away from a tight end

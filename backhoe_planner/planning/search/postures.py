@@ -19,9 +19,6 @@ from backhoe_planner.machine import (
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import Obstruction, Proximity
 
-__all__ = ["Found", "Postures"]
-
-
 _SPARE = 0.003  # m beyond the clearance, so that the motion can end there
 _SAME = 0.05  # rad: configurations nearer than this count as one
 

@@ -21,9 +21,6 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
-__all__ = ["JointPath", "sample_path"]
-
-
 _RANGE = 1.0  # s: the longest motion that is added to a tree
 _MOST_OF_BOX = 0.4  # and at most this part of the box's diagonal
 

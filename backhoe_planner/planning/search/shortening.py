@@ -14,9 +14,6 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
-__all__ = ["shorten"]
-
-
 _TRIES = 60
 _PATIENCE = 20  # tries in a row without a gain after which it is left at that
 _GAIN = 1e-3  # of the length, below which a shortcut is not worth it

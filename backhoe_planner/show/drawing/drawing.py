@@ -19,11 +19,6 @@ from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, View
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets
 
-__all__ = [
-    "PlanAnimation", "Track", "line_segments", "mesh", "node_name", "node_names",
-    "set_camera", "set_property", "set_stage",
-]  # fmt: skip
-
 # A slash would start a new level; the viewer keeps children in a plain JavaScript
 # object, on which these names are taken before anything is added.
 _SLASH = "\N{DIVISION SLASH}"

@@ -8,9 +8,6 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 
-__all__ = ["FIELD_OF_VIEW", "View", "frame"]
-
-
 FIELD_OF_VIEW = np.radians(38.0)  # vertical
 _ELEVATIONS = np.radians([20.0, 17.0, 14.0, 11.0, 9.0])
 _UNDER = 0.08  # part of the distance by which the camera stays under a ceiling

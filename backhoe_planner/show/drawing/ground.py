@@ -14,9 +14,6 @@ from backhoe_planner.show.drawing.drawing import line_segments, mesh, set_proper
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets, sheet
 
-__all__ = ["draw_ground", "opening_of"]
-
-
 _COLOUR = (0.78, 0.76, 0.70)
 _LINE_COLOUR = (0.40, 0.40, 0.38)
 _LINE_STRENGTH = 0.3  # opacity in the middle: seen, but fainter than any machine or obstacle

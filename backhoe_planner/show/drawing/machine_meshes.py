@@ -12,8 +12,6 @@ from backhoe_planner.machine import Robot, Visual
 from backhoe_planner.show.drawing.palette import MACHINE, Rgba
 from backhoe_planner.show.drawing.solids import Facets, facets, solid
 
-__all__ = ["LinkMesh", "machine_meshes"]
-
 _PLAIN: Rgba = (*MACHINE, 1.0)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["FAR", "GOAL", "MACHINE", "NEAR", "PATH", "PLOT_CYCLE", "SOIL", "TIGHT", "TRACE", "Rgba", "margin_rgb"]
-
 Rgba = tuple[float, float, float, float]
 Rgb = tuple[float, float, float]
 

@@ -41,9 +41,6 @@ from backhoe_planner.show.drawing.solids import facets, tube
 from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, Timeline
 from backhoe_planner.site import Obstacle
 
-__all__ = ["GROUPS", "SceneGraph"]
-
-
 GROUPS = ("machine", "site", "clearance", "task", "critical points", "ground")
 
 _LINE_WIDTH = 0.0011  # radius of path and trace, of the distance to the camera

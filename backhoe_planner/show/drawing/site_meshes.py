@@ -12,10 +12,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import load_mesh
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
-from backhoe_planner.site import Obstacle, Scene, read_heights, scene_file
-
-__all__ = ["SiteMesh", "is_ground", "site_mesh"]
-
+from backhoe_planner.site import Obstacle, Scene, obstacle_shapes, read_heights
 
 _MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; each costs milliseconds
 
@@ -60,8 +57,8 @@ class SiteMesh:
 def is_ground(obstacle: Obstacle) -> bool:
     """Whether an obstacle is the ground, so that none needs to be drawn."""
     spec = obstacle.spec
-    level = isinstance(spec, scene_file.HalfSpace) and spec.normal[2] > 0.7
-    return obstacle.zone is None and (level or isinstance(spec, scene_file.HeightMap))
+    level = isinstance(spec, obstacle_shapes.HalfSpace) and spec.normal[2] > 0.7
+    return obstacle.zone is None and (level or isinstance(spec, obstacle_shapes.HeightMap))
 
 
 def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float) -> SiteMesh:
@@ -73,14 +70,14 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     reach: radius of what is drawn of a plane [m].
     """
     spec = obstacle.spec
-    if isinstance(spec, scene_file.HalfSpace):
+    if isinstance(spec, obstacle_shapes.HalfSpace):
         return _plane(obstacle, spec, centre, reach)
-    if isinstance(spec, scene_file.HeightMap):
+    if isinstance(spec, obstacle_shapes.HeightMap):
         surface = _terrain(spec, scene)
         top = surface.vertices[np.argmax(surface.vertices[:, 2])]
         lift = [0.0, 0.0, obstacle.clearance]
         return _mesh(obstacle, surface, lambda: surface.copy().apply_translation(lift), (*SOIL, 1.0), top)
-    if isinstance(spec, scene_file.Mesh):
+    if isinstance(spec, obstacle_shapes.Mesh):
         drawn = load_mesh(scene.folder / spec.file)
         drawn.apply_scale(spec.scale)
         drawn.apply_transform(spec.placement.homogeneous)
@@ -89,7 +86,7 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
         drawn = trimesh.util.concatenate([solid(piece) for piece in obstacle.pieces])
     low, high = drawn.bounds
     anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
-    if isinstance(spec, scene_file.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
+    if isinstance(spec, obstacle_shapes.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
         anchor = np.array([*spec.start[:2], spec.start[2] + spec.radius])  # a pipe: its end is easier to see
     return _mesh(obstacle, drawn, lambda: _shell(obstacle), _colour(obstacle, drawn), anchor)
 
@@ -137,7 +134,7 @@ def _colour(obstacle: Obstacle, drawn: trimesh.Trimesh) -> Rgba:
     return (*_COLOURS.get(shape, _SLATE), 1.0)
 
 
-def _plane(obstacle: Obstacle, spec: scene_file.HalfSpace, centre: Vector, reach: float) -> SiteMesh:
+def _plane(obstacle: Obstacle, spec: obstacle_shapes.HalfSpace, centre: Vector, reach: float) -> SiteMesh:
     normal, point = np.array(spec.normal), np.array(spec.point)
     middle = centre - normal * float((centre - point) @ normal)
     if is_ground(obstacle):
@@ -169,7 +166,7 @@ def _plane(obstacle: Obstacle, spec: scene_file.HalfSpace, centre: Vector, reach
     )
 
 
-def _terrain(spec: scene_file.HeightMap, scene: Scene) -> trimesh.Trimesh:
+def _terrain(spec: obstacle_shapes.HeightMap, scene: Scene) -> trimesh.Trimesh:
     heights = read_heights(scene.folder / spec.file)
     rows, columns = heights.shape
     x = np.linspace(-spec.size[0] / 2.0, spec.size[0] / 2.0, columns)

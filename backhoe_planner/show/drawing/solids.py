@@ -18,9 +18,6 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import Piece
 from backhoe_planner.show.drawing.palette import Rgba
 
-__all__ = ["Facets", "cells", "disc", "facets", "fattened", "grid", "sheet", "solid", "together", "tube"]
-
-
 _CREASE = np.radians(40.0)  # a sharper edge is drawn as an edge; sides of a 32-sided cylinder meet at 11 degrees
 _LINE = 0.03  # m: width of a line, seen from 10 m a few pixels
 _ROUND = 2  # subdivisions of the ball that fattens: its facets cut off 1 % of its volume

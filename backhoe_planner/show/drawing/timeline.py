@@ -13,9 +13,6 @@ from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.site import Proximity
 
-__all__ = ["ITSELF", "Nearest", "Timeline", "link_poses", "nearest_spots", "obstacle_names", "sight", "timeline"]
-
-
 ITSELF = "the machine itself"
 _MOST_FRAMES = 3000
 

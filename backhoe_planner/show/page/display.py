@@ -17,8 +17,6 @@ import meshcat
 import numpy as np
 import umsgpack
 
-__all__ = ["Display", "Key", "Message", "Messages"]
-
 Key = tuple[str, str, str]  # kind, path or what is told, property
 Message = bytes | str
 

@@ -18,8 +18,6 @@ from backhoe_planner.planning import Plan
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.page_content import show_plan
 
-__all__ = ["live_page", "plan_page", "read_parts", "write_page"]
-
 # nothing may be fetched from anywhere; meshcat reads its own commands with eval
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "

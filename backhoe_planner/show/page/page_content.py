@@ -15,8 +15,6 @@ from backhoe_planner.show.drawing.scene_graph import SceneGraph
 from backhoe_planner.show.drawing.timeline import Nearest, timeline
 from backhoe_planner.show.page.display import Display
 
-__all__ = ["show_plan", "tell_problem", "tell_step"]
-
 
 def show_plan(display: Display, plan: Plan) -> SceneGraph:
     """Draw a plan and its animation, and tell its verdict, numbers and frames."""

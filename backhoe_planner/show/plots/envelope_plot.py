@@ -19,8 +19,6 @@ from backhoe_planner.show.plots.figure_file import check_figure_file, plain_text
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["plot_envelope"]
-
 
 _SAMPLES = 300_000
 _CELLS = 220  # along the longer side

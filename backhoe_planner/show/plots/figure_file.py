@@ -15,7 +15,6 @@ from backhoe_planner.files.output_file import check_writable, whole_file
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["check_figure_file", "plain_text", "save_figure"]
 
 _FORMATS = (".png", ".svg", ".pdf")
 _RESOLUTION = 150  # dots per inch: text of 8 points is readable on a screen

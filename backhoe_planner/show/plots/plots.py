@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.lines import Line2D
 
-__all__ = ["plot_plan"]
 
 _Panel = Callable[["Axes", Plan, Problem, Timeline], None]
 

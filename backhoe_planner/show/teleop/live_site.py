@@ -20,14 +20,16 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live import Servo
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, nearest_spots
-from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, scene_file
-
-__all__ = ["LiveSite"]
+from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, obstacle_shapes
 
 _MOST = 40  # obstacles, each of which costs time in every step
 _BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more
 _SPARE = 0.004  # m beyond the clearance, so that the servo does not begin with a violation by rounding
-_LAND = (scene_file.HalfSpace, scene_file.HeightMap, scene_file.PointCloud)  # what the site itself is made of
+_LAND = (
+    obstacle_shapes.HalfSpace,
+    obstacle_shapes.HeightMap,
+    obstacle_shapes.PointCloud,
+)  # what the site itself is made of
 
 
 @dataclass
@@ -81,7 +83,7 @@ class LiveSite:
         """Names of the scene's obstacles that were taken away and may be put back."""
         return tuple(self._taken)
 
-    def add(self, spec: scene_file.ObstacleSpec) -> None:
+    def add(self, spec: obstacle_shapes.ObstacleSpec) -> None:
         """Put an obstacle there.
 
         Raises

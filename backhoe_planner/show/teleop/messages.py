@@ -13,27 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.site import scene_file
-
-__all__ = [
-    "LARGEST",
-    "Add",
-    "Circulate",
-    "Droppable",
-    "HandOver",
-    "Message",
-    "Move",
-    "PutBack",
-    "Record",
-    "Release",
-    "Remove",
-    "Sticks",
-    "Stop",
-    "Take",
-    "Tip",
-    "joint_rates",
-    "parse",
-]
+from backhoe_planner.site import obstacle_shapes
 
 LARGEST = 16_384  # characters or bytes of a message; what the page itself sends has a few hundred
 _LONGEST_NAME = 60  # characters, so that a row of the panel can show it
@@ -128,7 +108,8 @@ class Stop(_Message):
 
 
 Droppable = Annotated[
-    scene_file.Sphere | scene_file.Box | scene_file.Cylinder | scene_file.Capsule, Field(discriminator="shape")
+    obstacle_shapes.Sphere | obstacle_shapes.Box | obstacle_shapes.Cylinder | obstacle_shapes.Capsule,
+    Field(discriminator="shape"),
 ]  # no files, and nothing without an end
 
 
@@ -205,8 +186,10 @@ def _check(spec: Droppable) -> None:
         raise InputError("is too long", key="obstacle.name", allowed=f"up to {_LONGEST_NAME} characters")
     if any(spec.velocity) or spec.appears_at > 0.0:
         raise InputError("what is dropped in stands still, and is there at once", key="obstacle")
-    lengths = [("size", edge) for edge in spec.size] if isinstance(spec, scene_file.Box) else [("radius", spec.radius)]
-    if isinstance(spec, scene_file.Cylinder):
+    lengths = (
+        [("size", edge) for edge in spec.size] if isinstance(spec, obstacle_shapes.Box) else [("radius", spec.radius)]
+    )
+    if isinstance(spec, obstacle_shapes.Cylinder):
         lengths.append(("length", spec.length))
     for key, value in lengths:
         if not _SMALLEST <= value <= _LARGEST_SIZE:
@@ -214,7 +197,7 @@ def _check(spec: Droppable) -> None:
                 "is not a length that can be dropped in", key=f"obstacle.{key}", found=value,
                 allowed=f"{_SMALLEST:g} to {_LARGEST_SIZE:g} m",
             )  # fmt: skip
-    at = (*spec.start, *spec.end) if isinstance(spec, scene_file.Capsule) else spec.position
+    at = (*spec.start, *spec.end) if isinstance(spec, obstacle_shapes.Capsule) else spec.position
     if max(map(abs, at)) > _FARTHEST:
         raise InputError("is too far away", key="obstacle", allowed=f"up to {_FARTHEST:g} m")
 

@@ -19,9 +19,6 @@ from backhoe_planner.show.teleop.session import LARGEST_FORCE, Session, Snapshot
 from backhoe_planner.show.teleop.wording import Wording
 from backhoe_planner.site import Obstacle
 
-__all__ = ["Picture"]
-
-
 _FORCE = (0.72, 0.11, 0.48, 1.0)
 _LONGEST_ARROW = 1.2  # m, for the largest force
 _LEAST_SHOWN = 0.3  # N

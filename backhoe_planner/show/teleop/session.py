@@ -48,8 +48,6 @@ from backhoe_planner.show.teleop.messages import (
 )
 from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog, zone_log
 
-__all__ = ["LARGEST_FORCE", "Phase", "Recording", "Session", "Snapshot"]
-
 Phase = Literal["idle", "arming", "on", "ending"]
 Wish = Tip | Sticks | Stop
 

@@ -20,8 +20,6 @@ from backhoe_planner.show.teleop.session import Recording, Session
 from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 from backhoe_planner.site import Scene
 
-__all__ = ["TeleopServer", "TeleopStation", "free_name"]
-
 _FRAME = 1.0 / 30.0  # s between pictures: fluent for the eye
 _AT_REST = 1e-9  # rad/s or m/s: below rounding of what the servo integrates
 _LATEST = 0.1  # s behind the clock at which the loop stops catching up: a longer burst of steps would be seen

@@ -18,8 +18,6 @@ import numpy as np
 
 from backhoe_planner.live import ServoState, Status
 
-__all__ = ["Telling", "Wording"]
-
 Kind = Literal["rest", "free", "near", "held"]
 
 _LASTS = 0.5  # s

@@ -24,8 +24,6 @@ from backhoe_planner.errors import OutputError
 from backhoe_planner.show.page.display import Display, Key, Message, Messages
 from backhoe_planner.show.page.page import live_page
 
-__all__ = ["LivePage", "LiveServer", "LiveSocket"]
-
 _FIRST_PORT, _PORTS = 7000, 100  # where meshcat's own server begins, too
 _FLUSH_EVERY = 0.02  # s between deliveries: less than a frame at 30 a second
 _LARGEST_MESSAGE = 4 << 20  # bytes; a page that sends more is cut off. A driving one sends some hundred

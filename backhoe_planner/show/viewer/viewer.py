@@ -16,9 +16,6 @@ from backhoe_planner.show.page.page_content import show_plan, tell_problem, tell
 from backhoe_planner.show.viewer.live_server import LiveServer
 from backhoe_planner.site import Proximity
 
-__all__ = ["Viewer"]
-
-
 _FRAME = 1.0 / 30.0  # s between drawn steps: fluent for the eye
 _GRACE = 4.0  # s within which a page may be loaded again; a slow browser takes one or two
 _SHARE = 0.04  # of the caller's time that drawing may take, so that planning is not noticeably slower
