@@ -14,6 +14,7 @@ from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed, sho
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
+from backhoe_planner.planning.search.effort import Brake, OutOfTime
 from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
@@ -39,9 +40,15 @@ class ToGoal:
         if isinstance(found, Outcome):
             return found
         straight = next(approach_goal(stepper, self.goal, (), work=world.work))
-        if straight.arrived:
-            return _faster(world, stepper, straight, found)
-        transit = find_transit(world, stepper, found.clear)
+        try:
+            if straight.arrived:
+                return _faster(world, stepper, straight, found)
+            transit = find_transit(world, stepper, found.clear)
+        except OutOfTime as ended:
+            if straight.arrived:
+                motion, findings = straight.stepper.trajectory(), Findings(way=straight.way)
+                return Outcome(motion, message=f"{ended}; a faster motion was not looked for", findings=findings)
+            return describe_attempts([straight], world.work.brake)
         if isinstance(transit, Stepper):
             return Outcome(transit.trajectory(), findings=Findings(way="sampled"))
         outcome = self._attempts(world, stepper, found.clear)
@@ -76,7 +83,7 @@ class ToGoal:
         """What the law can do, with `postures` (n,) on the goal, the preferred one first."""
         attempts = list(approach_goal(stepper, self.goal, postures[:_MOST_POSTURES], work=world.work))
         if not attempts[-1].arrived:
-            return describe_attempts(attempts)
+            return describe_attempts(attempts, world.work.brake)
         arrived = as_fast_as_allowed(stepper, attempts[-1].stepper)
         return Outcome(arrived.trajectory(), findings=_findings(attempts))
 
@@ -96,8 +103,8 @@ def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> 
     return Outcome(joints, findings=Findings(way="straight for the joints"))
 
 
-def describe_attempts(attempts: Sequence[Attempt]) -> Outcome:
-    """The attempt that came nearest, and what held it back; none of `attempts` arrived."""
+def describe_attempts(attempts: Sequence[Attempt], brake: Brake) -> Outcome:
+    """The attempt that came nearest, and what held it back or that time ran out; none of `attempts` arrived."""
     nearest = min(attempts, key=lambda attempt: attempt.distance)
     findings = _findings(attempts).model_copy(
         update={"closest_distance": nearest.distance, "obstruction": nearest.obstruction}
@@ -106,6 +113,8 @@ def describe_attempts(attempts: Sequence[Attempt]) -> Outcome:
     if nearest.obstruction is not None:
         held = f", where {nearest.obstruction.link} is held back by {nearest.obstruction.name}"
     message = f"of {len(attempts)} attempts the closest came to {nearest.distance:.3f} m of the goal{held}"
+    if brake.is_used_up():
+        return Outcome(nearest.stepper.trajectory(), "budget", f"{brake.message}; {message}", findings)
     return Outcome(nearest.stepper.trajectory(), "blocked", message, findings)
 
 

@@ -66,7 +66,7 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
         if not reached.reason:
             return reached
         outcome = outcome or reached
-    return outcome or describe_attempts(attempts)
+    return outcome or describe_attempts(attempts, world.work.brake)
 
 
 def _first_success(outcomes: Iterator[Outcome]) -> Outcome:

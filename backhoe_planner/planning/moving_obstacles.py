@@ -100,6 +100,8 @@ class _OverTime:
             return self._task.from_rest(still, stepper)
         first: Outcome | None = None
         for outcome in self._motions(stepper, known, still):
+            if outcome.reason == "budget":
+                return outcome
             if not outcome.reason and _is_clear(known.proximity, outcome.trajectory, stepper.time):
                 return outcome
             first = first or outcome

@@ -24,7 +24,8 @@ class Outcome:
     Attributes
     ----------
     trajectory: where planning failed, the best that was found.
-    reason, message: empty where nothing is known to be wrong.
+    reason: empty where nothing is known to be wrong.
+    message: the same in words; beside an empty reason, that time ran out while the motion was made better.
     findings: the numbers behind them, and how the motion was found.
     """
 

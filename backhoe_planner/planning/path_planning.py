@@ -120,6 +120,13 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
     return along.plan(stepper.q, off_path=not on_path)
 
 
+def _first(pieces: Sequence[Stretch | Bypass]) -> Vector:
+    """(n,) the joints at the beginning of a path."""
+    first = pieces[0]
+    assert isinstance(first, Stretch)
+    return np.asarray(first.q[0])
+
+
 class _Along:
     """One path, and the ways to resolve it."""
 
@@ -152,21 +159,21 @@ class _Along:
             # also where detours are not allowed: then to say what one would take
             around = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
             resolved = around if around.obstruction is None or self._may_leave else resolved
-        pieces = self._smoothed(resolved, begin)
-        if not pieces:
+        if not resolved.pieces:
             return self._blocked(resolved, at_rest(self._anywhere() if self._stepper is None else self._stepper.q))
-        first = pieces[0]
-        assert isinstance(first, Stretch)
         stepper = self._stepper
-        if stepper is None:
-            stepper = self._world.stepper(first.q[0])
-        elif begin is not None:
-            stepper = stepper.branch(attempt=stepper.attempt)
-        else:
-            transit = find_transit(self._world, stepper, [first.q[0]])
+        if stepper is not None and begin is None:
+            # before the pieces are made cheaper: that moves no first joints, and may use up the time
+            transit = find_transit(self._world, stepper, [_first(resolved.pieces)])
             if isinstance(transit, str):
                 return self._from_elsewhere(stepper, transit)
             stepper = transit
+        elif stepper is not None:
+            stepper = stepper.branch(attempt=stepper.attempt)
+        pieces = self._smoothed(resolved, begin)
+        brake = self._world.work.brake
+        message = f"{brake.message}; a cheaper motion was not looked for" if brake.is_used_up() else ""
+        stepper = self._world.stepper(_first(pieces)) if stepper is None else stepper
         self._play(stepper, pieces)
         if resolved.obstruction is not None:
             return self._blocked(resolved, stepper.trajectory())
@@ -174,7 +181,7 @@ class _Along:
         if detours and not self._may_leave:
             failure = blocked_path(stepper.trajectory(), detours[0], self._path, ", and detours are not allowed")
             return failure.adding(detours=detours)
-        return Outcome(stepper.trajectory(), findings=Findings(detours=detours))
+        return Outcome(stepper.trajectory(), message=message, findings=Findings(detours=detours))
 
     def _price(self, nodes: Matrix) -> Vector:
         """(N,) what it costs to begin at each: how far the joints have to go to be there."""

@@ -61,7 +61,8 @@ def plan(
     seed: of every random choice.
     effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may
         take. The same input, seed and effort give the same plan, however busy the machine.
-    budget: computing time [s] after which whatever still runs is ended, with the reason ``budget``.
+    budget: computing time [s] after which the search is ended. A motion that was still made
+        better is delivered, with a note; else the reason is ``budget``.
     watch: is shown every step while the planner works.
 
     Returns
@@ -97,6 +98,9 @@ def plan(
         )
     outcome, certificate = _drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
+    note = outcome.message
+    if note and not outcome.reason and not certificate.verified:
+        note = "; ".join((note, *certificate.problems))
     return Plan(
         problem=problem,
         method=checked,
@@ -113,7 +117,7 @@ def plan(
         ),
         findings=outcome.findings,
         failure=outcome.reason,
-        note=outcome.message,
+        note=note,
     )
 
 
@@ -163,7 +167,7 @@ def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
 
 
 def _find_motion(world: World, method: Method) -> Outcome:
-    """The motion, from the start that the scene asks for; where time runs out, none."""
+    """The motion, from the start that the scene asks for; where time runs out before there is any, none."""
     try:
         return _plan_task(world, method)
     except OutOfTime as ended:
@@ -200,7 +204,7 @@ def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcom
     if method == "reactive":
         return task.by_law(world, None)
     outcome = plan_along_path(world, task.path, stepper=None)
-    if outcome.reason or not world.problem.is_dynamic:
+    if outcome.message or not world.problem.is_dynamic:
         return outcome
     return plan_over_time(world, task, world.stepper(outcome.trajectory.q[0]))
 

@@ -68,7 +68,8 @@ def cheapen_stretch(
     cost: of the motion along the path.
     time: at which the obstacles are taken to be where they are [s].
     free_start, free_end: whether the first and the last sample may move too.
-    work: from which every sweep over the knots is taken; without any left, the stretch stays as it is.
+    work: from which every sweep over the knots is taken; without any left, or without time,
+        the best so far is kept.
     """
     work = work or Work()
     if len(stretch.q) < 3:
@@ -81,8 +82,7 @@ def cheapen_stretch(
             before = descent.least
             for direction in directions:
                 for _ in range(_ROUNDS):
-                    work.brake.check()
-                    if work.sweeps <= 0:
+                    if work.sweeps <= 0 or work.brake.is_used_up():
                         return Stretch(stretch.stations, descent.q)
                     work.sweeps -= 1
                     if descent.step(delta, direction) <= _ENOUGH * abs(descent.least):

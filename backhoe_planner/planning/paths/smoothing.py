@@ -61,7 +61,7 @@ def smooth_stretch(
     stretch: that is clear.
     time: at which the obstacles are taken to be where they are [s].
     free_start, free_end: whether the first and the last sample may move too.
-    brake: that ends what runs away; by default none.
+    brake: ends the search early; the best so far is kept. By default none.
     """
     brake = brake or Brake()
     q = stretch.q
@@ -77,9 +77,8 @@ def smooth_stretch(
     floor = np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH
     cost = _cost(weights, q)
     for _ in range(_ROUNDS):
-        brake.check()
         N = null_bases(kinematics, strict, q)
-        if N.shape[2] == 0:
+        if N.shape[2] == 0 or brake.is_used_up():
             break
         z = _step(weights, q, N, price, held)
         moved, reached = solve_batch(kinematics, targets, q + np.einsum("knr,kr->kn", N, z), iterations=8)

@@ -82,7 +82,8 @@ def approach_goal(
     ----------
     stepper: a motion that is at rest; every attempt is a branch of it.
     configurations: (n,) known to put the tip on the goal, the preferred one first.
-    work: from which every step is taken; without any left, no further attempt is begun.
+    work: from which every step is taken; without any left, or without time, the attempt
+        ends where it is and no further one is begun.
     all_ways: go on after an attempt that arrives, for whoever wants another one.
     null_space: whether the null-space terms of the law take part; to compare without.
     """
@@ -98,7 +99,7 @@ def approach_goal(
         else:
             attempt = _drive_joints(branch, posture, goal, name, work)
         yield attempt
-        if (attempt.arrived and not all_ways) or work.law_steps <= 0:
+        if (attempt.arrived and not all_ways) or work.law_steps <= 0 or work.brake.is_used_up():
             return
 
 
@@ -302,9 +303,8 @@ def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, 
 
 def _may_step(work: Work) -> bool:
     """Take a step from the work, if there is one left."""
-    work.brake.check()
     work.law_steps -= 1
-    return work.law_steps >= 0
+    return work.law_steps >= 0 and not work.brake.is_used_up()
 
 
 def _attempt(stepper: Stepper, goal: TipTarget, arrived: bool, way: str) -> Attempt:

@@ -108,6 +108,15 @@ class Brake:
         self.budget = budget
         self._deadline = clock.thread_time() + budget
 
+    @property
+    def message(self) -> str:
+        """What to say where the budget is used up."""
+        return f"time ran out after {self.budget:g} s of computing; --budget gives more, a lower --effort needs less"
+
+    def is_used_up(self) -> bool:
+        """Whether no time is left: for what can end early and keep what it has."""
+        return clock.thread_time() > self._deadline
+
     def check(self) -> None:
         """Go on only while there is time.
 
@@ -115,10 +124,8 @@ class Brake:
         ------
         OutOfTime: the budget is used up.
         """
-        if clock.thread_time() > self._deadline:
-            raise OutOfTime(
-                f"time ran out after {self.budget:g} s of computing; --budget gives more, a lower --effort needs less"
-            )
+        if self.is_used_up():
+            raise OutOfTime(self.message)
 
 
 class Work:

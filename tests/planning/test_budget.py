@@ -1,0 +1,145 @@
+"""The budget ends a search, not what it has found: that is finished, delivered and judged by its certificate.
+
+The clock here is one that only the test moves, so that the load of the machine does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.planning import sample_path
+from backhoe_planner.planning.paths import dynamic_programming, smoothing
+from backhoe_planner.planning.search import effort
+from backhoe_planner.planning.transit import find_transit
+
+Data = dict[str, Any]
+
+ROOM = "backhoe_planner.planning"
+STRETCHED: Data = {"joints": {"joint1": 0.0, "joint2": 0.0, "joint3": 0.0, "joint4": 0.0}}
+LINE: Data = {
+    "path": {"waypoints": [{"position": [2.0, -1.0, 0.0]}, {"position": [2.0, 1.0, 0.0]}], "speed": 0.4},
+}
+BENT: Data = {"joints": {"joint1": 0.3, "joint2": -0.6, "joint3": 0.5, "joint4": 0.2}}
+BEHIND: Data = {"goal": {"position": [2.0, 2.5, 0.0]}}
+POST: Data = {"name": "post", "shape": "sphere", "radius": 0.3, "position": [2.6, 1.7, 0.0]}
+
+
+class HandSetClock:
+    """Seconds of computing that go by when the test says so, `tick` of them at every look."""
+
+    def __init__(self) -> None:
+        self.now = self.tick = 0.0
+
+    def thread_time(self) -> float:
+        self.now += self.tick
+        return self.now
+
+    def runs_out_at(self, call: Callable[..., Any], number: int = 1) -> Callable[..., Any]:
+        """`call`, from whose call of that number on no time is left."""
+        calls = 0
+
+        def counting(*args: Any, **keys: Any) -> Any:
+            nonlocal calls
+            calls += 1
+            if calls == number:
+                self.now = 1e9
+            return call(*args, **keys)
+
+        return counting
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> HandSetClock:
+    clock = HandSetClock()
+    monkeypatch.setattr(effort, "clock", SimpleNamespace(thread_time=clock.thread_time))
+    return clock
+
+
+def site(task: Data, *, start: Data | None = STRETCHED, obstacles: list[Data] | None = None, **keys: Any) -> bp.Scene:
+    content = {"version": 1, "task": task, "clearance": 0.02, "obstacles": obstacles or []} | keys
+    return bp.scene_from_dict(content if start is None else content | {"start": start})
+
+
+# --- along a path -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("start", [None, STRETCHED])
+@pytest.mark.parametrize(
+    ("objective", "module", "name", "number"),
+    [("work", dynamic_programming._Descent, "step", 3), ("velocity_norm", smoothing, "_step", 2)],
+)
+def test_a_route_is_kept_where_time_runs_out_while_it_is_made_cheaper(
+    planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch,
+    start: Data | None, objective: str, module: Any, name: str, number: int,
+) -> None:  # fmt: skip
+    scene = site(LINE, start=start, objective=objective)
+    whole = bp.plan(planar4, scene)
+    assert whole.message == ""
+    monkeypatch.setattr(module, name, clock.runs_out_at(getattr(module, name), number))
+    cut_short = bp.plan(planar4, scene, budget=5.0)
+    assert clock.now >= 1e9, "the search was not interrupted"
+    assert (cut_short.verdict, cut_short.reason) == ("verified", "")
+    assert cut_short.message.startswith("time ran out after 5 s of computing; --budget gives more")
+    assert cut_short.message.endswith("a cheaper motion was not looked for")
+    assert cut_short.certificate.tracking.done
+    assert not np.array_equal(cut_short.trajectory.q, whole.trajectory.q)
+
+
+def test_without_a_complete_route_there_is_no_motion(
+    planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Time runs out on the way to the path, before it is followed."""
+    monkeypatch.setattr(f"{ROOM}.transit.sample_path", clock.runs_out_at(sample_path))
+    plan = bp.plan(planar4, site(LINE))
+    assert (plan.verdict, plan.reason, len(plan.trajectory)) == ("failed", "budget", 1)
+
+
+# --- to a goal ----------------------------------------------------------------------
+
+
+def test_the_straight_try_is_shown_where_time_runs_out_while_sampling(
+    planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = site(BEHIND, start=BENT, obstacles=[POST])
+    found = bp.plan(planar4, scene)
+    assert (found.verdict, found.findings.way) == ("verified", "sampled")
+    monkeypatch.setattr(f"{ROOM}.transit.sample_path", clock.runs_out_at(sample_path))
+    plan = bp.plan(planar4, scene)
+    assert (plan.verdict, plan.reason) == ("failed", "budget")
+    assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")
+    assert "of 1 attempts the closest came to" in plan.message
+    assert (plan.findings.attempts, plan.findings.way) == (1, "straight")
+    assert plan.findings.obstruction is not None
+    assert plan.findings.obstruction.name == "post"
+    off = float(np.linalg.norm(plan.tip_path()[-1] - BEHIND["goal"]["position"]))
+    assert plan.findings.closest_distance == pytest.approx(off, abs=1e-9)
+    assert plan.certificate.safe
+
+
+def test_the_law_that_arrived_is_kept_where_time_runs_out_for_a_faster_motion(
+    planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = site({"goal": {"position": [2.0, 2.0, 0.0]}})
+    monkeypatch.setattr(f"{ROOM}.goal_planning.find_transit", clock.runs_out_at(find_transit))
+    plan = bp.plan(planar4, scene)
+    assert (plan.verdict, plan.reason, plan.findings.way) == ("verified", "", "straight")
+    assert plan.message.endswith("a faster motion was not looked for")
+
+
+@pytest.mark.parametrize("looks", [50, 400])
+def test_the_attempts_of_the_law_end_where_time_does(planar4: bp.Robot, clock: HandSetClock, looks: int) -> None:
+    """One look at the clock a step: of the attempts up to there the nearest is shown."""
+    clock.tick = 1.0
+    plan = bp.plan(planar4, site(BEHIND, start=BENT, obstacles=[POST]), method="reactive", budget=float(looks))
+    assert (plan.verdict, plan.reason) == ("failed", "budget")
+    assert f"of {plan.findings.attempts} attempts" in plan.message
+    assert plan.findings.attempts >= 1
+    assert plan.findings.closest_distance is not None
+    assert len(plan.trajectory) > 10
+    assert plan.certificate.safe
