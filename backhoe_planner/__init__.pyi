@@ -47,10 +47,10 @@ from .planning import LawComparison as LawComparison
 from .planning import Metrics as Metrics
 from .planning import NearestPose as NearestPose
 from .planning import Plan as Plan
+from .planning import PlannerStep as PlannerStep
 from .planning import Reaction as Reaction
 from .planning import RecordingNotes as RecordingNotes
 from .planning import Slower as Slower
-from .planning import Step as Step
 from .planning import load_plan as load_plan
 from .planning import plan as plan
 from .proof import Certificate as Certificate

@@ -10,12 +10,12 @@ from backhoe_planner.law import run_iteration
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import drive_of, retime, time_polyline
 from backhoe_planner.planning.outcome import Outcome, no_posture
-from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed, shortest_time
+from backhoe_planner.planning.reactive.law_timing import shortest_time, speed_up
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.effort import Brake, OutOfTime
-from backhoe_planner.planning.search.postures import Found
+from backhoe_planner.planning.search.postures import PostureResult
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
 
@@ -42,7 +42,7 @@ class ToGoal:
         straight = next(approach_goal(stepper, self.goal, (), work=world.work))
         try:
             if straight.arrived:
-                return _faster(world, stepper, straight, found)
+                return _faster_way(world, stepper, straight, found)
             transit = find_transit(world, stepper, found.clear)
         except OutOfTime as ended:
             if straight.arrived:
@@ -64,18 +64,18 @@ class ToGoal:
         found = self._postures(world, stepper)
         return found if isinstance(found, Outcome) else self._attempts(world, stepper, found.clear)
 
-    def as_printed(self, world: World, stepper: Stepper) -> Outcome:
+    def by_paper(self, world: World, stepper: Stepper) -> Outcome:
         """The iteration of the paper, its steps timed."""
         steps = run_iteration(
             world.problem, stepper.q, self.goal, proximity=world.proximity, kinematics=world.kinematics
         )
         return Outcome(time_polyline(steps, world.problem.limits), findings=Findings(iterations=len(steps) - 1))
 
-    def _postures(self, world: World, stepper: Stepper) -> Found | Outcome:
+    def _postures(self, world: World, stepper: Stepper) -> PostureResult | Outcome:
         """Clear configurations on the goal, the nearest first; or why there is none."""
         count = world.work.effort.starting_points
         found = world.postures.at(self.goal, near=stepper.q, count=count, time=stepper.time)
-        if found.reachable and not found.clear:
+        if found.best.reached and not found.clear:
             found = world.postures.at(self.goal, near=stepper.q, count=_LONG_SEARCH * count, time=stepper.time)
         return no_posture(world, found, self.goal, "goal_in_collision", "goal") or found
 
@@ -84,11 +84,11 @@ class ToGoal:
         attempts = list(approach_goal(stepper, self.goal, postures[:_MOST_POSTURES], work=world.work))
         if not attempts[-1].arrived:
             return describe_attempts(attempts, world.work.brake)
-        arrived = as_fast_as_allowed(stepper, attempts[-1].stepper)
+        arrived = speed_up(stepper, attempts[-1].stepper)
         return Outcome(arrived.trajectory(), findings=_findings(attempts))
 
 
-def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> Outcome:
+def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: PostureResult) -> Outcome:
     """The tip's straight way or, where that is open and faster, the joints'."""
     limits, drive = world.problem.limits, drive_of(world.problem)
     direct = find_transit(world, stepper, found.clear, straight=True)
@@ -96,7 +96,7 @@ def _faster(world: World, stepper: Stepper, straight: Attempt, found: Found) -> 
     way = straight.stepper.trajectory()
     least = shortest_time(way.q[way.time >= stepper.time - 1e-9], limits)
     if joints is None or joints.duration - stepper.time > least:
-        motion = as_fast_as_allowed(stepper, straight.stepper).trajectory()
+        motion = speed_up(stepper, straight.stepper).trajectory()
         # the law runs the joints at rates that all of them together may not have
         if joints is None or joints.duration >= retime(motion, limits, drive=drive).duration:
             return Outcome(motion, findings=Findings(way=straight.way))

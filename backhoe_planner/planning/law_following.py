@@ -20,7 +20,7 @@ from backhoe_planner.planning.outcome import Outcome, blocked_path, no_posture
 from backhoe_planner.planning.paths.corners import time_stretch
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.stretch import Stretch
-from backhoe_planner.planning.reactive.law_timing import as_fast_as_allowed
+from backhoe_planner.planning.reactive.law_timing import speed_up
 from backhoe_planner.planning.reactive.reaching import approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.world import World
@@ -62,7 +62,7 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
         attempts.append(attempt)
         if not attempt.arrived:
             continue
-        reached = follower.follow(as_fast_as_allowed(stepper, attempt.stepper))
+        reached = follower.follow(speed_up(stepper, attempt.stepper))
         if not reached.reason:
             return reached
         outcome = outcome or reached

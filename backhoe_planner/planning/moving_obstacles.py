@@ -30,7 +30,7 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, swept
 
-_Reacted = tuple[Outcome, str, float | None]  # how the motion goes on, and when the machine stands [s]
+_Reply = tuple[Outcome, str, float | None]  # how the motion goes on, in a word, and when the machine stands [s]
 
 _WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s
 _HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of what moves is kept free
@@ -136,7 +136,7 @@ class _OverTime:
 
     # --- what appears ---------------------------------------------------------------
 
-    def _react(self, known: World, motion: Trajectory, moment: float) -> _Reacted:
+    def _react(self, known: World, motion: Trajectory, moment: float) -> _Reply:
         """A motion that is `motion` up to `moment` and goes on otherwise."""
         # it is seen at the next sample, where the motion may change without a shorter step
         moment = float(motion.time[np.searchsorted(motion.time, moment - 1e-9)])
@@ -153,10 +153,10 @@ class _OverTime:
             return swerved, "swerved", None
         return again, way, stopped_at
 
-    def _stop_and_plan(self, known: World, moving: Stepper, motion: Trajectory, moment: float) -> _Reacted:
+    def _stop_and_plan(self, known: World, moving: Stepper, motion: Trajectory, moment: float) -> _Reply:
         """The motion up to `moment`, to rest, and on from there."""
         stopped = moving.branch(attempt=moving.attempt)
-        braked = _braked(motion, moment, self._limits)
+        braked = _brake_along(motion, moment, self._limits)
         if braked is not None and _is_clear(known.proximity, braked, moment):
             stopped.replay(braked, braked.duration)
             stopped.v = np.zeros_like(stopped.q)
@@ -167,9 +167,9 @@ class _OverTime:
             outcome = replace(outcome, trajectory=stopped.trajectory())
         return outcome, "stopped and planned anew", stopped.time
 
-    def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reacted:
+    def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reply:
         """The motion up to `moment`, and to rest along its own way, be it clear or not."""
-        halted = _braked(motion, moment, self._limits) or motion
+        halted = _brake_along(motion, moment, self._limits) or motion
         return Outcome(halted, "blocked", why, Findings(obstruction=obstruction)), "", halted.duration
 
     def _duration(self, outcome: Outcome) -> float:
@@ -188,7 +188,7 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
     """The same motion after the shortest wait that is found to be clear, None where none is."""
 
     def clear(wait: float) -> bool:
-        return _is_clear(known, _delayed(direct.trajectory, stepper.time, wait), stepper.time)
+        return _is_clear(known, _delay(direct.trajectory, stepper.time, wait), stepper.time)
 
     before = 0.0
     for wait in _WAITS:
@@ -202,7 +202,7 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
     for _ in range(_HALVINGS):
         middle = 0.5 * (before + wait)
         before, wait = (before, middle) if clear(middle) else (middle, wait)
-    motion = _delayed(direct.trajectory, stepper.time, wait)
+    motion = _delay(direct.trajectory, stepper.time, wait)
     return replace(direct, trajectory=motion).adding(waits=wait)
 
 
@@ -232,14 +232,14 @@ def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
             yield transit
 
 
-def _delayed(motion: Trajectory, since: float, wait: float) -> Trajectory:
+def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:
     """The same motion, standing for `wait` [s] at the time `since`, at which it stands."""
     split = int(np.searchsorted(motion.time, since - 1e-9))
     time = np.concatenate((motion.time[: split + 1], motion.time[split:] + wait))
     return Trajectory.from_steps(time, np.vstack((motion.q[: split + 1], motion.q[split:])))
 
 
-def _braked(motion: Trajectory, moment: float, limits: JointLimits) -> Trajectory | None:
+def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Trajectory | None:
     """The motion to rest along its own way from `moment` on, as hard as the accelerations allow; None if too slow.
 
     The motion's own clock runs slower and slower, and stops after 1 / rate.

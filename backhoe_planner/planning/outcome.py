@@ -1,4 +1,4 @@
-"""What a planner hands back, and the words for what went wrong."""
+"""The result of a planner, and the words for what went wrong."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import TipTarget
+from backhoe_planner.machine import InverseKinematics, TipTarget
 from backhoe_planner.motion import TipPath, Trajectory
 from backhoe_planner.planning.result.findings import NOTHING, Findings, NearestPose
 from backhoe_planner.planning.result.plan_file import Reason
-from backhoe_planner.planning.search.postures import Found
+from backhoe_planner.planning.search.postures import PostureResult
 from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
+
+_SMALL = 1e-6  # m and rad: chosen far below what a message shows
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A motion, and why it is not what was asked, if it is not.
+    """A motion, and why it does not do what was asked, where it does not.
 
     Attributes
     ----------
@@ -49,17 +51,12 @@ def blocked_path(motion: Trajectory, found: Obstruction, path: TipPath, why: str
 
     Parameters
     ----------
-    motion: up to where it is blocked.
-    found: what is in the way, from where to where.
-    why: it is not bypassed, in words.
+    motion: along the path up to where it is blocked.
+    found: what is in the way, with the part of the path that it blocks.
+    why: end of the sentence that says why it is not bypassed; may be empty.
     """
     where = f"from {found.path_from:.2f} m to {found.path_to:.2f} m of {path.length:.2f} m"
     return Outcome(motion, "blocked", f"the path is blocked {where} by {found}{why}", Findings(obstruction=found))
-
-
-def _point(position: Vector) -> str:
-    """A position in words."""
-    return ", ".join(f"{value:.2f}" for value in position)
 
 
 def bad_start(world: World, start: Vector) -> Outcome | None:
@@ -80,44 +77,49 @@ def bad_start(world: World, start: Vector) -> Outcome | None:
     return None
 
 
-def no_posture(world: World, found: Found, target: TipTarget, reason: Reason, what: str) -> Outcome | None:
+def no_posture(world: World, found: PostureResult, target: TipTarget, reason: Reason, what: str) -> Outcome | None:
     """Why there is no configuration for a target, None where there is one.
 
     Parameters
     ----------
-    reason: where it can be reached, but not without a collision.
-    what: it is, in words.
+    found: the search for configurations on `target`.
+    reason: for a target that can be reached, but not without a collision.
+    what: the target in words, such as ``goal``.
     """
     if found.clear:
         return None
-    best = found.best
-    here = at_rest(world.problem.start_q if world.problem.start_q is not None else best.q)
-    if not found.reachable:
-        tip = world.kinematics.at(best.q).tip_position
-        asked = " and ".join(
-            part
-            for part in (
-                f"{best.position_error:.3f} m" if best.position_error > 1e-6 else "",
-                f"{np.degrees(best.angle_error):.1f} deg" if best.angle_error > 1e-6 else "",
-            )
-            if part
-        )
-        message = (
-            f"the {what} ({_point(target.position)}) is out of reach: "
-            f"the nearest pose is {asked} away, at ({_point(tip)})"
-        )
-        limits, names = world.problem.limits, world.problem.robot.joint_names
-        at_limit = tuple(
-            name for name, q, low, high in zip(names, best.q, limits.lower, limits.upper, strict=True)
-            if min(q - low, high - q) < 1e-6
-        )  # fmt: skip
-        if at_limit:
-            message += f", with {' and '.join(at_limit)} at the limit"
-        nearest = NearestPose(
-            q=tuple(best.q), position=tuple(tip), position_error=best.position_error, angle_error=best.angle_error
-        )
-        return Outcome(here, "unreachable", message, Findings(nearest=nearest, joints=at_limit))
+    if not found.best.reached:
+        return out_of_reach(world, found.best, target, what)
     contact = found.contact
-    if contact is None:
-        return Outcome(here, reason, f"no configuration for the {what} is free")
-    return Outcome(here, reason, f"at the {what} {contact.describe()}", Findings(obstruction=contact))
+    message = f"no configuration for the {what} is free" if contact is None else f"at the {what} {contact.describe()}"
+    return Outcome(_at_start(world, found.best.q), reason, message, Findings(obstruction=contact))
+
+
+def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what: str) -> Outcome:
+    """A target that the tip cannot be put on.
+
+    Parameters
+    ----------
+    best: the nearest configuration.
+    what: the target in words, such as ``goal``.
+    """
+    tip = world.kinematics.at(best.q).tip_position
+    errors = ((best.position_error, f"{best.position_error:.3f} m"),
+              (best.angle_error, f"{np.degrees(best.angle_error):.1f} deg"))  # fmt: skip
+    away = " and ".join(words for error, words in errors if error > _SMALL)
+    wanted, nearest = (", ".join(f"{value:.2f}" for value in position) for position in (target.position, tip))
+    message = f"the {what} ({wanted}) is out of reach: the nearest pose is {away} away, at ({nearest})"
+    limits, names = world.problem.limits, world.problem.robot.joint_names
+    gaps = np.minimum(best.q - limits.lower, limits.upper - best.q)
+    at_limit = tuple(name for name, gap in zip(names, gaps, strict=True) if gap < _SMALL)
+    if at_limit:
+        message += f", with {' and '.join(at_limit)} at the limit"
+    pose = NearestPose(
+        q=tuple(best.q), position=tuple(tip), position_error=best.position_error, angle_error=best.angle_error
+    )
+    return Outcome(_at_start(world, best.q), "unreachable", message, Findings(nearest=pose, joints=at_limit))
+
+
+def _at_start(world: World, q: Vector) -> Trajectory:
+    """At rest at the scene's start; where the scene gives no joints for it, at `q` (n,)."""
+    return at_rest(q if world.problem.start_q is None else world.problem.start_q)

@@ -12,7 +12,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, Trajectory, drive_of, progress, trajectory_costs
 from backhoe_planner.planning.law_following import follow_with_law
-from backhoe_planner.planning.outcome import Outcome, at_rest, blocked_path, no_posture
+from backhoe_planner.planning.outcome import Outcome, at_rest, blocked_path, no_posture, out_of_reach
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.local_resolution import resolve_along
@@ -21,21 +21,20 @@ from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver,
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import Stepper
-from backhoe_planner.planning.report.comparison import law_motion, timed_alone
+from backhoe_planner.planning.report.comparison import fastest_motion, law_motion
 from backhoe_planner.planning.result.findings import Findings
-from backhoe_planner.planning.search.postures import Found
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world import World
 
-_MOST_WAYPOINTS = 32  # of a path are tried before it is planned
-_GUESSES = 24  # for each of them
-_ROOM = 5e-4  # m of margin below which the samples lie closer
-_FINE_PERIOD = 0.004  # s between them then
-_GRID = np.radians(2.5)  # of the free parameter, where there is one
-_LAYER = 0.1  # m of path between layers there
-_ON_PATH = 1e-4  # m and rad
-_SHORT = 0.3  # m of path on which inertia may decide
+_MOST_WAYPOINTS = 32  # that are tried before a path is planned; chosen: a long path has other tests to come
+_GUESSES = 24  # starting points for each of them: as many as `Postures.at` takes
+_ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about what chords are off the curve
+_FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between them then: chords are 25 times nearer to the curve
+_GRID = np.radians(2.5)  # of the free parameter, where there is one: half the usual step, which one can afford
+_LAYER = 0.1  # m of path between layers there: twice the usual, so that a route can turn slowly
+_ON_PATH = 1e-4  # m and rad: chosen, where the tip counts as being on the path
+_SHORT = 0.3  # m: chosen, on a shorter path inertia may decide
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +75,7 @@ def waypoint_out_of_reach(world: World, path: TipPath) -> Outcome | None:
         if not found.reached:
             index = int(indices[row])
             what = "beginning of the path" if index == 0 else f"waypoint {index + 1} of the path"
-            return no_posture(world, Found((), False, found, None), targets[row], "unreachable", what)
+            return out_of_reach(world, found, targets[row], what)
     return None
 
 
@@ -170,7 +169,7 @@ class _Along:
             stepper = transit
         elif stepper is not None:
             stepper = stepper.branch(attempt=stepper.attempt)
-        pieces = self._smoothed(resolved, begin)
+        pieces = self._improve(resolved, begin)
         brake = self._world.work.brake
         message = f"{brake.message}; a cheaper motion was not looked for" if brake.is_used_up() else ""
         stepper = self._world.stepper(_first(pieces)) if stepper is None else stepper
@@ -201,21 +200,21 @@ class _Along:
             return Outcome(stepper.trajectory(), "blocked", message)
         return _Along(self._world, self._path, self._resolver, self._cost, transit).plan(transit.q)
 
-    def _smoothed(self, resolved: Resolution, begin: Vector | None) -> list[Stretch | Bypass]:
+    def _improve(self, resolved: Resolution, begin: Vector | None) -> list[Stretch | Bypass]:
         """The pieces, with the grid's steps taken out of those that follow the path."""
         found: list[Stretch | Bypass] = []
         last = len(resolved.pieces) - 1
         for index, piece in enumerate(resolved.pieces):
             if isinstance(piece, Stretch) and len(piece.q) > 1:
                 free_start = index == 0 and begin is None and self._stepper is None
-                cheap = self._cheapened(piece, free_start=free_start, free_end=index == last)
+                cheap = self._cheapen(piece, free_start=free_start, free_end=index == last)
                 if last == 0 and resolved.obstruction is None:
                     cheap = self._cheaper_than_law(cheap, free_start=free_start)
                 piece = cheap
             found.append(piece)
         return found
 
-    def _cheapened(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
+    def _cheapen(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
         world = self._world
         setting: dict[str, Any] = {
             "proximity": world.proximity,
@@ -236,7 +235,7 @@ class _Along:
         law = self._by_law(low, piece.q[0])
         if law.obstruction is not None:
             return piece
-        other = self._cheapened(law, free_start=free_start, free_end=True)
+        other = self._cheapen(law, free_start=free_start, free_end=True)
         cheap = min((piece, other), key=lambda way: self._cost.of_run(way.stations, way.q))
         return self._with_inertia(cheap) if low == 0.0 else cheap
 
@@ -260,9 +259,9 @@ class _Along:
         law = self._by_law(0.0, piece.q[0])
         if law.obstruction is not None:
             return piece
-        motion = timed_alone(problem, path, piece, proximity=proximity, time=self._time)
+        motion = fastest_motion(problem, path, piece, proximity=proximity, time=self._time)
         if objective.is_time:
-            beside = timed_alone(problem, path, law, proximity=proximity, time=self._time)
+            beside = fastest_motion(problem, path, law, proximity=proximity, time=self._time)
         else:
             beside = law_motion(path, law, motion, kinematics=world.kinematics)
         cheaper = trajectory_costs(problem, beside)[objective.name] < trajectory_costs(problem, motion)[objective.name]

@@ -96,7 +96,7 @@ def plan(
             found="optimal",
             allowed="auto, reactive, paper",
         )
-    outcome, certificate = _drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
+    outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message
     if note and not outcome.reason and not certificate.verified:
@@ -128,7 +128,7 @@ def _checked_method(method: str) -> Method:
     raise InputError.unknown_name("no such method", method, names=METHODS, key="method")
 
 
-def _drivable(
+def _plan_drivable(
     problem: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
 ) -> tuple[Outcome, Certificate]:
     """A motion that the machine can drive, and what is proven of it.
@@ -192,7 +192,7 @@ def _plan_task(world: World, method: Method) -> Outcome:
     if problem.goal is not None:
         task = ToGoal(problem.goal)
         if method == "paper":
-            return task.as_printed(world, stepper)
+            return task.by_paper(world, stepper)
     else:
         assert problem.path is not None
         task = AlongPath(problem.path)

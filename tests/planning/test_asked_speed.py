@@ -9,7 +9,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import Problem, Trajectory, build_problem
-from backhoe_planner.planning import asked_speed
+from backhoe_planner.planning import measure_speed
 
 CAGE = """<robot name="lift">
   <link name="post"/>
@@ -50,7 +50,7 @@ def test_a_lift_that_dawdles_in_the_middle(tmp_path: Path) -> None:
     problem = lift(tmp_path, speed=0.4)
     height = np.array([0.5, 1.0, 1.15, 1.3, 2.0])
     time = np.array([0.0, 1.25, 2.0, 2.75, 4.5])
-    told = asked_speed(problem, Trajectory.from_steps(time, height[:, None]), begun=0.0)
+    told = measure_speed(problem, Trajectory.from_steps(time, height[:, None]), begun=0.0)
     assert told is not None
     assert told.kept_percent == pytest.approx(80.0)
     (slow,) = told.slower

@@ -12,7 +12,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array
 from backhoe_planner.motion import Problem, build_problem, limit_usage
-from backhoe_planner.planning import Stepper, Work, World, approach_goal, as_fast_as_allowed, places_on, shortest_time
+from backhoe_planner.planning import Stepper, Work, World, approach_goal, places_on, shortest_time, speed_up
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 CAGE = """<robot name="lift">
@@ -80,7 +80,7 @@ def test_the_same_way_in_less_time_with_a_limit_at_nearly_every_moment(backhoe: 
     q, scene = free_goal(backhoe, seed)
     problem = build_problem(backhoe, scene)
     begun, arrived = by_law(problem, q)
-    slow, quick = arrived.trajectory(), as_fast_as_allowed(begun, arrived).trajectory()
+    slow, quick = arrived.trajectory(), speed_up(begun, arrived).trajectory()
     assert shortest_time(slow.q, problem.limits) * 0.97 <= quick.duration < slow.duration
     np.testing.assert_array_equal(quick.q[[0, -1]], slow.q[[0, -1]])
     assert off(quick.q, slow.q) < 0.03
@@ -109,7 +109,7 @@ def test_among_what_moves_the_times_are_left(backhoe: bp.Robot) -> None:
         {"name": "bird", "shape": "sphere", "radius": 0.1, "position": [0, 30, 20], "velocity": [0, 1, 0]}
     ]
     begun, arrived = by_law(build_problem(backhoe, bp.scene_from_dict(content)), q)
-    assert as_fast_as_allowed(begun, arrived) is arrived
+    assert speed_up(begun, arrived) is arrived
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -22,7 +22,7 @@ from backhoe_planner.planning import (
     PathResolver,
     Stretch,
     cheapen_stretch,
-    joined,
+    join_motions,
     law_motion,
     least_norm_resolution,
     part_on_path,
@@ -310,7 +310,7 @@ def test_the_approach_counts_where_all_of_the_motion_is_told(backhoe: bp.Robot, 
 def test_motions_are_joined_by_a_step_of_rest() -> None:
     one = Trajectory.from_steps(np.array([0.0, 0.1, 0.2]), np.array([[0.0], [0.1], [0.2]]))
     two = Trajectory.from_steps(np.array([0.0, 0.1, 0.3]), np.array([[0.2], [0.3], [0.4]]))
-    both = joined([one, two])
+    both = join_motions([one, two])
     np.testing.assert_allclose(both.time, [0.0, 0.1, 0.2, 0.3, 0.4, 0.6])
     np.testing.assert_allclose(both.q[:, 0], [0.0, 0.1, 0.2, 0.2, 0.3, 0.4])
 

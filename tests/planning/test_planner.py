@@ -304,7 +304,7 @@ def test_the_same_plan_bit_for_bit_on_a_busy_machine() -> None:
 
 
 def test_the_watcher_sees_the_steps(planar4: bp.Robot) -> None:
-    seen: list[bp.Step] = []
+    seen: list[bp.PlannerStep] = []
     plan = bp.plan(planar4, bp.load_scene(SCENES / "paper_planar.yaml"), watch=seen.append)
     assert plan.verified
     assert len(seen) > 10

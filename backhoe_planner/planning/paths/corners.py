@@ -46,7 +46,7 @@ def round_corners(
         rounded = None
         if cut is not None:
             at = np.linspace(corner - cut, corner + cut, max(_FEWEST, 2 * int(np.ceil(cut / _SPACING)) + 1))
-            rounded = _rounded(kinematics, path, corner, cut, at, stations, q)
+            rounded = _round(kinematics, path, corner, cut, at, stations, q)
         if rounded is None or not all(path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(rounded)):
             left.append(corner)
             continue
@@ -101,7 +101,7 @@ def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> f
     return min(2.0 * off / float(np.sin(0.5 * bend)), longest)
 
 
-def _rounded(
+def _round(
     kinematics: BatchKinematics, path: TipPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix
 ) -> Matrix | None:
     """(M, n) joints with the tip on the parabola, None where there are none near those on the path."""

@@ -121,7 +121,7 @@ class _Descent:
         self._measure = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-9))))
         self.least = cost.of_run(stations, q)
         asked = proximity.clearance + _AHEAD
-        self._lower = np.array([self._measured(row, asked) for row in q]).reshape(len(q), -1)
+        self._lower = np.array([self._distances(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
         self._floor = np.minimum(margin, _ROOM) - TOUCH
 
@@ -207,7 +207,7 @@ class _Descent:
         unsure = (self._lower[self._knots][:, None, :] - reach < asked[:, None, :]).any(axis=2) & usable
         unsure[:, _WIDTH] = False
         for k, c in np.argwhere(unsure).tolist():
-            usable[k, c] = bool(np.all(self._measured(found[k, c], asked[k]) >= asked[k]))
+            usable[k, c] = bool(np.all(self._distances(found[k, c], asked[k]) >= asked[k]))
 
     def _nodes(self, neighbours: NDArray[np.float64]) -> Nodes:
         count, width, n = neighbours.shape
@@ -239,7 +239,7 @@ class _Descent:
         asked = clearance + self._floor[:, None]
         lower = self._lower - np.abs(moved - self.q) @ travel.T
         for k in np.flatnonzero((lower < asked).any(axis=1)).tolist():
-            lower[k] = self._measured(moved[k], asked[k] + _AHEAD)
+            lower[k] = self._distances(moved[k], asked[k] + _AHEAD)
         tight = (lower < asked).any(axis=1)
         swept = np.abs(np.diff(moved, axis=0)) @ travel.T
         unsure = (0.5 * (lower[1:] + lower[:-1] - swept) < clearance - TOUCH).any(axis=1)
@@ -251,7 +251,7 @@ class _Descent:
             bad[np.clip(after + shift, 0, len(bad) - 1)] = True
         return bad, lower
 
-    def _measured(self, q: Vector, floor: Vector) -> Vector:
+    def _distances(self, q: Vector, floor: Vector) -> Vector:
         """(P,) lower bounds of the distances at q (n,), exact where they are below `floor` (P,) [m]."""
         lower, _ = self._proximity.lower_bounds(q, time=self._time, floor=floor)
         return np.where(self._proximity.appears_at <= self._time, lower, np.inf)

@@ -69,7 +69,7 @@ class PathLayers:
         batch = TargetBatch.of(targets)
         redundancy = redundancy_of(self._robot, targets[0])
         if redundancy >= 2:
-            found = self._sampled(batch)
+            found = self._on_samples(batch)
         elif redundancy == 1 and not self._pitch_is_free(targets):
             found = self._on_curves(stations, batch)
         else:
@@ -246,7 +246,7 @@ class PathLayers:
 
     # --- several parameters ---------------------------------------------------------
 
-    def _sampled(self, batch: TargetBatch) -> list[Matrix]:
+    def _on_samples(self, batch: TargetBatch) -> list[Matrix]:
         guesses = _sobol(self._box, self._samples)
         rows = np.repeat(np.arange(len(batch)), len(guesses))
         q, reached = self._solve_all(batch.take(rows), np.tile(guesses, (len(batch), 1)))

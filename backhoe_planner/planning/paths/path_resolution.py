@@ -170,13 +170,13 @@ class PathResolver:
             route = graph.best_route(costs)
             if route is None:
                 break
-            if self._driven(graph, route) and self._bypassed(graph, route, failures):
+            if self._make_motions(graph, route) and self._find_detours(graph, route, failures):
                 return self._pieces(graph, route)
         return None
 
     # --- edges ---------------------------------------------------------------------
 
-    def _driven(self, graph: LayeredGraph, route: Route) -> bool:
+    def _make_motions(self, graph: LayeredGraph, route: Route) -> bool:
         """Whether all that follows the path can be driven; what cannot is forbidden."""
         edges = [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR]
         self._work.brake.check()
@@ -230,7 +230,7 @@ class PathResolver:
 
     # --- detours -------------------------------------------------------------------
 
-    def _bypassed(self, graph: LayeredGraph, route: Route, failures: dict[tuple[int, int], int]) -> bool:
+    def _find_detours(self, graph: LayeredGraph, route: Route, failures: dict[tuple[int, int], int]) -> bool:
         """Whether all detours of a route are found; the first that is not is forbidden."""
         for edge in route.edges:
             if edge.kind is not EdgeKind.DETOUR or edge in self._ways:
@@ -346,7 +346,7 @@ class PathResolver:
                 break
             route = graph.best_route(costs, end=reached)
             assert route is not None
-            if not self._driven(graph, route):
+            if not self._make_motions(graph, route):
                 continue
             layer, index = route.nodes[-1]
             low = float(graph.stations[layer])

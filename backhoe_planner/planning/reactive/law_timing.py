@@ -23,7 +23,7 @@ _INTERVALS = 300  # on a way, at whose ends limits are looked at
 _GAIN = 0.01  # of the time, below which a motion is left as it is
 
 
-def as_fast_as_allowed(begun: Stepper, arrived: Stepper) -> Stepper:
+def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
     """The same way from rest to rest in less time; `arrived` itself where none is proven clear.
 
     Where anything moves or appears the times belong to the proof, and are left.

@@ -29,7 +29,7 @@ _LONGEST_STOP = 10.0  # s after which giving way has to be over
 
 
 @dataclass(frozen=True)
-class Step:
+class PlannerStep:
     """What a watcher is shown while the planner works.
 
     Attributes
@@ -44,7 +44,7 @@ class Step:
     attempt: int
 
 
-Watcher = Callable[[Step], object]
+Watcher = Callable[[PlannerStep], object]
 
 
 class Stepper:
@@ -145,7 +145,7 @@ class Stepper:
             self._times.append(begun + float(moment))
             self._path.append(np.array(q))
             if self._watch is not None:
-                self._watch(Step(self._times[-1], q, self.attempt))
+                self._watch(PlannerStep(self._times[-1], q, self.attempt))
         self.time = self._times[-1]
         self.q = self._path[-1]
         self.v = piece.segment_velocities()[-1].copy()
@@ -214,7 +214,7 @@ class Stepper:
         self._times.append(self.time)
         self._path.append(q)
         if self._watch is not None:
-            self._watch(Step(self.time, q, self.attempt))
+            self._watch(PlannerStep(self.time, q, self.attempt))
 
     def _brake(self, dt: float) -> bool:
         """One step of braking in proportion, where that is clear."""

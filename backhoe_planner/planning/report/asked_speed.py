@@ -39,7 +39,7 @@ class AskedSpeed(Record):
     """The other parts, in the order of the path."""
 
 
-def asked_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> AskedSpeed | None:
+def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> AskedSpeed | None:
     """Of a motion that follows the scene's path; None where no speed is asked.
 
     Parts where the tip is off the path by more than the tolerance, on a detour, are not

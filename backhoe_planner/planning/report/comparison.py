@@ -145,7 +145,7 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
             return beside(None, None, breaks)
         law = found
     if is_time:
-        moved = timed_alone(problem, path, law, proximity=proximity, time=begun)
+        moved = fastest_motion(problem, path, law, proximity=proximity, time=begun)
     else:
         moved = law_motion(path, law, motion, kinematics=kinematics)
     return beside(trajectory_costs(problem, moved)[name], moved, breaks)
@@ -175,17 +175,19 @@ def part_on_path(
     return Trajectory.from_steps(time, trajectory.q[first:]), float(trajectory.time[first])
 
 
-def timed_alone(
+def fastest_motion(
     problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
 ) -> Trajectory:
     """A stretch as fast as the limits allow, at rest at both ends and at the corners that are not rounded."""
     task = problem.scene.task.path
     assert task is not None
     rounded, stops = round_corners(problem, path, stretch, proximity=proximity, time=time)
-    return joined(time_stretch(path, rounded, problem.limits, speed=task.speed, drive=drive_of(problem), stops=stops))
+    return join_motions(
+        time_stretch(path, rounded, problem.limits, speed=task.speed, drive=drive_of(problem), stops=stops)
+    )
 
 
-def joined(motions: Sequence[Trajectory]) -> Trajectory:
+def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
     """Motions from rest to rest one after the other, with a step between them in which the machine stands."""
     times, places = [motions[0].time], [motions[0].q]
     for motion in motions[1:]:

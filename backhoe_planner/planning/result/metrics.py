@@ -10,7 +10,7 @@ import numpy as np
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Detour, Problem, Trajectory, trajectory_costs
-from backhoe_planner.planning.report.asked_speed import AskedSpeed, asked_speed
+from backhoe_planner.planning.report.asked_speed import AskedSpeed, measure_speed
 from backhoe_planner.planning.report.comparison import LawComparison, compare_with_law
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction
@@ -78,7 +78,7 @@ def measure_motion(
         figures = figures.model_copy(update={"law_breaks": found[0].obstruction})
     speed = None
     if problem.path is not None and certificate.tracking.done:
-        speed = asked_speed(problem, trajectory, begun=certificate.tracking.approach_time)
+        speed = measure_speed(problem, trajectory, begun=certificate.tracking.approach_time)
     return Metrics(
         duration=trajectory.duration,
         planning_time=planning_time,

@@ -9,17 +9,17 @@ from backhoe_planner.motion import SmoothWay, chord_sagitta
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
-_HALVINGS = 7
-_SHARED = 0.5  # part of a leg that each of two corners may take
-_ALONE = 0.95  # part of a leg that the only corner on it may take
+_HALVINGS = 7  # chosen: a cut that is less than a hundredth of the longest possible saves little time
+_SHARED = 0.5  # part of a leg that each of two corners may take: an even half
+_ALONE = 0.95  # part of a leg that its only corner may take: nearly all, so that a piece of the leg is left
 
 
 def blend(check: MotionCheck, way: JointPath) -> SmoothWay:
-    """Cut every corner of `way` as far as the cut is proven clear; stop where none is.
+    """Round every corner of `way` as far as that is proven clear; a corner that cannot be rounded is stopped at.
 
     Parameters
     ----------
-    check: that `way` was found with.
+    check: the check that `way` was found with.
     """
     q = way.q
     steps = np.linalg.norm(np.diff(q, axis=0) / check.rate, axis=1)
@@ -33,7 +33,7 @@ def blend(check: MotionCheck, way: JointPath) -> SmoothWay:
 
 
 def _cut(check: MotionCheck, q: Matrix, steps: Vector, corner: int) -> float:
-    """The longest d that is clear of the halvings of the longest possible; 0 where none is."""
+    """How far before and after a corner it is cut [s]: the longest possible, or halved until clear; 0 if never."""
     into = (q[corner] - q[corner - 1]) / steps[corner - 1]
     out = (q[corner + 1] - q[corner]) / steps[corner]
     d = min(

@@ -15,9 +15,7 @@ import numpy as np
 
 from backhoe_planner.errors import InputError
 
-DEFAULT_BUDGET = (
-    60.0  # s: several times what `normal` takes on one idle core, so that a busy machine ends by counts too
-)
+DEFAULT_BUDGET = 60.0  # s: several times what `normal` takes on one core, so that plans end by their counts
 
 
 @dataclass(frozen=True)
@@ -62,27 +60,27 @@ _NORMAL = Effort(
 )
 
 
-def _times(factor: float) -> Effort:
-    """The normal effort, `factor` times."""
+def _scaled(factor: float) -> Effort:
+    """The normal effort times `factor`."""
     return Effort(**{name: round(factor * count) for name, count in asdict(_NORMAL).items()})
 
 
 EFFORTS: Mapping[str, Effort] = MappingProxyType(
     {
         # inverse kinematics costs little and decides much: with a fifth of it goals count as out of reach
-        "quick": replace(_times(0.2), starting_points=_NORMAL.starting_points),
+        "quick": replace(_scaled(0.2), starting_points=_NORMAL.starting_points),
         "normal": _NORMAL,
-        "thorough": _times(4.0),
+        "thorough": _scaled(4.0),
     }
 )
 
 
 def effort_named(name: str) -> Effort:
-    """The effort of that name.
+    """The effort called `name`.
 
     Raises
     ------
-    InputError: there is none.
+    InputError: there is no effort of that name.
     """
     if name not in EFFORTS:
         raise InputError.unknown_name("no such effort", name, names=EFFORTS, key="effort")
@@ -90,18 +88,18 @@ def effort_named(name: str) -> Effort:
 
 
 class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not an error
-    """The emergency brake has ended a search."""
+    """The budget of computing time is used up; see `Brake`."""
 
 
 class Brake:
-    """Ends what runs away: a budget of time, from when the brake is made.
+    """Ends a search that takes too long: a budget of computing time, which begins when the brake is made.
 
-    It is computing time of the thread in which the brake is made and checked: what else
-    runs on the machine does not use it up.
+    Only the thread in which the brake is made and checked counts: other programs do not
+    use up the budget.
 
     Attributes
     ----------
-    budget: [s]; by default without end.
+    budget: computing time [s]; by default unlimited.
     """
 
     def __init__(self, budget: float = np.inf) -> None:
@@ -133,9 +131,9 @@ class Work:
 
     Attributes
     ----------
-    effort: with which the work began.
-    brake: that every search checks.
-    motions, law_steps, sweeps: that are left; see `Effort`.
+    effort: what there was at the beginning.
+    brake: checked by every search.
+    motions, law_steps, sweeps: counts that are left; see `Effort`.
     """
 
     def __init__(self, effort: Effort = EFFORTS["normal"], brake: Brake | None = None) -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -28,24 +29,22 @@ from backhoe_planner.site import Proximity
 
 Condition = Callable[[Vector], bool]
 
-_SLOPE = 0.05  # by which the spare grows per metre of travel away from a tight end
-_ROUNDING = 5e-7  # m
+_SLOPE = 0.05  # m of spare per metre of travel away from a tight end; chosen small, since B grows by it
+_ROUNDING = 5e-7  # m: chosen far below every clearance, and far above the rounding of a distance
 _SELF_SPARE = 0.002  # m: the bodies of a machine are built to pass each other closely
-_MOST_HALVINGS = 250  # of one motion, after which it counts as not clear
-_REMEMBERED = 20_000  # configurations
-_ANCHORS = 100  # of them with every pair measured, from which others are judged
-_ANCHOR_FROM = 0.4  # part of the pairs that had to be measured anyway
-_KEEP_EVERY = 0.02  # s of the slowest joint between two looks at the extra condition
+_MOST_HALVINGS = 250  # of one motion; chosen: one that is still undecided then is too tight to be worth more
+_REMEMBERED = 20_000  # configurations; chosen to bound the memory, above what one search visits
+_ANCHORS = 100  # configurations with every pair measured, from which others are bounded; chosen, as each is compared
+_ANCHOR_FROM = 0.4  # chosen: where this part of the pairs was measured anyway, the rest is measured for an anchor
+_KEEP_EVERY = 0.02  # s of the slowest joint between two looks at `keep`: the period of a motion's samples
 
 
-class _Known:
-    """Margins at one configuration: lower bounds, exact where `exact`."""
+@dataclass(slots=True, eq=False)
+class _Margins:
+    """Margins of all pairs at one configuration [m]: lower bounds, exact where `exact`."""
 
-    __slots__ = ("exact", "margin")
-
-    def __init__(self, margin: Vector, exact: NDArray[np.bool_]) -> None:
-        self.margin = margin
-        self.exact = exact
+    margin: Vector
+    exact: NDArray[np.bool_]
 
 
 class MotionCheck:
@@ -53,18 +52,18 @@ class MotionCheck:
 
     Parameters
     ----------
-    problem: its limits are kept, and its velocities weigh the joints.
-    proximity: distances of the problem; its working memory is used.
-    ends: (n,) configurations at which a way may begin or end.
-    spare: kept beyond every clearance [m]; between bodies of the machine 2 mm are enough.
-    time: at which the obstacles are taken to stand still [s].
-    keep: a further condition on configurations. It is looked at closely along a motion
-        (every 0.02 s of the slowest joint), not proven.
-    brake: that every question checks; by default none.
+    problem: its joint limits are kept, and its velocity limits weigh the joints.
+    proximity: distances to the obstacles.
+    ends: (n,) configurations at which a way may begin or end [rad or m].
+    spare: kept beyond every clearance [m]; between bodies of the machine at most 2 mm.
+    time: the obstacles stand where they are at this time [s].
+    keep: a further condition on configurations. It is not proven but sampled along a
+        motion, every 0.02 s of the slowest joint.
+    brake: checked at every question; by default none.
 
     Attributes
     ----------
-    ends_clear: of each end, whether it keeps its clearances, limits and `keep`.
+    ends_clear: whether each end keeps its clearances, the limits and `keep`.
     measured: how many configurations were measured.
     """
 
@@ -92,12 +91,12 @@ class MotionCheck:
         self._travel = proximity.travel[self._pairs] * (1.0 + _SLOPE)
         self._transposed = np.ascontiguousarray(self._travel.T)
         self._nothing = np.zeros(len(self._pairs))
-        self._known: dict[bytes, _Known] = {}
+        self._known: dict[bytes, _Margins] = {}
         self._anchors: list[tuple[Vector, Vector]] = []
         self._tight = np.zeros(len(self._pairs), dtype=bool)
         self._tight_ends: list[tuple[Vector, Vector]] = []
         self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
-        self._known.clear()  # what an end needs depends on all of them
+        self._known.clear()  # the spare at a configuration depends on all ends
 
     # --- questions -------------------------------------------------------------
 
@@ -141,9 +140,15 @@ class MotionCheck:
     # --- the proof ---------------------------------------------------------------
 
     def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
-        """Of the curve `point` from `q_a` to `q_b`, whose joints change at `rate` (n,) at most."""
+        """Whether the curve `point` from `q_a` to `q_b` is clear.
+
+        Parameters
+        ----------
+        rate: (n,) greatest change of each joint over t.
+        more: (P,) further distance that each pair must keep [m].
+        """
         self._brake.check()
-        if self._keep is not None and not self._kept(point, rate):
+        if self._keep is not None and not self._keeps(point, rate):
             return False
         if not len(self._pairs):
             return True
@@ -200,19 +205,19 @@ class MotionCheck:
                 parts.append((middle, b, rows[right], margin[right], margin_b[right]))
         return True
 
-    def _kept(self, point: Callable[[float], Vector], rate: Vector) -> bool:
+    def _keeps(self, point: Callable[[float], Vector], rate: Vector) -> bool:
         assert self._keep is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _KEEP_EVERY)) + 1
         return all(self._keep(point(part)) for part in _places(steps))
 
     # --- what is known -----------------------------------------------------------
 
-    def _at(self, q: Vector, enough: Vector) -> _Known:
-        """What is known at `q`: of each pair its margin, or that it is at least `enough`."""
+    def _at(self, q: Vector, enough: Vector) -> _Margins:
+        """Margins at `q`: of each pair the exact one, or a lower bound that is at least `enough` (P,) [m]."""
         key = q.tobytes()
         known = self._known.get(key)
         if known is None:
-            known = _Known(self._bounds_at(q), np.zeros(len(enough), dtype=bool))
+            known = _Margins(self._bounds_at(q), np.zeros(len(enough), dtype=bool))
             self._make_exact(known, q, known.margin < enough)
             if len(self._anchors) < _ANCHORS and np.mean(known.exact) > _ANCHOR_FROM:
                 self._make_exact(known, q, ~known.exact)
@@ -221,19 +226,19 @@ class MotionCheck:
         return known
 
     def _bounds_at(self, q: Vector) -> Vector:
-        """(P,) lower bounds of the margins from where everything was measured."""
+        """(P,) lower bounds of the margins at `q` [m], from the nearest anchor."""
         if not self._anchors:
             return np.full(len(self._pairs), -np.inf)
         away = np.abs(np.array([anchor for anchor, _ in self._anchors]) - q)
         nearest = int(np.argmin(np.sum(away / self.rate, axis=1)))
         return np.asarray(self._anchors[nearest][1] - away[nearest] @ self._transposed)
 
-    def _toward(self, q: Vector, from_: _Known, bound: Vector, needed: NDArray[np.bool_]) -> _Known | None:
-        """What is known at `q`, at least of the pairs that are `needed`; None where one is too near."""
+    def _toward(self, q: Vector, from_: _Margins, bound: Vector, needed: NDArray[np.bool_]) -> _Margins | None:
+        """Margins at `q`, exact for the pairs that are `needed`; None where one of them is negative."""
         key = q.tobytes()
         known = self._known.get(key)
         if known is None:
-            known = _Known(from_.margin - bound, np.zeros(len(bound), dtype=bool))
+            known = _Margins(from_.margin - bound, np.zeros(len(bound), dtype=bool))
         missing = np.flatnonzero(needed & ~known.exact)
         if len(missing):
             measured = self._measure(missing, q)
@@ -245,13 +250,13 @@ class MotionCheck:
         self._remember(key, known)
         return known
 
-    def _make_exact(self, known: _Known, q: Vector, rows: NDArray[np.bool_]) -> None:
+    def _make_exact(self, known: _Margins, q: Vector, rows: NDArray[np.bool_]) -> None:
         loose = np.flatnonzero(rows & ~known.exact)
         if len(loose):
             known.margin[loose] = self._measure(loose, q)
             known.exact[loose] = True
 
-    def _remember(self, key: bytes, known: _Known) -> None:
+    def _remember(self, key: bytes, known: _Margins) -> None:
         if len(self._known) >= _REMEMBERED:
             self._known.clear()
         self._known[key] = known
@@ -286,13 +291,13 @@ class MotionCheck:
 
 @lru_cache(maxsize=1024)
 def _places(steps: int) -> tuple[float, ...]:
-    """0 to 1 in equal steps; the ends and the middle first: what fails, mostly fails there."""
-    inner = sorted(range(1, steps), key=_turned)
+    """0 to 1 in equal steps; the ends and the middle first, where most motions fail."""
+    inner = sorted(range(1, steps), key=_reversed_bits)
     return (1.0, 0.0, *(k / steps for k in inner))
 
 
-def _turned(index: int) -> float:
-    """The index with its binary digits turned round (van der Corput)."""
+def _reversed_bits(index: int) -> float:
+    """The binary digits of `index` in reverse, read behind the point (van der Corput)."""
     value, weight = 0.0, 0.5
     while index:
         value += weight * (index & 1)

@@ -19,24 +19,22 @@ from backhoe_planner.machine import (
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import Obstruction, Proximity
 
-_SPARE = 0.003  # m beyond the clearance, so that the motion can end there
-_SAME = 0.05  # rad: configurations nearer than this count as one
+_SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm that a motion that ends there keeps
+_SAME = 0.05  # rad or m: chosen, configurations nearer than this count as one
 
 
 @dataclass(frozen=True)
-class Found:
-    """What was found for one target.
+class PostureResult:
+    """The configurations found for one target.
 
     Attributes
     ----------
-    clear: (n,) configurations that keep every clearance, the nearest to `near` first.
-    reachable: whether the tip can be put there at all.
-    best: the inverse kinematics' result with the least error.
-    contact: where all that reach it collide, the mildest collision.
+    clear: (n,) configurations that keep every clearance [rad or m], the nearest first.
+    best: the inverse kinematics' result with the least error; it says whether the target can be reached.
+    contact: the mildest collision, where all configurations on the target collide.
     """
 
     clear: tuple[Vector, ...]
-    reachable: bool
     best: InverseKinematics
     contact: Obstruction | None
 
@@ -53,25 +51,29 @@ class Postures:
         self._rng = rng
         self._batch = BatchKinematics(problem.robot)
 
-    def at(self, target: TipTarget, *, near: Vector | None = None, count: int = 24, time: float = 0.0) -> Found:
+    def at(self, target: TipTarget, *, near: Vector | None = None, count: int = 24, time: float = 0.0) -> PostureResult:
         """Clear configurations that put the tip on `target`.
 
         Parameters
         ----------
-        near: (n,) from where they are to be reached: the first to be tried, and the
-            order of the result, by the time that the slowest joint takes.
-        count: how many starting points of the inverse kinematics.
+        near: (n,) where the joints stand [rad or m]: the first starting point. The result is
+            sorted by the time that the slowest joint takes from there. By default the middle of the limits.
+        count: starting points of the inverse kinematics.
+        time: the obstacles stand where they are at this time [s].
         """
         robot = self._problem.robot
         near = robot.middle if near is None else near
         guesses = np.array([near, *(robot.random_q(self._rng) for _ in range(count - 1))])
-        batch = TargetBatch.of([target] * count)
-        ends, reached = solve_batch(self._batch, batch, guesses)
-        best: InverseKinematics | None = None
+        ends, reached = solve_batch(self._batch, TargetBatch.of([target] * count), guesses)
+        ends = ends[reached]
+        if len(ends):
+            best = InverseKinematics(True, ends[0], *target.distances(self._kinematics.at(ends[0])), count)
+        else:
+            best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng)
+            ends = best.q[None, :] if best.reached else ends
         clear: list[Vector] = []
         mildest: Obstruction | None = None
-        for q in ends[reached]:
-            best = best or InverseKinematics(True, q, *target.distances(self._kinematics.at(q)), count)
+        for q in ends:
             if any(float(np.max(np.abs(q - other))) <= _SAME for other in clear):
                 continue
             contact = self._proximity.tightest(q, time=time)
@@ -79,14 +81,6 @@ class Postures:
                 clear.append(q)
             elif mildest is None or contact.margin > mildest.margin:
                 mildest = contact
-        if best is None:
-            best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng)
-            if best.reached:
-                contact = self._proximity.tightest(best.q, time=time)
-                if contact is None or contact.margin >= _SPARE:
-                    clear.append(best.q)
-                else:
-                    mildest = contact
         rate = self._problem.limits.velocity
         clear.sort(key=lambda q: float(np.max(np.abs(q - near) / rate)))
-        return Found(tuple(clear), best.reached, best, None if clear else mildest)
+        return PostureResult(tuple(clear), best, None if clear else mildest)

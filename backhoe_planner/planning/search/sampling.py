@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,8 +20,8 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
-_RANGE = 1.0  # s: the longest motion that is added to a tree
-_MOST_OF_BOX = 0.4  # and at most this part of the box's diagonal
+_RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
+_MOST_OF_BOX = 0.4  # part of the box's diagonal that such a motion may be at most: chosen, so that trees branch
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +58,17 @@ def sample_path(
 
     Parameters
     ----------
-    check: made for these ends, in this order.
-    start: (n,), goals: (n,) each; those that are not clear themselves are left out.
+    check: made for `start` and `goals`, in this order.
+    start: (n,) where the way begins [rad or m].
+    goals: (n,) where it may end, each; those that are not clear are left out.
     seed: of the sampling, not negative.
-    work: from which every motion is taken that the sampling looks at.
-    most_motions: that it looks at before it is given up, by default those of one search;
+    work: every motion that the sampling looks at is taken from it.
+    most_motions: after so many the sampling is given up; by default `Effort.motions_per_search`,
         0 for the straight motions alone.
 
     Returns
     -------
-    The way to the goal that was reached first; None where no end is clear, or the work is done.
+    The way to the goal that was reached first; None where no end is clear, or no work is left.
 
     Raises
     ------
@@ -87,32 +87,18 @@ def sample_path(
     most_motions = work.effort.motions_per_search if most_motions is None else most_motions
     if not open_goals or min(most_motions, work.motions) <= 0:
         return None
-    with _quiet():
-        return _Search(check, work, most_motions).run(start, open_goals, seed)
+    return _Search(check, work, most_motions).run(start, open_goals, seed)
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """OMPL says nothing meanwhile."""
-    from ompl import util
-
-    level = util.getLogLevel()
-    util.setLogLevel(util.LogLevel.LOG_NONE)
-    try:
-        yield
-    finally:
-        util.setLogLevel(level)
-
-
-# OMPL has one seed for the whole process: a search beside another one would take random numbers from it
-_SEEDED = threading.Lock()
+# OMPL has one seed and one log level for the whole process: one search at a time
+_OMPL = threading.Lock()
 
 
 class _Search:
     """One run of RRTConnect, in joint times (positions over velocity limits).
 
     No exception passes through OMPL: the first one makes it stop, and is raised again
-    behind it. Nothing that OMPL owns is kept here, or it would never be freed.
+    afterwards. Nothing that OMPL owns is kept here, or it would never be freed.
     """
 
     def __init__(self, check: MotionCheck, work: Work, most_motions: int) -> None:
@@ -123,11 +109,16 @@ class _Search:
         self._raised: BaseException | None = None
 
     def run(self, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
-        try:
-            with _SEEDED:
+        from ompl import util
+
+        with _OMPL:
+            level = util.getLogLevel()
+            util.setLogLevel(util.LogLevel.LOG_NONE)
+            try:
                 found = self._solve(start, goals, seed)
-        finally:
-            raised, self._raised = self._raised, None
+            finally:
+                util.setLogLevel(level)
+                raised, self._raised = self._raised, None
         if raised is not None:
             raise raised
         return found
@@ -165,15 +156,12 @@ class _Search:
         q = np.array(corners) * self._rate
         q[0] = start
         q[-1] = min(goals, key=lambda goal: float(np.max(np.abs(goal - q[-1]))))
-        return self._proven(q)
-
-    def _proven(self, q: Matrix) -> JointPath | None:
-        """The way, if it is still proven where the rounding of the scaling has moved its ends."""
+        # the scaling has moved the corners by its rounding
         clear = all(self._check.segment_is_clear(a, b) for a, b in itertools.pairwise(q))
         return JointPath(q) if clear else None
 
     def _box(self, ends: list[Vector]) -> tuple[Vector, Vector]:
-        """Limits in joint times; a continuous joint may turn once beyond the ends."""
+        """Limits in joint times; a continuous joint may turn by one revolution beyond the ends."""
         limits = self._check.problem.limits
         low, high = np.min(ends, axis=0), np.max(ends, axis=0)
         lower = np.where(np.isfinite(limits.lower), limits.lower, low - 2.0 * np.pi)
@@ -192,7 +180,7 @@ class _Search:
             return False
         try:
             return self._check.segment_is_clear(np.array(a) * self._rate, np.array(b) * self._rate)
-        except BaseException as raised:  # noqa: BLE001 - raised again behind OMPL
+        except BaseException as raised:  # noqa: BLE001 - raised again after OMPL has stopped
             self._raised = raised
             return False
 

@@ -14,42 +14,43 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
-_TRIES = 60
-_PATIENCE = 20  # tries in a row without a gain after which it is left at that
-_GAIN = 1e-3  # of the length, below which a shortcut is not worth it
-_ONE_JOINT = 0.4  # part of the tries
-_SHORTEST = 1e-6  # s between two corners
+_TRIES = 60  # random shortcuts; chosen: `_PATIENCE` mostly ends them before
+_PATIENCE = 20  # shortcuts in a row without a gain after which no more are tried; a third of all
+_GAIN = 1e-3  # part of the length; chosen: a shortcut that gains less is not worth its proof
+_ONE_JOINT = 0.4  # part of the shortcuts that move one joint alone; chosen, rather fewer than those of all joints
+_SHORTEST = 1e-6  # s between two corners: far below any motion, so that no segment is divided by 0
 
 
-def shorten(check: MotionCheck, way: JointPath, *, seed: int, tries: int = _TRIES) -> JointPath:
+def shorten(check: MotionCheck, way: JointPath, *, seed: int) -> JointPath:
     """A way with the same ends that is not longer, and as well proven.
 
     Parameters
     ----------
-    check: that `way` was found with.
+    check: the check that `way` was found with.
     seed: of the random places, not negative.
-    tries: how many random shortcuts are looked at.
     """
     rng = np.random.default_rng(seed)
-    q = np.array(way.q)
-    q = _without_corners(check, q)
+    q = _without_corners(check, way.q)
     missed = 0
-    for _ in range(tries):
+    for _ in range(_TRIES):
         if len(q) < 3 or missed >= _PATIENCE:
             break
         shorter = _shortcut(check, q, rng)
-        missed = missed + 1 if shorter is None else 0
-        q = q if shorter is None else shorter
+        if shorter is None:
+            missed += 1
+        else:
+            q, missed = shorter, 0
     q = _without_corners(check, q)
     return JointPath(q) if _length(q, check.rate) < _length(way.q, check.rate) else way
 
 
 def _length(q: Matrix, rate: Vector) -> float:
+    """The same as `JointPath.length` [s]."""
     return float(np.sum(np.linalg.norm(np.diff(q, axis=0) / rate, axis=1)))
 
 
 def _without_corners(check: MotionCheck, q: Matrix) -> Matrix:
-    """As far ahead from each corner as a straight motion is clear."""
+    """From each corner straight on to the furthest one to which the motion is clear."""
     kept = [0]
     while kept[-1] < len(q) - 1:
         here = kept[-1]
@@ -61,6 +62,7 @@ def _without_corners(check: MotionCheck, q: Matrix) -> Matrix:
 
 
 def _shortcut(check: MotionCheck, q: Matrix, rng: np.random.Generator) -> Matrix | None:
+    """(K, n) the way with one straight piece between two random places; None where that is no gain or not clear."""
     steps = np.linalg.norm(np.diff(q, axis=0) / check.rate, axis=1)
     stations = np.concatenate(([0.0], np.cumsum(steps)))
     one_joint = bool(rng.random() < _ONE_JOINT)
@@ -84,5 +86,5 @@ def _shortcut(check: MotionCheck, q: Matrix, rng: np.random.Generator) -> Matrix
     found = np.vstack((q[: first + 1], new, q[last + 1 :]))
     if float(np.min(np.linalg.norm(np.diff(found, axis=0) / check.rate, axis=1))) < _SHORTEST:
         return None
-    # what lies outside is part of what was proven
+    # the rest has been proven with `q`
     return found if all(check.segment_is_clear(a, b) for a, b in itertools.pairwise(new)) else None
