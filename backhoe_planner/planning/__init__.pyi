@@ -8,7 +8,6 @@ from .paths.path_layers import PathLayers as PathLayers
 from .paths.path_layers import redundancy_of as redundancy_of
 from .paths.path_resolution import PathResolver as PathResolver
 from .paths.smoothing import smooth_stretch as smooth_stretch
-from .paths.smoothing import stretch_cost as stretch_cost
 from .paths.stretch import Stretch as Stretch
 from .planner import plan as plan
 from .reactive.law_timing import places_on as places_on

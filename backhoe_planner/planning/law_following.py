@@ -1,9 +1,8 @@
 """Following a bucket path with the completed law, and leaving it around an obstacle.
 
-The law resolves the path as far as it can. Where it is blocked, the machine stops, and
-goes on from the first point of the path ahead that it can stand on: it is brought there
-as to any goal, and the law goes on. So the path is left as late and rejoined as early
-as the local law can.
+The law resolves the path as far as it can. Where it is blocked, the machine stops. The law
+brings it to the first point of the path ahead that it can stand on, as to any goal, and
+goes on from there. So the path is left as late and rejoined as early as the law can.
 """
 
 from __future__ import annotations
@@ -14,26 +13,27 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import TipPath, drive_of
+from backhoe_planner.motion import TipPath
 from backhoe_planner.planning.goal_planning import describe_attempts
 from backhoe_planner.planning.outcome import Outcome, blocked_path, no_posture
 from backhoe_planner.planning.paths.corners import time_stretch
-from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.law_timing import speed_up
-from backhoe_planner.planning.reactive.reaching import approach_goal
+from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
 
-_RASTER = 0.05  # m on which the path ahead is searched for a point to rejoin at
-_COARSE = 0.25  # m to the next such point, once one was found that cannot be got to
-_MOST_DETOURS = 8
-_MOST_REJOINS = 4  # points of the path that are tried for one detour
-_POSTURES = 4  # tried per point
-_STARTS = 8  # configurations on the beginning of the path that are tried,
-_FREE_STARTS = 3  # and from which it is followed where the machine may begin in any
-_ON_PATH = 1e-6  # m and rad
+_RASTER = 0.05  # m between the points of the path ahead at which it may be rejoined; chosen
+_COARSE = 5.0 * _RASTER  # m to the next such point, after one that the law does not reach; chosen
+_MOST_DETOURS = 8  # of one path; chosen
+_MOST_REJOINS = 4  # points that are tried for one detour; chosen, each takes up to `_POSTURES` attempts
+_POSTURES = 4  # configurations that are tried at one point; chosen
+_GUESSES, _FEW_GUESSES = 12, 6  # starting points for rejoining, and to say where the path is free; chosen
+_STARTS = 8  # configurations on the beginning of the path that are compared; chosen
+_FREE_STARTS = 3  # of them from which the path is followed where the machine may begin in any; chosen
+_ON_PATH = 1e-6  # m and rad: chosen, where the tip counts as being on the beginning
+_STUCK_WITHIN = 0.1  # rad or m: chosen, a nearer configuration is the one in which the law was stuck
 
 
 def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Outcome:
@@ -42,7 +42,7 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
     Parameters
     ----------
     stepper: a motion that is at rest; None where the machine may begin in any
-        configuration on the beginning of the path: then in the one from which the law gets furthest.
+        configuration on the beginning of the path. Then the law begins where it gets furthest.
     """
     follower = _Follower(world, path)
     target = path.target(0.0)
@@ -54,30 +54,25 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
     if failure is not None:
         return failure
     starts = follower.furthest(stepper or world.stepper(found.clear[0]), 0.0, found.clear[:_STARTS])
-    if stepper is None:
-        return _first_success(follower.follow(world.stepper(start)) for start in starts[:_FREE_STARTS])
-    attempts = []
-    outcome: Outcome | None = None
-    for attempt in approach_goal(stepper, target, starts, work=world.work, all_ways=True):
-        attempts.append(attempt)
-        if not attempt.arrived:
-            continue
-        reached = follower.follow(speed_up(stepper, attempt.stepper))
-        if not reached.reason:
-            return reached
-        outcome = outcome or reached
-    return outcome or describe_attempts(attempts, world.work.brake)
+    attempts: list[Attempt] = []
 
+    def begun() -> Iterator[Stepper]:
+        """Motions that are at rest on the beginning of the path."""
+        if stepper is None:
+            yield from map(world.stepper, starts[:_FREE_STARTS])
+            return
+        for attempt in approach_goal(stepper, target, starts, work=world.work, all_ways=True):
+            attempts.append(attempt)
+            if attempt.arrived:
+                yield speed_up(stepper, attempt.stepper)
 
-def _first_success(outcomes: Iterator[Outcome]) -> Outcome:
-    """The first without a reason to fail, else the first."""
-    first = None
-    for outcome in outcomes:
+    first: Outcome | None = None
+    for motion in begun():
+        outcome = follower.follow(motion)
         if not outcome.reason:
             return outcome
         first = first or outcome
-    assert first is not None
-    return first
+    return first or describe_attempts(attempts, world.work.brake)
 
 
 class _Follower:
@@ -88,11 +83,11 @@ class _Follower:
         self._path = path
         task = world.problem.scene.task.path
         assert task is not None
-        self._speed, self._may_leave = task.speed, task.detour
+        self._may_leave = task.detour
 
     def furthest(self, stepper: Stepper, s: float, candidates: Sequence[Vector]) -> list[Vector]:
-        """Configurations at arc length `s`, the one from which the law gets furthest first."""
-        reached = [self._resolve(stepper, s, q).reached for q in candidates]
+        """`candidates` (n,) at arc length `s` [m], the one from which the law gets furthest first."""
+        reached = [self._follow_law(stepper, s, q).reached for q in candidates]
         order = sorted(range(len(candidates)), key=lambda index: (-round(reached[index], 3), index))
         return [candidates[index] for index in order]
 
@@ -100,8 +95,9 @@ class _Follower:
         """Go along the path from a motion that is at rest on its beginning."""
         s = 0.0
         for _ in range(_MOST_DETOURS):
-            stretch = self._resolve(stepper, s, stepper.q)
-            self._play(stepper, stretch)
+            stretch = self._follow_law(stepper, s, stepper.q)
+            for piece in time_stretch(self._world.problem, self._path, stretch):
+                stepper.play(piece)
             if stretch.obstruction is None:
                 return Outcome(stepper.trajectory())
             rejoined = self._rejoin(stepper, stretch)
@@ -110,19 +106,11 @@ class _Follower:
             stepper, s = rejoined
         return self._blocked(stepper, s, self._path.length, stretch.obstruction)
 
-    def _resolve(self, stepper: Stepper, s: float, q: Vector) -> Stretch:
-        return resolve_along(
-            self._world.problem, self._path, s, q,
-            proximity=self._world.proximity, kinematics=self._world.kinematics, time=stepper.time,
-        )  # fmt: skip
-
-    def _play(self, stepper: Stepper, stretch: Stretch) -> None:
-        problem = self._world.problem
-        for piece in time_stretch(self._path, stretch, problem.limits, speed=self._speed, drive=drive_of(problem)):
-            stepper.play(piece)
+    def _follow_law(self, stepper: Stepper, s: float, q: Vector) -> Stretch:
+        return self._world.follow_law(self._path, s, q, time=stepper.time)
 
     def _rejoin(self, stepper: Stepper, stretch: Stretch) -> tuple[Stepper, float] | Outcome:
-        """A motion that is back on the path behind what blocks it, and where [m]; or why there is none."""
+        """A motion that is back on the path beyond what blocks it, and where [m]; or why there is none."""
         left, end = stretch.reached, self._path.length
         if not self._may_leave:
             return self._blocked(stepper, left, self._free_again(stepper, left), stretch.obstruction)
@@ -131,14 +119,13 @@ class _Follower:
         s = left
         while s <= end and rejoins < _MOST_REJOINS:
             self._world.work.brake.check()
-            found = self._world.postures.at(self._path.target(s), near=stepper.q, count=12, time=stepper.time)
-            # where it stands it has just been stuck
-            fresh = [q for q in found.clear if s > left or np.max(np.abs(q - stepper.q)) > 0.1]
+            found = self._world.postures.at(self._path.target(s), near=stepper.q, count=_GUESSES, time=stepper.time)
+            fresh = [q for q in found.clear if s > left or np.max(np.abs(q - stepper.q)) > _STUCK_WITHIN]
             if fresh:
                 furthest = s
                 rejoins += 1
                 for branch in self._ways(stepper, s, fresh):
-                    if self._resolve(branch, s, branch.q).reached > s + 1e-6 or s >= end - 1e-9:
+                    if self._follow_law(branch, s, branch.q).reached > s + 1e-6 or s >= end - 1e-9:
                         return branch, s
             if s >= end:
                 break
@@ -146,11 +133,12 @@ class _Follower:
         return self._blocked(stepper, left, furthest, stretch.obstruction)
 
     def _free_again(self, stepper: Stepper, left: float) -> float:
-        """The first point of the path behind `left` that the machine can stand on, else its end [m]."""
+        """The first point of the path beyond `left` that the machine can stand on, else its end [m]."""
         s = left + _RASTER
         while s < self._path.length:
             self._world.work.brake.check()
-            if self._world.postures.at(self._path.target(s), near=stepper.q, count=6, time=stepper.time).clear:
+            target = self._path.target(s)
+            if self._world.postures.at(target, near=stepper.q, count=_FEW_GUESSES, time=stepper.time).clear:
                 return s
             s += _RASTER
         return self._path.length

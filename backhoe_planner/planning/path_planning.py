@@ -10,12 +10,11 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
-from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, Trajectory, drive_of, progress, trajectory_costs
+from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, Trajectory, progress, trajectory_costs
 from backhoe_planner.planning.law_following import follow_with_law
 from backhoe_planner.planning.outcome import Outcome, at_rest, blocked_path, no_posture, out_of_reach
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
-from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.path_layers import redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
 from backhoe_planner.planning.paths.smoothing import smooth_stretch
@@ -51,7 +50,7 @@ class AlongPath:
         return plan_along_path(world, self.path, stepper=stepper, since=since)
 
     def in_motion(self, world: World, stepper: Stepper) -> None:
-        """There is no such motion: a path is gone on with from rest."""
+        """None: a path is followed further from rest only."""
 
     def by_law(self, world: World, stepper: Stepper | None) -> Outcome:
         """By the completed law alone, from rest or (None) from anywhere on the beginning of the path."""
@@ -59,7 +58,7 @@ class AlongPath:
 
 
 def waypoint_out_of_reach(world: World, path: TipPath) -> Outcome | None:
-    """The first waypoint that the tip cannot be put on; None where it can be put on all that are tried."""
+    """The first waypoint that is out of reach; None where all that are tried can be reached."""
     robot = world.problem.robot
     count = len(path.stations)
     indices = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
@@ -84,10 +83,10 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
 
     Parameters
     ----------
-    stepper: a motion that is at rest; None where the machine may begin anywhere on the
-        beginning of the path.
-    since: arc length up to which the motion has followed the path already [m]; None
-        where it has not begun to.
+    stepper: a motion that is at rest; None where the machine may begin in any
+        configuration on the beginning of the path.
+    since: arc length up to which the motion has followed the path already [m]; None for
+        a motion that is not on the path yet.
     """
     low = 0.0 if since is None else since
     time = 0.0 if stepper is None else stepper.time
@@ -130,12 +129,7 @@ class _Along:
     """One path, and the ways to resolve it."""
 
     def __init__(
-        self,
-        world: World,
-        path: TipPath,
-        resolver: PathResolver,
-        cost: PathCost,
-        stepper: Stepper | None,
+        self, world: World, path: TipPath, resolver: PathResolver, cost: PathCost, stepper: Stepper | None
     ) -> None:
         self._world = world
         self._path = path
@@ -144,18 +138,20 @@ class _Along:
         self._stepper = stepper
         task = world.problem.scene.task.path
         assert task is not None
-        self._speed, self._may_leave = task.speed, task.detour
+        self._may_leave = task.detour
+        self._time = 0.0 if stepper is None else stepper.time
 
     def plan(self, begin: Vector | None, *, off_path: bool = False) -> Outcome:
-        """The motion, from the joints `begin` (n,) where the tip begins to follow, or from wherever it is.
+        """The motion to the path and along it.
 
         Parameters
         ----------
-        off_path: with the joints at `begin` the tip is not on the path.
+        begin: (n,) joints from which the path is followed [rad or m]; None for any on its beginning.
+        off_path: whether the tip is off the path there.
         """
         resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
         if resolved.obstruction is not None:
-            # also where detours are not allowed: then to say what one would take
+            # where detours are not allowed, to say what one would go round
             around = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
             resolved = around if around.obstruction is None or self._may_leave else resolved
         if not resolved.pieces:
@@ -183,7 +179,7 @@ class _Along:
         return Outcome(stepper.trajectory(), message=message, findings=Findings(detours=detours))
 
     def _price(self, nodes: Matrix) -> Vector:
-        """(N,) what it costs to begin at each: how far the joints have to go to be there."""
+        """(N,) what it costs to begin at each of `nodes` (N, n): the distance of the joints [rad or m]."""
         if self._stepper is None:
             return np.zeros(len(nodes))
         return np.asarray(np.linalg.norm(nodes - self._stepper.q, axis=1))
@@ -193,7 +189,7 @@ class _Along:
         return nodes[0] if len(nodes) else self._world.problem.robot.middle
 
     def _from_elsewhere(self, stepper: Stepper, failure: str) -> Outcome:
-        """The same from any configuration at the beginning that the machine can get to."""
+        """The motion from any configuration on the path's beginning that the machine can get to."""
         transit = find_transit(self._world, stepper, list(self._resolver.first_layer))
         if isinstance(transit, str):
             message = f"no way was found to the beginning of the path: {failure}"
@@ -201,18 +197,16 @@ class _Along:
         return _Along(self._world, self._path, self._resolver, self._cost, transit).plan(transit.q)
 
     def _improve(self, resolved: Resolution, begin: Vector | None) -> list[Stretch | Bypass]:
-        """The pieces, with the grid's steps taken out of those that follow the path."""
-        found: list[Stretch | Bypass] = []
-        last = len(resolved.pieces) - 1
-        for index, piece in enumerate(resolved.pieces):
+        """The pieces; those that follow the path are made cheaper."""
+        pieces = list(resolved.pieces)
+        last = len(pieces) - 1
+        for index, piece in enumerate(pieces):
             if isinstance(piece, Stretch) and len(piece.q) > 1:
                 free_start = index == 0 and begin is None and self._stepper is None
-                cheap = self._cheapen(piece, free_start=free_start, free_end=index == last)
+                pieces[index] = cheap = self._cheapen(piece, free_start=free_start, free_end=index == last)
                 if last == 0 and resolved.obstruction is None:
-                    cheap = self._cheaper_than_law(cheap, free_start=free_start)
-                piece = cheap
-            found.append(piece)
-        return found
+                    pieces[index] = self._cheaper_than_law(cheap, free_start=free_start)
+        return pieces
 
     def _cheapen(self, piece: Stretch, *, free_start: bool, free_end: bool) -> Stretch:
         world = self._world
@@ -222,41 +216,34 @@ class _Along:
             "free_start": free_start,
             "free_end": free_end,
         }
-        if self._cost.objective.is_quadratic:  # close to what these steps lower
+        if self._cost.objective.is_quadratic:  # its cost is close to the one that smoothing lowers
             piece = smooth_stretch(world.problem, self._path, piece, brake=world.work.brake, **setting)
         return cheapen_stretch(world.problem, self._path, piece, cost=self._cost, work=world.work, **setting)
 
     def _cheaper_than_law(self, piece: Stretch, *, free_start: bool) -> Stretch:
-        """A piece that is the whole way, or what the local law's way from the same joints can be made into.
+        """The cheaper of `piece`, the whole way, and the local law's way from the same joints, made cheaper too.
 
-        Costs have more than one valley, and a grid may miss the one in which the law goes.
+        A cost has more than one minimum, and the grid may miss the one near the law's way.
         """
         low = float(piece.stations[0])
-        law = self._by_law(low, piece.q[0])
+        law = self._world.follow_law(self._path, low, piece.q[0], time=self._time)
         if law.obstruction is not None:
             return piece
         other = self._cheapen(law, free_start=free_start, free_end=True)
         cheap = min((piece, other), key=lambda way: self._cost.of_run(way.stations, way.q))
         return self._with_inertia(cheap) if low == 0.0 else cheap
 
-    def _by_law(self, s: float, q: Vector) -> Stretch:
-        """As far as the local law goes from arc length `s` [m] with the joints at `q` (n,)."""
-        world = self._world
-        return resolve_along(
-            world.problem, self._path, s, q, proximity=world.proximity, kinematics=world.kinematics, time=self._time
-        )
-
     def _with_inertia(self, piece: Stretch) -> Stretch:
-        """On a short path the law's way from the same joints, where inertia makes it the cheaper one.
+        """`piece`, or on a short path the law's way from the same joints where inertia makes it cheaper.
 
-        The search leaves torques of inertia out, and a short path is all speeding up and
+        The search leaves out torques of inertia, and a short path is all speeding up and
         slowing down.
         """
         world, problem, path = self._world, self._world.problem, self._path
         if path.length > _SHORT:
             return piece
         proximity, objective = world.proximity, self._cost.objective
-        law = self._by_law(0.0, piece.q[0])
+        law = world.follow_law(path, 0.0, piece.q[0], time=self._time)
         if law.obstruction is not None:
             return piece
         motion = fastest_motion(problem, path, piece, proximity=proximity, time=self._time)
@@ -267,27 +254,19 @@ class _Along:
         cheaper = trajectory_costs(problem, beside)[objective.name] < trajectory_costs(problem, motion)[objective.name]
         return law if cheaper else piece
 
-    @property
-    def _time(self) -> float:
-        return 0.0 if self._stepper is None else self._stepper.time
-
     def _play(self, stepper: Stepper, pieces: Sequence[Stretch | Bypass]) -> None:
-        limits, drive = self._world.problem.limits, drive_of(self._world.problem)
+        world, problem = self._world, self._world.problem
         for piece in pieces:
             if isinstance(piece, Bypass):
-                play(self._world, stepper, JointPath(piece.q))
+                play(world, stepper, JointPath(piece.q))
             elif len(piece.q) > 1:
-                rounded, stops = round_corners(
-                    self._world.problem, self._path, piece, proximity=self._world.proximity, time=stepper.time
-                )
+                rounded, stops = round_corners(problem, self._path, piece, proximity=world.proximity, time=stepper.time)
                 period = _FINE_PERIOD if self._is_tight(rounded.q, stepper.time) else SAMPLE_PERIOD
-                for motion in time_stretch(
-                    self._path, rounded, limits, speed=self._speed, period=period, drive=drive, stops=stops
-                ):
+                for motion in time_stretch(problem, self._path, rounded, period=period, stops=stops):
                     stepper.play(motion)
 
     def _is_tight(self, q: Matrix, time: float) -> bool:
-        """Whether there is no room for what the chords between the usual samples deviate by."""
+        """Whether anything is so near that the chords between the usual samples might touch it."""
         proximity = self._world.proximity
         floor = proximity.clearance + _ROOM
         return any(bool(np.any(proximity.lower_bounds(joints, time=time, floor=floor)[0] < floor)) for joints in q)

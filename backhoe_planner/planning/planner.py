@@ -17,12 +17,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
-from backhoe_planner.motion import (
-    Problem,
-    build_problem,
-    drive_of,
-    retime,
-)
+from backhoe_planner.motion import Problem, build_problem, drive_of, retime
 from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
@@ -36,9 +31,9 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
 
-_SLOWER = 3  # times that a motion is planned with slower joints
-_TOO_MUCH = 10.0  # times a limit
-_SEARCH = 4  # times the usual starting points of the inverse kinematics, for a start that is given by the tip
+_SLOWER = 3  # plans at most, each with slower joints; chosen, as each is a whole plan
+_TOO_MUCH = 10.0  # times a limit: chosen, slower joints are not tried for what is so far beyond it
+_LONG_SEARCH = 4  # times the usual starting points, for a start that is given by the tip; chosen: all else hangs on it
 
 
 def plan(
@@ -55,15 +50,15 @@ def plan(
 
     Parameters
     ----------
-    method: ``auto``, ``reactive`` (the completed law alone), ``optimal`` (along a path:
-        the least of the scene's objective; what ``auto`` does there too), or ``paper``
-        (the law as printed, to compare with).
-    seed: of every random choice.
+    robot, scene: machine and site; the scene says what is to be done.
+    method: ``auto``, ``reactive`` (the completed law alone), ``optimal`` (for a path: the
+        least of the scene's objective, as ``auto``), or ``paper`` (the law as printed, to compare with).
+    seed: of every random choice, not negative.
     effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may
         take. The same input, seed and effort give the same plan, however busy the machine.
     budget: computing time [s] after which the search is ended. A motion that was still made
         better is delivered, with a note; else the reason is ``budget``.
-    watch: is shown every step while the planner works.
+    watch: called with every step while the planner works.
 
     Returns
     -------
@@ -73,7 +68,9 @@ def plan(
     ------
     InputError: the scene does not fit the machine, or an argument is not allowed.
     """
-    checked = _checked_method(method)
+    checked = next((known for known in METHODS if known == method), None)
+    if checked is None:
+        raise InputError.unknown_name("no such method", method, names=METHODS, key="method")
     if not budget > 0.0 or not np.isfinite(budget):
         raise InputError("must be a time greater than 0", key="budget", found=budget)
     if seed < 0:
@@ -82,20 +79,10 @@ def plan(
     begun = clock.monotonic()
     brake = Brake(budget)
     problem = build_problem(robot, scene)
-    if checked == "paper" and problem.goal is None:
-        raise InputError(
-            "the paper's law moves the tip to a goal; this scene has a path",
-            key="method",
-            found="paper",
-            allowed="auto, reactive, optimal",
-        )
-    if checked == "optimal" and problem.path is None:
-        raise InputError(
-            "what is made optimal is a path of the tip; this scene has a goal",
-            key="method",
-            found="optimal",
-            allowed="auto, reactive, paper",
-        )
+    task, unfit = ("path", "paper") if problem.goal is None else ("goal", "optimal")
+    if checked == unfit:
+        allowed = ", ".join(name for name in METHODS if name != unfit)
+        raise InputError(f"is not for a scene with a {task}", key="method", found=unfit, allowed=allowed)
     outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message
@@ -121,19 +108,12 @@ def plan(
     )
 
 
-def _checked_method(method: str) -> Method:
-    for known in METHODS:
-        if method == known:
-            return known
-    raise InputError.unknown_name("no such method", method, names=METHODS, key="method")
-
-
 def _plan_drivable(
     problem: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
 ) -> tuple[Outcome, Certificate]:
     """A motion that the machine can drive, and what is proven of it.
 
-    Where time cannot be stretched, among what moves, it is planned anew with slower joints.
+    Where obstacles move, a motion cannot just be slowed down: it is planned anew with slower joints.
     """
     slowed = problem
     for _ in range(_SLOWER):
@@ -156,8 +136,7 @@ def _plan_drivable(
 def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
     """The motion, slower where the machine could not drive it, and what is proven of it.
 
-    Among what moves or appears, slower is a motion at other times: it is left as it was
-    where that comes too near to anything.
+    Where obstacles move or appear, the slower motion may meet them: then the motion stays as it was.
     """
     slower = retime(outcome.trajectory, problem.limits, drive=drive_of(problem))
     certificate = certify_problem(problem, slower)
@@ -167,7 +146,7 @@ def _retime(problem: Problem, outcome: Outcome) -> tuple[Outcome, Certificate]:
 
 
 def _find_motion(world: World, method: Method) -> Outcome:
-    """The motion, from the start that the scene asks for; where time runs out before there is any, none."""
+    """A motion from the scene's start; at rest there where time runs out before any is found."""
     try:
         return _plan_task(world, method)
     except OutOfTime as ended:
@@ -200,7 +179,7 @@ def _plan_task(world: World, method: Method) -> Outcome:
 
 
 def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcome:
-    """Along a path, from the configuration on its beginning that suits it best."""
+    """Along a path, from the best configuration on its beginning."""
     if method == "reactive":
         return task.by_law(world, None)
     outcome = plan_along_path(world, task.path, stepper=None)
@@ -210,17 +189,17 @@ def _plan_from_anywhere(world: World, task: AlongPath, method: Method) -> Outcom
 
 
 def _start(world: World) -> Vector | Outcome:
-    """(n,) where the joints stand at first; or why the tip cannot be where it is to start."""
+    """(n,) where the joints stand at first [rad or m]; or why the tip cannot start where the scene says."""
     problem = world.problem
     if problem.start_q is not None:
         return problem.start_q
     assert problem.start_target is not None
-    found = world.postures.at(problem.start_target, count=_SEARCH * world.work.effort.starting_points)
+    found = world.postures.at(problem.start_target, count=_LONG_SEARCH * world.work.effort.starting_points)
     return no_posture(world, found, problem.start_target, "start_in_collision", "start") or found.clear[0]
 
 
 def _begin(world: World) -> Vector:
-    """(n,) where the motion would begin, clear where that is found at once."""
+    """(n,) where the motion would begin [rad or m]; clear where one search finds such a place."""
     problem = world.problem
     if problem.start_q is not None:
         return problem.start_q

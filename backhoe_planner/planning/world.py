@@ -1,4 +1,4 @@
-"""What a search works in."""
+"""The world of a search: a problem, the obstacles that count, and the work that is left."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import Problem
+from backhoe_planner.motion import Problem, TipPath
+from backhoe_planner.planning.paths.local_resolution import resolve_along
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.postures import Postures
@@ -23,7 +25,7 @@ class World:
     ----------
     problem: what is to be planned.
     seed: of every random choice.
-    work: what is left of the effort of the plan; shared with the worlds that come `among`.
+    work: what is left of the effort of the plan; worlds made by `among` share it.
     proximity: to the obstacles that count here.
     kinematics: of the machine.
     postures: finds configurations for the tip among these obstacles.
@@ -38,7 +40,7 @@ class World:
         self._put(problem.obstacles)
 
     def among(self, obstacles: Sequence[Obstacle]) -> World:
-        """The same with nothing but `obstacles`; random choices begin anew from the seed."""
+        """The same problem among `obstacles` alone; random choices begin anew from the seed."""
         other = copy.copy(self)
         other._put(obstacles)
         return other
@@ -46,6 +48,15 @@ class World:
     def stepper(self, q: Vector) -> Stepper:
         """A motion that begins at `q` (n,), at rest."""
         return Stepper(self.problem, q, proximity=self.proximity, kinematics=self.kinematics, watch=self._watch)
+
+    def follow_law(self, path: TipPath, s: float, q: Vector, *, time: float) -> Stretch:
+        """As far as the local law goes along `path` from arc length `s` [m], with the joints at `q` (n,).
+
+        Parameters
+        ----------
+        time: the obstacles stand where they are at this time [s].
+        """
+        return resolve_along(self.problem, path, s, q, proximity=self.proximity, kinematics=self.kinematics, time=time)
 
     def _put(self, obstacles: Sequence[Obstacle]) -> None:
         self.proximity = Proximity(self.problem.robot, obstacles)

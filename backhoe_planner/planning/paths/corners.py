@@ -11,28 +11,29 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, JointLimits, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.motion import SAMPLE_PERIOD, Drive, Problem, TipPath, Trajectory, time_along
+from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, TipPath, Trajectory, drive_of, time_along
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
-SHARP = np.radians(5.0)  # a corner that is sharper is rounded or stopped at
-_SHARPEST = np.radians(120.0)  # one that is sharper still is stopped at
-_PART = 0.4  # of the tolerance that a rounded corner may be off the path
-_LEG = 0.45  # of a leg that may be cut off
-_SPACING = 0.01  # m between the samples of a rounded corner at most
-_FEWEST = 9  # samples
+SHARP = np.radians(5.0)  # chosen: at a sharper corner the joints' velocities would jump noticeably
+_SHARPEST = np.radians(120.0)  # chosen: a sharper corner is nearly a way back, and stopped at
+_PART = 0.4  # of the tolerance that a rounded corner may be off the path; chosen: the rest is for the joints' chords
+_LEG = 0.45  # of a leg that a corner may take: two corners share a leg, and some of it stays
+_SPACING = 0.01  # m between the samples of a rounded corner at most: as on the path itself
+_FEWEST = 9  # samples of a rounded corner; chosen: four to each side of its middle
+_NEAR = 0.1  # rad or m: chosen, joints further from those on the path are another posture
 
 
 def round_corners(
     problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
 ) -> tuple[Stretch, Vector]:
-    """A stretch with its corners rounded where that is clear, and (C,) the arc lengths of those that are left [m].
+    """A stretch with its corners rounded where that is clear, and (C,) the arc lengths of the other corners [m].
 
     Parameters
     ----------
-    time: at which the obstacles are taken to be where they are [s].
+    time: the obstacles stand where they are at this time [s].
     """
     stations, q = stretch.stations, stretch.q
     task = problem.scene.task.path
@@ -57,37 +58,38 @@ def round_corners(
 
 
 def time_stretch(
-    path: TipPath,
-    stretch: Stretch,
-    limits: JointLimits,
-    *,
-    speed: float | None,
-    period: float = SAMPLE_PERIOD,
-    drive: Drive | None = None,
-    stops: Vector | None = None,
+    problem: Problem, path: TipPath, stretch: Stretch, *, period: float = SAMPLE_PERIOD, stops: Vector | None = None
 ) -> list[Trajectory]:
-    """The motions, each from rest to rest, that follow a stretch of a path.
+    """The motions, each from rest to rest, that follow a stretch of the scene's path at its speed or less.
 
     Parameters
     ----------
-    speed: of the tip at most [m/s], None for as fast as the joints allow.
     period: between the samples of the motions [s].
-    drive: what moves the joints, None for no limits but those of the joints.
     stops: (C,) arc lengths to stop at [m]; by default all sharp corners of the path.
     """
-    stations, q = stretch.stations, stretch.q
+    task, drive, stations, q = problem.scene.task.path, drive_of(problem), stretch.stations, stretch.q
+    assert task is not None
     marks = {0, len(stations) - 1}
     for corner in (path.corners(SHARP) if stops is None else stops).tolist():
         if stations[0] < corner < stations[-1]:
             marks.add(int(np.argmin(np.abs(stations - corner))))
     return [
-        time_along(stations[first : last + 1], q[first : last + 1], limits, speed=speed, period=period, drive=drive)
+        time_along(
+            stations[first : last + 1], q[first : last + 1], problem.limits,
+            speed=task.speed, period=period, drive=drive,
+        )
         for first, last in pairwise(sorted(marks))
-    ]
+    ]  # fmt: skip
 
 
 def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> float | None:
-    """How far from a corner its rounding begins [m]; None where it is too sharp, or the tip stands and turns."""
+    """How far before and after a corner it is cut [m]; None where it is too sharp, or the tip stands and turns.
+
+    Parameters
+    ----------
+    off: distance from the path that is allowed [m].
+    low, high: arc lengths between which the path is followed [m].
+    """
     index = int(np.argmin(np.abs(path.stations - corner)))
     legs = np.diff(path.points[index - 1 : index + 2], axis=0)
     sizes = np.linalg.norm(legs, axis=1)
@@ -104,7 +106,7 @@ def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> f
 def _round(
     kinematics: BatchKinematics, path: TipPath, corner: float, cut: float, at: Vector, stations: Vector, q: Matrix
 ) -> Matrix | None:
-    """(M, n) joints with the tip on the parabola, None where there are none near those on the path."""
+    """(M, n) joints with the tip on the parabola; None where none lie near those on the path."""
     begin, middle, end = path(corner - cut), path(corner), path(corner + cut)
     part = (at - at[0])[:, None] / (at[-1] - at[0])
     positions = (1.0 - part) ** 2 * begin + 2.0 * part * (1.0 - part) * middle + part**2 * end
@@ -112,5 +114,5 @@ def _round(
     targets = [TipTarget(p, one.pitch, one.rotation) for p, one in zip(positions, asked, strict=True)]
     guesses = np.column_stack([np.interp(at, stations, column) for column in q.T])
     found, reached = solve_batch(kinematics, TargetBatch.of(targets), guesses, iterations=12)
-    near = np.max(np.abs(found - guesses)) < 0.1
+    near = np.max(np.abs(found - guesses)) < _NEAR
     return found if reached.all() and near else None

@@ -9,7 +9,7 @@ size, Int. J. Control 51, 1990). It needs no gradients, which an objective like 
 integral of max(tau v, 0) does not have where it matters: at the kinks, where a joint rests.
 
 Between knots the joints follow a smooth curve that is put on the path sample by sample.
-Only what is cheaper over all samples, clear, and within the limits is taken.
+Only a stretch that is cheaper over all samples, clear, and within the limits is taken.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.planning.paths.corners import SHARP
-from backhoe_planner.planning.paths.smoothing import null_bases, strict_targets
+from backhoe_planner.planning.paths.smoothing import ENOUGH, ROOM, null_bases, strict_targets
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
@@ -32,20 +32,18 @@ from backhoe_planner.site import Proximity
 
 Mask = NDArray[np.bool_]
 
-_WIDTH = 3  # neighbours on either side of a knot
-# rad or m between neighbours, and m of path between knots, one level after the other: first
-# for the curve through the knots, then for one that is added to what was found
+_WIDTH = 3  # neighbours on either side of a knot; chosen: with turns the work grows by its cube
+# levels, one after the other: rad or m between neighbours, and m of path between knots; chosen, each about
+# half of the one before. First for the curve through the knots, then for a curve that is added to the way
 _LEVELS = (
     ((0.12, 0.2), (0.06, 0.1), (0.024, 0.05), (0.01, 0.05), (0.004, 0.025), (1.6e-3, 0.025)),
     ((0.03, 0.2), (0.012, 0.1), (5e-3, 0.05), (2e-3, 0.025), (6e-4, 0.025)),
 )
-_KNOT_TURN = 3.0  # rad or m that a joint moves between knots for 1 m of path
-_ENOUGH = 1e-3  # relative fall of the cost below which neighbours are taken closer
-_ROUNDS = 15  # at one distance of the neighbours
-_TRIES = 3  # to go on where something is in the way
-_STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for
-_ROOM = 0.005  # m of margin that is not used up
-_AHEAD = 0.2  # m beyond what is asked up to which distances are measured
+_KNOT_TURN = 3.0  # rad or m of a joint that count as 1 m of path between knots; chosen
+_ROUNDS = 15  # at one distance of the neighbours; chosen: the end of what does not converge
+_TRIES = 3  # to find a clear way in one sweep; chosen
+_STRAY = 0.3  # rad or m that a neighbour may lie from where it was looked for; chosen: further off is another posture
+_AHEAD = 0.2  # m beyond the floor up to which distances are measured; chosen: lower bounds hold for several sweeps
 
 
 def cheapen_stretch(
@@ -64,10 +62,10 @@ def cheapen_stretch(
 
     Parameters
     ----------
-    stretch: that is clear.
-    cost: of the motion along the path.
-    time: at which the obstacles are taken to be where they are [s].
-    free_start, free_end: whether the first and the last sample may move too.
+    stretch: a clear stretch of `path`.
+    cost: of motions along the path.
+    time: the obstacles stand where they are at this time [s].
+    free_start, free_end: whether the joints may change at the first and at the last sample too.
     work: from which every sweep over the knots is taken; without any left, or without time,
         the best so far is kept.
     """
@@ -85,19 +83,20 @@ def cheapen_stretch(
                     if work.sweeps <= 0 or work.brake.is_used_up():
                         return Stretch(stretch.stations, descent.q)
                     work.sweeps -= 1
-                    if descent.step(delta, direction) <= _ENOUGH * abs(descent.least):
+                    if descent.step(delta, direction) <= ENOUGH * abs(descent.least):
                         break
-            if before - descent.least <= 5.0 * _ENOUGH * abs(descent.least):
+            if before - descent.least <= 5.0 * ENOUGH * abs(descent.least):
                 break
     return Stretch(stretch.stations, descent.q)
 
 
 class _Descent:
-    """One stretch on its way down.
+    """One stretch, and the best that it was made into.
 
     Attributes
     ----------
-    q: (K, n) the best so far; least: its cost [rad].
+    q: (K, n) the best joint positions so far [rad or m].
+    least: their cost [rad].
     """
 
     def __init__(
@@ -123,10 +122,15 @@ class _Descent:
         asked = proximity.clearance + _AHEAD
         self._lower = np.array([self._distances(row, asked) for row in q]).reshape(len(q), -1)
         margin = np.min(self._lower - proximity.clearance, axis=1, initial=np.inf)
-        self._floor = np.minimum(margin, _ROOM) - TOUCH
+        self._floor = np.minimum(margin, ROOM) - TOUCH
 
     def tie(self, spacing: float, *, added: bool, free_start: bool, free_end: bool) -> None:
-        """Choose the knots, `spacing` [m] apart, and which of them move; `added`: see `_LEVELS`."""
+        """Choose the knots, `spacing` [m] apart, and which of them move.
+
+        Parameters
+        ----------
+        added: whether the curve through the knots is added to the way; see `_LEVELS`.
+        """
         self._added = added
         self._knots = _knots(self._stations, self.q, self._corners, spacing)
         self._knot_targets = self._targets.take(self._knots)
@@ -138,12 +142,12 @@ class _Descent:
         self._tip = self._cost.tip_velocities(self.q[self._knots])
 
     def directions(self) -> list[Vector | None]:
-        """Directions in joint space, (n,), to go in one by one; None where there is one only."""
+        """Directions in joint space, (n,) each, to search one by one; [None] where the null space is a line."""
         free = null_bases(self._kinematics, self._strict, self.q[self._knots]).shape[2]
         return [] if free == 0 else [None] if free == 1 else list(np.eye(self.q.shape[1]))
 
     def step(self, delta: float, direction: Vector | None) -> float:
-        """Look once around the knots, `delta` [rad or m] apart; how much the cost fell."""
+        """Search once among neighbours of the knots, `delta` [rad or m] apart; how much the cost fell [rad]."""
         here = self.q[self._knots]
         neighbours, usable = self._neighbours(here, delta, direction)
         nodes = self._nodes(neighbours)
@@ -177,7 +181,7 @@ class _Descent:
     # --- neighbours -----------------------------------------------------------------
 
     def _neighbours(self, here: Matrix, delta: float, direction: Vector | None) -> tuple[NDArray[np.float64], Mask]:
-        """(M, C, n) what lies beside each knot in its null space, itself in the middle; (M, C) which are usable."""
+        """(M, C, n) neighbours of each knot in its null space, itself in the middle; (M, C) which are usable."""
         N = null_bases(self._kinematics, self._strict, here)
         if direction is None:
             d = N[:, :, 0]
@@ -217,7 +221,7 @@ class _Descent:
     # --- samples --------------------------------------------------------------------
 
     def _between_knots(self, at_knots: Matrix) -> Matrix | None:
-        """(K, n) the samples of a smooth curve through the knots, on the path; None where it cannot be put there."""
+        """(K, n) samples of a smooth curve through the knots, put on the path; None where that fails."""
         at = self._measure[self._knots]
         guess = np.empty_like(self.q)
         through = at_knots - self.q[self._knots] if self._added else at_knots
@@ -290,7 +294,7 @@ def _cheapest(steps: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
 
 
 def _cheapest_with_turns(steps: NDArray[np.float64], turns: NDArray[np.float64], usable: Mask) -> NDArray[np.intp]:
-    """The same with `turns` (M - 2, C, C, C) that hang on three knots in a row: Bellman's recursion over pairs."""
+    """As `_cheapest`, with costs `turns` (M - 2, C, C, C) of three knots in a row: Bellman's recursion over pairs."""
     closed = np.where(usable, 0.0, np.inf)
     value = closed[0][:, None] + steps[0] + closed[1][None, :]
     sources = []

@@ -9,13 +9,13 @@ nothing that exists on the grid is missed. Three kinds of edges lead to a node:
     turn     from a node of the same layer: the joints move while the tip stands
     detour   from a node of any earlier layer, or of the same one: the tip leaves the path
 
-What a detour leaves out of the path counts before any cost: of all routes the one is
-taken that leaves out least, and among those the cheapest.
+What a detour leaves out of the path counts before any cost: the best route is the
+cheapest of those that leave out least.
 
-Whether an edge can be driven is expensive to know. It is therefore asked only for the
-edges of the best route (lazy evaluation; Dellin and Srinivasa 2016, "A Unifying Formalism
-for Shortest Path Problems with Expensive Edge Evaluations via Lazy Best-First Search"):
-who finds that an edge cannot be driven forbids it and asks again.
+It is expensive to know whether an edge can be driven. Therefore only the edges of the best
+route are tested (lazy evaluation; Dellin and Srinivasa 2016, "A Unifying Formalism for
+Shortest Path Problems with Expensive Edge Evaluations via Lazy Best-First Search"): the
+caller forbids an edge that cannot be driven, and asks again.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from backhoe_planner.planning.search.effort import Brake
 StepCost = Callable[[Matrix, Matrix, float], Matrix]
 Node = tuple[int, int]  # layer, index within it
 
-_LEFT_OUT = 1e9  # price of 1 m of path that is left out: above every cost
-_LEAVING = 0.02  # m of path that leaving it counts as, so that one detour is better than two
-_TURNS = 64  # most turns in a row within one layer
+_LEFT_OUT = 1e9  # price of 1 m of path that is left out: above every cost of a route in rad
+_LEAVING = 0.02  # m of path that leaving it counts as; chosen small: one detour is better than two that are as long
+_TURNS = 64  # in a row within one layer; chosen: the end of what goes on and on by rounding
 
 
 class EdgeKind(IntEnum):
@@ -63,9 +63,9 @@ class Route:
     Attributes
     ----------
     edges: from the first node to the last; empty where there is one layer only.
-    nodes: as many as edges, and one.
-    cost: the sum over steps, turns and detours, and of the first node's own.
-    left_out: of the path, by detours [m].
+    nodes: one more than edges.
+    cost: sum over steps, turns and detours, with the cost of beginning at the first node.
+    left_out: length of the path that detours leave out [m].
     """
 
     edges: tuple[Edge, ...]
@@ -82,11 +82,11 @@ class LayeredGraph:
     stations: (L,) arc length of each layer [m], not decreasing; no step leads from one
         layer to the next where they are at the same.
     layers: (N_l, n) configurations of each; a layer may be empty.
-    cost: (A, n), (B, n) and the arc length between them [m] to the (A, B) costs of
-        the motions; infinite where there is none.
-    turning: arc length that a turn is taken to be worth [m].
+    cost: function of (A, n), (B, n) and the arc length between them [m]; gives the (A, B)
+        costs of the motions, infinite where there is none.
+    turning: arc length that a turn counts as [m].
     detours: whether the path may be left.
-    brake: that every search checks; by default none.
+    brake: checked by every search; by default none.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class LayeredGraph:
         self._turns: dict[int, Matrix] = {}
         self._forbidden: dict[tuple[int, int], set[tuple[int, int]]] = {}
         self._refused: set[tuple[int, int]] = set()
-        self._known: frozenset[Edge] | None = None
+        self._only: tuple[Edge, ...] | None = None
 
     def forbid(self, edge: Edge) -> None:
         """Take an edge out, because it cannot be driven."""
@@ -126,8 +126,8 @@ class LayeredGraph:
         self._refused.add((start, end))
 
     def only_detours(self, edges: Iterable[Edge]) -> None:
-        """From now on no other detours than these."""
-        self._known = frozenset(edges)
+        """Allow no other detours than these from now on."""
+        self._only = tuple(sorted(edges, key=lambda edge: (edge.start, edge.end)))
 
     def best_route(self, begin: Vector | None = None, *, end: int | None = None) -> Route | None:
         """The route from the first layer to the last that leaves out least, and of those the cheapest.
@@ -142,7 +142,7 @@ class LayeredGraph:
         -------
         None where there is no route.
         """
-        values, sources = self.values(begin)
+        values, sources = self._values(begin)
         last = len(self.layers) - 1 if end is None else end
         if not len(values[last]) or not np.isfinite(values[last]).any():
             return None
@@ -154,20 +154,18 @@ class LayeredGraph:
             edges.append(Edge(EdgeKind(int(kind)), (int(layer), int(index)), node))
             node = (int(layer), int(index))
         edges.reverse()
-        left_out = sum(
-            self.stations[edge.end[0]] - self.stations[edge.start[0]] for edge in edges if edge.kind is EdgeKind.DETOUR
-        )
-        count = sum(edge.kind is EdgeKind.DETOUR for edge in edges)
-        nodes = (edges[0].start, *(edge.end for edge in edges)) if edges else (node,)
-        return Route(tuple(edges), nodes, total - _LEFT_OUT * (float(left_out) + _LEAVING * count), float(left_out))
+        detours = [edge for edge in edges if edge.kind is EdgeKind.DETOUR]
+        left_out = float(sum(self.stations[edge.end[0]] - self.stations[edge.start[0]] for edge in detours))
+        nodes = (node, *(edge.end for edge in edges))
+        return Route(tuple(edges), nodes, total - _LEFT_OUT * (left_out + _LEAVING * len(detours)), left_out)
 
     def furthest(self, begin: Vector | None = None) -> int:
-        """The last layer that is reached; -1 where not even the first is."""
-        values, _ = self.values(begin)
+        """The last layer that can be reached; -1 where not even the first can."""
+        values, _ = self._values(begin)
         return max((layer for layer, value in enumerate(values) if np.isfinite(value).any()), default=-1)
 
-    def values(self, begin: Vector | None = None) -> tuple[list[Vector], list[NDArray[np.intp]]]:
-        """Per layer: (N,) the least total from the beginning, and (N, 3) from where: kind, layer, node."""
+    def _values(self, begin: Vector | None) -> tuple[list[Vector], list[NDArray[np.intp]]]:
+        """Per layer: (N,) the least total from the beginning, and (N, 3) kind, layer and node it comes from."""
         values: list[Vector] = []
         sources: list[NDArray[np.intp]] = []
         # of every layer, the least total that its nodes have, minus the path up to it
@@ -213,8 +211,8 @@ class LayeredGraph:
         self, layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector], leaving: list[float]
     ) -> None:
         """Let the nodes of a layer be reached by leaving the path at an earlier one, or at this one."""
-        if self._known is not None:
-            self._known_detour(layer, value, source, values)
+        if self._only is not None:
+            self._take_detours(self._only, layer, value, source, values)
             return
         nodes = self.layers[layer]
         here = float(np.min(value)) if np.isfinite(value).any() else np.inf
@@ -239,17 +237,18 @@ class LayeredGraph:
             if start != layer and np.isfinite(value).all():
                 return  # the layers that follow in the order leave out more
 
-    def _known_detour(self, layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector]) -> None:
-        assert self._known is not None
-        for edge in sorted(self._known, key=lambda edge: (edge.start, edge.end)):
+    def _take_detours(
+        self, edges: Iterable[Edge], layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector]
+    ) -> None:
+        """Let the nodes of a layer be reached by those of `edges` that end there."""
+        for edge in edges:
             (start, a), (end, b) = edge.start, edge.end
             if end != layer:
                 continue
             before = value if start == layer else values[start]
             skipped = float(self.stations[layer] - self.stations[start]) + _LEAVING
-            total = (
-                before[a] + _LEFT_OUT * skipped + float(np.linalg.norm(self.layers[layer][b] - self.layers[start][a]))
-            )
+            change = float(np.linalg.norm(self.layers[layer][b] - self.layers[start][a]))
+            total = before[a] + _LEFT_OUT * skipped + change
             if total < value[b]:
                 value[b] = total
                 source[b] = EdgeKind.DETOUR, start, a

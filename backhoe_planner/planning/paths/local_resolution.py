@@ -19,18 +19,18 @@ from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Obstruction, Proximity
 
-_LEAST_SPACING = 1e-4  # m
-_SPACING = 0.02  # m between samples at most
-_TIME_PER_METRE = 3.0  # s: at which speed the law's rates are read as steps
-_APPROACH = 0.4  # part of a margin that one step may use up
-_SPARE = 0.001  # m kept on top of every clearance
-_EXACT = 1e-8
-_CORRECTIONS = 6
-_LARGEST_STEP = 0.25  # rad
-_OPEN_RANGE = 0.02  # rad: a pitch range narrower than this is one angle
-_AT_LIMIT = 0.01  # rad or m: nearer than this a joint stands at its limit
-_TOUCHING = 0.02  # m of margin: a pair that is blamed before a joint at its limit
-_IN_THE_WAY = 0.1  # m of margin: a pair that is blamed where no joint is
+_SPACING = 0.02  # m between samples at most; chosen: the law's step is linear, and small enough there
+_LEAST_SPACING = 1e-4  # m that a step counts as where a waypoint stands twice; chosen: small beside `_SPACING`
+_TIME_PER_METRE = 3.0  # s per m of path: chosen, the tip's speed at which the law's rates become steps
+_APPROACH = 0.4  # part of a margin that one step may use up; chosen below a half, so that steps grow smaller
+_SPARE = 0.001  # m kept on top of every clearance; chosen: for what the linear rows leave out
+_EXACT = 1e-8  # m and rad: chosen, the tip is on the path for all that follows
+_CORRECTIONS = 6  # of Newton's iteration; chosen: it doubles the digits with each
+_LARGEST_STEP = 0.25  # rad or m of a joint between samples; chosen
+_OPEN_RANGE = 0.02  # rad: chosen, a pitch range narrower than this is one angle
+_AT_LIMIT = 0.01  # rad or m: chosen, nearer than this a joint stands at its limit
+_TOUCHING = 0.02  # m: chosen, a pair with less margin is blamed before a joint at its limit
+_IN_THE_WAY = 0.1  # m: chosen, a pair with less margin is blamed where no joint is at its limit
 
 
 def sample_stations(path: TipPath, s: float) -> Vector:
@@ -50,7 +50,11 @@ def resolve_along(
 
     Parameters
     ----------
-    time: at which the obstacles are taken to be where they are [s].
+    time: the obstacles stand where they are at this time [s].
+
+    Returns
+    -------
+    The stretch up to there; its `obstruction` says what ended it before the end of the path.
     """
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
     stations = sample_stations(path, s)
@@ -58,7 +62,7 @@ def resolve_along(
     for station in stations[1:]:
         at = kinematics.at(found[-1])
         nearby = proximity.at(at.q, time=time, margin=problem.scene.influence)
-        # where a waypoint stands twice there is no way, but a step that takes some time
+        # where a waypoint stands twice only the bucket turns, which takes some time too
         span = _TIME_PER_METRE * max(float(station - stations[len(found) - 1]), _LEAST_SPACING)
         after = _next(problem, law, path.target(float(station)), at, nearby, span, kinematics)
         if after is None or not segment_is_clear(proximity, at.q, after, time=time):
@@ -76,7 +80,7 @@ def _next(
     span: float,
     kinematics: Kinematics,
 ) -> Vector | None:
-    """(n,) the configuration on `target` that the law goes to from `at`."""
+    """(n,) the configuration on `target` that the law goes to from `at` in `span` [s]; None where it is stuck."""
     error, J = _rows(target, at)
     limits = problem.limits
     wish = span * law.wish(at, J, error / span, nearby).v
@@ -93,14 +97,8 @@ def _next(
         error, J = _rows(target, now)
         if float(np.max(np.abs(error))) < _EXACT:
             break
-        fix = step_on_path(
-            np.zeros(len(q)),
-            J,
-            error=error,
-            low=limits.lower - q,
-            high=limits.upper - q,
-            rows=_pitch_rows(target, now),
-        )
+        low, high = limits.lower - q, limits.upper - q
+        fix = step_on_path(np.zeros(len(q)), J, error=error, low=low, high=high, rows=_pitch_rows(target, now))
         if fix is None:
             return None
         q = q + fix
@@ -119,12 +117,12 @@ def _rows(target: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
 
 
 def has_open_range(target: TipTarget) -> bool:
-    """Whether a target leaves the pitch a range, and not one angle or all."""
+    """Whether a target allows a range of pitch, neither one angle nor any."""
     return target.rotation is None and target.pitch is not None and target.pitch[1] - target.pitch[0] > _OPEN_RANGE
 
 
 def _pitch_rows(target: TipTarget, at: Configuration) -> tuple[Rows, ...]:
-    """The rows that hold the pitch within its range; none where it is one angle, or free."""
+    """The rows that hold the pitch within its range; none where the target allows one angle, or any."""
     if not has_open_range(target):
         return ()
     assert target.pitch is not None

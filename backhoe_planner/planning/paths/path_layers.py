@@ -22,19 +22,19 @@ from backhoe_planner.planning.search.effort import Brake
 
 Mask = NDArray[np.bool_]
 
-_SAME = 0.01  # rad or m: solutions nearer than this are one
-_BRANCHES = 8  # guesses per grid value where branches are looked for
-_SEED_EVERY = 0.4  # m of path from one search for branches to the next
-_SAMPLES = 256  # of the redundancy, where it has several dimensions
-_RANK = 1e-6
-_FOLLOWED = 0.2  # rad or m: a node with another this near in the next layer is followed there
-_CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer
-_MOST = 500  # nodes in a layer to which no more are added
-_SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning
-_PORTION = 1000  # configurations that are solved for at once
-_CURVE_GUESSES = 64  # from which curves of self-motion are looked for
-_LONGEST_CURVE = 100  # grid steps each way
-_AROUND = 16  # guesses for each
+_SAME = 0.01  # rad or m: chosen, solutions nearer than this are one
+_BRANCHES = 8  # guesses per value of the pitch where branches are looked for; chosen, a power of 2
+_SEED_EVERY = 0.4  # m of path from one search for branches to the next; chosen: between, nodes are carried on
+_SAMPLES = 256  # configurations per layer where the redundancy has several dimensions; chosen, a power of 2
+_RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chosen far above rounding
+_FOLLOWED = 0.2  # rad or m: chosen, a node with another this near in the next layer is followed there
+_CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times that
+_MOST = 500  # nodes of a layer to which no more are carried; chosen: twice `_SAMPLES`, since steps grow by its square
+_SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning; chosen: near, further and far
+_AROUND = 16  # guesses for each of `_SPREADS`; chosen
+_PORTION = 1000  # configurations that are solved for between two looks at the brake; chosen
+_CURVE_GUESSES = 64  # from which branches or curves of self-motion are looked for; chosen, a power of 2
+_LONGEST_CURVE = 100  # grid steps each way; chosen: more than a turn at 5 degrees
 
 
 class PathLayers:
@@ -43,26 +43,24 @@ class PathLayers:
     Parameters
     ----------
     grid: step of the free parameter, where there is one [rad; m for a slide].
-    samples: configurations per layer where the redundancy has several dimensions.
-    brake: that ends what runs away; by default none.
+    brake: checked between portions of the work; by default none.
     """
 
-    def __init__(self, robot: Robot, *, grid: float, samples: int = _SAMPLES, brake: Brake | None = None) -> None:
+    def __init__(self, robot: Robot, *, grid: float, brake: Brake | None = None) -> None:
         self._robot = robot
         self._kinematics = BatchKinematics(robot)
         self._grid = grid
-        self._samples = samples
         self._brake = brake or Brake()
         lower = np.where(np.isfinite(robot.limits.lower), robot.limits.lower, -np.pi)
         upper = np.where(np.isfinite(robot.limits.upper), robot.limits.upper, np.pi)
         self._box = (lower, upper)
 
     def at(self, stations: Vector, targets: Sequence[TipTarget], *, begin: Vector | None = None) -> list[Matrix]:
-        """(N_l, n) solutions for each of L targets at `stations` (L,) of a path, within the limits.
+        """(N_l, n) solutions within the limits for each of L targets at `stations` (L,) of a path [m].
 
         Parameters
         ----------
-        begin: (n,) a solution for the first target, around which and from which on more are looked for.
+        begin: (n,) a solution for the first target; others are looked for around it, and carried on from there.
         """
         if not len(targets):
             return []
@@ -90,9 +88,13 @@ class PathLayers:
         return q[reached]
 
     def _carry(self, batch: TargetBatch, found: list[Matrix], rows: Iterable[int], back: int) -> None:
-        """Carry every node on to the next layer, where no node is near it already.
+        """Carry every node on to the next layer, unless a node is near it there.
 
-        So a branch that was found anywhere is followed as far as it goes.
+        Thus a branch that is found anywhere is followed as far as it goes.
+
+        Parameters
+        ----------
+        rows: layers to carry to, in order; `back`: from each of them to the layer before.
         """
         for row in rows:
             self._brake.check()
@@ -145,7 +147,7 @@ class PathLayers:
         return [found.get(row, np.zeros((0, self._robot.n))) for row in seeds.tolist()]
 
     def _value_beside(self, batch: TargetBatch, row: int, near: Matrix, *, pitch: bool) -> Vector:
-        """(N,) the value of the free parameter at one station that each of the nodes `near` it belongs to."""
+        """(N,) for each of the nodes `near` a station, the value of the free parameter that is nearest to its own."""
         if not pitch:
             return np.zeros(len(near))
         values = self._values(batch, row, pitch=True)
@@ -156,7 +158,7 @@ class PathLayers:
         return np.asarray(values[np.argmin(off, axis=1)])
 
     def _values(self, batch: TargetBatch, row: int, *, pitch: bool) -> Vector:
-        """The grid of the free parameter at one station."""
+        """The grid of the pitch at one station [rad]; a single 0 where the pitch is not the free parameter."""
         if not pitch:
             return np.zeros(1)
         count = int(np.ceil(2.0 * np.pi / self._grid))
@@ -171,14 +173,9 @@ class PathLayers:
         return np.unique(np.concatenate(([middle - half], np.sort(inside), [middle + half])))
 
     def _solve(
-        self,
-        batch: TargetBatch,
-        rows: NDArray[np.intp],
-        guesses: Matrix,
-        values: Vector,
-        pitch: bool,
+        self, batch: TargetBatch, rows: NDArray[np.intp], guesses: Matrix, values: Vector, pitch: bool
     ) -> dict[int, Matrix]:
-        """The solutions at the stations `rows` (B,) with their `values` (B,) of the free parameter."""
+        """By row: (N, n) the solutions at the stations `rows` (B,) with `values` (B,) of the free parameter."""
         targets = batch.take(rows)
         if pitch:
             targets = targets.at_pitch(values)
@@ -192,17 +189,12 @@ class PathLayers:
         """Nodes a grid step apart on every curve that is found; carried on from station to station."""
         seeds = _seeds(stations)
         rows = np.repeat(seeds, _CURVE_GUESSES)
-        # others at every seed: what one misses another finds, and it is carried on
+        # other guesses at every seed: a curve that one misses another finds, and it is carried on
         guesses = np.vstack([_sobol(self._box, _CURVE_GUESSES, seed) for seed in range(len(seeds))])
         q, reached = self._solve_all(batch.take(rows), guesses)
         q, rows = q[reached], rows[reached]
-        traced = [q]
-        from_rows = [rows]
-        for sense in (1.0, -1.0):
-            along, at_rows = self._trace(batch, rows, q, sense)
-            traced.append(along)
-            from_rows.append(at_rows)
-        all_q, all_rows = np.vstack(traced), np.concatenate(from_rows)
+        traces = [(q, rows), *(self._trace(batch, rows, q, sense) for sense in (1.0, -1.0))]
+        all_q, all_rows = np.vstack([q for q, _ in traces]), np.concatenate([rows for _, rows in traces])
         found = [np.zeros((0, self._robot.n))] * len(stations)
         for row in seeds.tolist():
             found[row] = _distinct(all_q[all_rows == row], within=0.5 * self._grid)
@@ -218,7 +210,7 @@ class PathLayers:
     def _trace(
         self, batch: TargetBatch, rows: NDArray[np.intp], q: Matrix, sense: float
     ) -> tuple[Matrix, NDArray[np.intp]]:
-        """(N, n) what is met on the way along the null space from each of `q`, and (N,) the stations."""
+        """(N, n) nodes on the way along the null space from each of `q` (B, n), and (N,) their rows of `batch`."""
         found, found_rows = [np.zeros((0, q.shape[1]))], [np.zeros(0, dtype=np.intp)]
         begin, step = q.copy(), np.zeros_like(q)
         for number in range(_LONGEST_CURVE):
@@ -228,7 +220,7 @@ class PathLayers:
             targets = batch.take(rows)
             null = np.linalg.svd(targets.jacobians(self._kinematics.at(q)))[2][:, -1, :]
             null /= np.max(np.abs(null), axis=1, keepdims=True)
-            # on in the same direction; at first the one in which the largest component grows
+            # go on in the same direction; at first in the one in which the largest component grows
             ahead = (
                 np.einsum("bn,bn->b", null, step)
                 if number
@@ -247,7 +239,7 @@ class PathLayers:
     # --- several parameters ---------------------------------------------------------
 
     def _on_samples(self, batch: TargetBatch) -> list[Matrix]:
-        guesses = _sobol(self._box, self._samples)
+        guesses = _sobol(self._box, _SAMPLES)
         rows = np.repeat(np.arange(len(batch)), len(guesses))
         q, reached = self._solve_all(batch.take(rows), np.tile(guesses, (len(batch), 1)))
         q, reached = q.reshape(len(batch), len(guesses), -1), reached.reshape(len(batch), len(guesses))
@@ -268,7 +260,7 @@ class PathLayers:
 def redundancy_of(robot: Robot, target: TipTarget) -> int:
     """How many dimensions a target leaves to the joints: n minus the rank of the task.
 
-    A pitch range that is open counts as no task.
+    A range of pitch does not count as a task.
     """
     rng = np.random.default_rng(0)
     q = np.array([robot.random_q(rng) for _ in range(8)])
@@ -279,27 +271,28 @@ def redundancy_of(robot: Robot, target: TipTarget) -> int:
 
 
 def _sobol(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
-    """(count, n) quasi-random configurations, always the same; `count` is a power of 2."""
-    from scipy.stats import qmc  # slow to load, and needed for paths alone
+    """(count, n) quasi-random configurations in `box`, always the same for one `seed`; `count` is a power of 2."""
+    # scipy has Sobol's sequence in scipy.stats alone, which takes seconds to load: only where a path is planned
+    from scipy.stats import qmc
 
     points = qmc.Sobol(len(box[0]), scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(count))))
     return np.asarray(box[0] + points * (box[1] - box[0]))
 
 
 def _seeds(stations: Vector) -> NDArray[np.intp]:
-    """Indices of the stations at which all solutions are searched: the first, the last, and some between."""
+    """Indices of the stations at which all solutions are looked for: the first, the last, and some between."""
     cells = np.floor((stations - stations[0]) / _SEED_EVERY)
     return np.unique(np.append(np.flatnonzero(np.diff(cells, prepend=-1.0)), len(stations) - 1))
 
 
 def _beside(seeds: NDArray[np.intp], row: int) -> NDArray[np.intp]:
-    """The seeds before and after a station that is none."""
+    """The seeds before and after a station that is not a seed."""
     after = int(np.searchsorted(seeds, row))
     return seeds[after - 1 : after + 1]
 
 
 def _distinct(q: Matrix, *, within: float = _SAME) -> Matrix:
-    """`q` (N, n) without those that an earlier one is `within` of, in the order of the first joints."""
+    """`q` (N, n) without those that lie `within` [rad or m] of an earlier one, sorted by the first joints."""
     if len(q) < 2:
         return q
     cells = np.round(q / within).astype(np.int64)

@@ -1,8 +1,8 @@
 """A bucket path resolved globally: which configuration at which point of it.
 
-The layered graph over the redundancy gives the route; here its edges are made into
-motions and proven, its detours are searched, and what comes out is a list of pieces:
-stretches, on which the tip is exactly on the path, and detours between them.
+The layered graph over the redundancy gives the route. Here its edges are made into motions
+and proven, and its detours are searched. The result is a list of pieces: stretches, on
+which the tip is exactly on the path, and detours between them.
 """
 
 from __future__ import annotations
@@ -25,17 +25,21 @@ from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 
-_LAYER = 0.05  # m of path between layers
-_MANY_LAYERS = 160  # beyond which they lie further apart,
-_WIDEST_LAYER = 0.25  # m, up to this
-_GRID = np.radians(5.0)  # of the free parameter
-_LENGTH_OF_TURN = 0.25  # m that a radian of the tip's own turning counts as
-_FINE = 0.01  # m of path between the samples of a stretch
-_FINE_TURN = 0.03  # rad between them
-_BENT = 3.0  # times as far as the straight way between two nodes a sample of it may lie from the next
-_EXTENSION = 0.005  # m: to within which a detour is begun late and ended early
-_TRIES = 2  # between two layers
-_FEW = 8  # nodes of a layer that are followed back to where the path is free again
+_LAYER = 0.05  # m of path between layers; chosen
+_MANY_LAYERS = 160  # chosen to bound the work: a path that needs more has them further apart,
+_WIDEST_LAYER = 5.0 * _LAYER  # m, up to this
+_GRID = np.radians(5.0)  # of the free parameter; chosen: refined afterwards
+_LENGTH_OF_TURN = 0.25  # m that a radian of the tip's own turning counts as; chosen: about the size of a bucket
+_FINE = 0.01  # m of path between the samples of a stretch; chosen
+_FINE_TURN = 0.03  # rad or m of a joint between them; chosen
+_BENT = 3.0  # times the step of the straight way that a step between two nodes may be long; chosen
+_JUMP = 0.02  # rad or m that it may be longer still, where the straight way is short; chosen
+_EXTENSION = 0.005  # m to within which a detour is begun late and ended early; chosen: half of `_FINE`
+_NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
+_TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
+_FEW = 8  # nodes of a layer that are followed back to where the path is free again; chosen to be quick
+_AT_LIMIT = 1e-3  # rad or m: chosen, nearer than this a joint stands at its limit
+_IN_THE_WAY = 0.1  # m: chosen, what has less margin is blamed rather than a joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +62,10 @@ class Resolution:
 
     Attributes
     ----------
-    pieces: in order; without an end where it is blocked.
-    obstruction: what is in the way of the part that can be neither followed nor bypassed;
-        None where the pieces lead to the end of the path.
-    routes: through the layers, that were tested.
+    pieces: in order; up to the blocked part where the path is blocked.
+    obstruction: what is in the way, and of which part of the path; None where the pieces
+        lead to its end.
+    routes: how many routes through the layers were tested.
     """
 
     pieces: tuple[Stretch | Bypass, ...]
@@ -74,11 +78,15 @@ class PathResolver:
 
     Parameters
     ----------
-    since: arc length from which on it is resolved [m].
+    find_detour: function of two configurations (n,) and the arc lengths there [m]; gives
+        (K, n) corners of a way between them, or None.
+    since: arc length from which on the path is resolved [m].
     begin: (n,) joints with the tip on the path there, from which it is to be followed.
-    time: at which the obstacles are taken to be where they are [s].
+    time: the obstacles stand where they are at this time [s].
     work: how many routes are tested, and how many detours are looked for.
-    find_detour: (n,) from, (n,) to, arc lengths there, to the way between them or None.
+    cost: of a step, as for `LayeredGraph`.
+    grid: step of the free parameter, where there is one [rad; m for a slide].
+    layer: arc length between layers [m].
     """
 
     def __init__(
@@ -136,10 +144,10 @@ class PathResolver:
 
         Parameters
         ----------
-        begin: (n,) joints on the beginning of the path, or None where they are free.
+        begin: (n,) joints from which the path is followed; None for any on its beginning.
         detours: whether the path may be left.
-        off_path: `begin` is not on the path; it is joined by a detour.
-        price: what it costs to begin at each node of the first layer, (N, n) to (N,).
+        off_path: whether the tip is off the path at `begin`; a detour leads there.
+        price: costs (N,) of beginning at the nodes (N, n) of the first layer.
         """
         layers, stations = list(self._layers), self._stations
         costs = price(layers[0]) if price is not None and begin is None else np.zeros(len(layers[0]))
@@ -177,7 +185,7 @@ class PathResolver:
     # --- edges ---------------------------------------------------------------------
 
     def _make_motions(self, graph: LayeredGraph, route: Route) -> bool:
-        """Whether all that follows the path can be driven; what cannot is forbidden."""
+        """Make the motions of a route along the path; forbid those that are not clear. True where all are."""
         edges = [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR]
         self._work.brake.check()
         fresh = [edge for edge in edges if edge not in self._motions]
@@ -209,12 +217,12 @@ class PathResolver:
             own = q[rows].copy()
             own[0], own[-1] = guess[0], guess[-1]
             straight = np.max(np.abs(guess[-1] - guess[0])) / (len(between) - 1)
-            smooth = np.max(np.abs(np.diff(own, axis=0))) <= _BENT * straight + 0.02
+            smooth = np.max(np.abs(np.diff(own, axis=0))) <= _BENT * straight + _JUMP
             found.append(Stretch(between, own) if reached[rows].all() and smooth else None)
         return found
 
     def _between(self, low: float, high: float, a: Vector, b: Vector) -> Vector:
-        """Arc lengths of the samples of one edge, every waypoint among them."""
+        """(K,) arc lengths of the samples of the edge from `low` to `high` [m], every waypoint among them."""
         marks = self._path.stations[(self._path.stations > low + 1e-9) & (self._path.stations < high - 1e-9)]
         edges = np.concatenate(([low], marks, [high]))
         turn = float(np.max(np.abs(b - a)))
@@ -231,7 +239,7 @@ class PathResolver:
     # --- detours -------------------------------------------------------------------
 
     def _find_detours(self, graph: LayeredGraph, route: Route, failures: dict[tuple[int, int], int]) -> bool:
-        """Whether all detours of a route are found; the first that is not is forbidden."""
+        """Find the detours of a route; forbid the first that is not found. True where all are."""
         for edge in route.edges:
             if edge.kind is not EdgeKind.DETOUR or edge in self._ways:
                 continue
@@ -247,7 +255,7 @@ class PathResolver:
         return True
 
     def _leave(self, graph: LayeredGraph, edge: Edge) -> tuple[Stretch, Bypass, Stretch] | None:
-        """A detour, with what is still followed before it and already after it."""
+        """A detour, with the parts of the path that are followed before and after it; None where none is found."""
         a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
         low, high = (float(graph.stations[node[0]]) for node in (edge.start, edge.end))
         if low == high or (self._off_path and edge.start[0] == 0):
@@ -258,14 +266,11 @@ class PathResolver:
             # never so far that both ends cross
             back, _ = self._extend(high, before.reached, b)
             after = Stretch(back.stations[::-1], back.q[::-1])
-        way = self._find_detour(before.q[-1], after.q[0], before.reached, float(after.stations[0]))
+        left, back_at = before.reached, float(after.stations[0])
+        way = self._find_detour(before.q[-1], after.q[0], left, back_at)
         if way is None:
             return None
-        return (
-            before,
-            Bypass(way, replace(obstruction, path_from=before.reached, path_to=float(after.stations[0]))),
-            after,
-        )
+        return before, Bypass(way, replace(obstruction, path_from=left, path_to=back_at)), after
 
     def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, Obstruction]:
         """On along the path from `low` towards `high` [m], the shortest step at a time, as far as it is clear."""
@@ -275,7 +280,7 @@ class PathResolver:
         for s in np.linspace(low, high, count + 1)[1:].tolist():
             targets = TargetBatch.of([self._path.target(s)])
             after, reached = solve_batch(self._kinematics, targets, found[-1][None, :], iterations=12)
-            near = float(np.max(np.abs(after[0] - found[-1]))) < 0.2
+            near = float(np.max(np.abs(after[0] - found[-1]))) < _NEAR
             if not reached[0] or not near:
                 break
             if not self._is_clear(np.array([found[-1], after[0]])):
@@ -286,20 +291,20 @@ class PathResolver:
         return Stretch(np.array(stations), np.array(found)), obstruction or self._obstruction(found[-1], stations[-1])
 
     def _obstruction(self, q: Vector, station: float) -> Obstruction:
-        """What is in the way at `q`, or else at what else would put the tip on the path there."""
+        """What is in the way at `q`, or else of the other configurations at that arc length."""
         tightest = self._proximity.tightest(q, time=self._time)
         gap = np.minimum(q - self._problem.limits.lower, self._problem.limits.upper - q)
         if tightest is not None and tightest.margin < 0.0:
             return tightest
         joint = int(np.argmin(gap))
-        if gap[joint] < 1e-3:
+        if gap[joint] < _AT_LIMIT:
             return Obstruction.joint_limit(self._problem.robot.joint_names[joint])
         layer = min(int(np.searchsorted(self._stations, station + 1e-9)), len(self._all) - 1)
         others = [self._proximity.tightest(node, time=self._time) for node in self._all[layer]]
         blocked = [other for other in others if other is not None and other.margin < 0.0]
         if blocked:
             return max(blocked, key=lambda other: other.margin)
-        if tightest is not None and tightest.margin < 0.1:
+        if tightest is not None and tightest.margin < _IN_THE_WAY:
             return tightest
         return Obstruction.joint_limit(self._problem.robot.joint_names[joint])
 
@@ -317,17 +322,14 @@ class PathResolver:
     # --- what comes out ----------------------------------------------------------------
 
     def _pieces(self, graph: LayeredGraph, route: Route) -> tuple[Stretch | Bypass, ...]:
-        """The route's edges joined to as few pieces as there are."""
-        first = route.nodes[0]
-        pieces: list[Stretch | Bypass] = [
-            Stretch(graph.stations[first[0] : first[0] + 1], graph.layers[first[0]][[first[1]]])
-        ]
+        """The edges of a route, joined where they follow the path without a detour between."""
+        layer, index = route.nodes[0]
+        pieces: list[Stretch | Bypass] = [Stretch(graph.stations[[layer]], graph.layers[layer][[index]])]
         for edge in route.edges:
             if edge.kind is EdgeKind.DETOUR:
                 before, detour, after = self._ways[edge]
                 _append(pieces, before)
-                pieces.append(detour)
-                pieces.append(after)
+                pieces += [detour, after]
             else:
                 motion = self._motions[edge]
                 assert motion is not None
@@ -352,9 +354,9 @@ class PathResolver:
             low = float(graph.stations[layer])
             high = float(graph.stations[min(layer + 1, len(graph.stations) - 1)])
             further, obstruction = self._extend(low, high, graph.layers[layer][index])
-            joined = list(self._pieces(graph, route))
-            _append(joined, further)
-            pieces, left = tuple(joined), further.reached
+            reached_pieces = list(self._pieces(graph, route))
+            _append(reached_pieces, further)
+            pieces, left = tuple(reached_pieces), further.reached
             break
         again = self._free_again(left)
         if obstruction is None:

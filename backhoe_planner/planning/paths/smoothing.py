@@ -3,11 +3,11 @@
 A route through the layered graph jumps from grid value to grid value. Here every sample
 is moved within its null space, q_k + N_k z_k, so that the cost
 
-    sum_k w_k |q_{k+1} - q_k|^2
+    sum_k w_k |q_{k+1} - q_k|^2,  w_k = 1 / (arc length from k to k + 1)
 
 falls: Gauss-Newton on z, a banded system, with the tip put back on the path after each
 step. A sample that would come too near to something is held back by a growing price on
-its own z. Only what is cheaper, clear, and within the limits is taken.
+its own z. Only a stretch that is cheaper, clear, and within the limits is taken.
 """
 
 from __future__ import annotations
@@ -28,19 +28,11 @@ from backhoe_planner.site import Proximity
 
 Mask = NDArray[np.bool_]
 
-_ROUNDS = 20
-_ENOUGH = 1e-3  # relative fall of the cost below which it is left
-_LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round
-_ROOM = 0.005  # m of margin that smoothing does not use up
-
-
-def stretch_cost(stretch: Stretch) -> float:
-    """Sum |dq|^2 / dh with h the arc length, and a little for the turning of the joints."""
-    return _cost(_weights(stretch), stretch.q)
-
-
-def _weights(stretch: Stretch) -> Vector:
-    return np.asarray(1.0 / step_lengths(stretch.stations, stretch.q, least=1e-6))
+ENOUGH = 1e-3  # relative fall of the cost below which it is not lowered further; chosen
+ROOM = 0.005  # m of margin that is not used up; chosen
+_ROUNDS = 20  # steps of Gauss-Newton at most; chosen
+_LARGEST_MOVE = 0.3  # rad or m that a sample moves in one round; chosen: the null space turns little within it
+_LEAST_STEP = 1e-6  # m of arc length: far below any spacing, so that no weight is infinite
 
 
 def smooth_stretch(
@@ -58,9 +50,9 @@ def smooth_stretch(
 
     Parameters
     ----------
-    stretch: that is clear.
-    time: at which the obstacles are taken to be where they are [s].
-    free_start, free_end: whether the first and the last sample may move too.
+    stretch: a clear stretch of `path`.
+    time: the obstacles stand where they are at this time [s].
+    free_start, free_end: whether the joints may change at the first and at the last sample too.
     brake: ends the search early; the best so far is kept. By default none.
     """
     brake = brake or Brake()
@@ -70,11 +62,11 @@ def smooth_stretch(
     kinematics = BatchKinematics(problem.robot)
     targets = TargetBatch.of([path.target(float(s)) for s in stretch.stations])
     strict = strict_targets(targets)
-    weights = _weights(stretch)
+    weights = 1.0 / step_lengths(stretch.stations, q, least=_LEAST_STEP)
     held = np.zeros(len(q), dtype=bool)
     held[0], held[-1] = not free_start, not free_end
     price = np.zeros(len(q))
-    floor = np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH
+    floor = np.minimum(_margins(proximity, q, time), ROOM) - TOUCH
     cost = _cost(weights, q)
     for _ in range(_ROUNDS):
         N = null_bases(kinematics, strict, q)
@@ -90,11 +82,10 @@ def smooth_stretch(
             bad[:-1] |= ~np.array(clear)
             bad[1:] |= ~np.array(clear)
             if not bad.any():
-                fallen = cost - _cost(weights, moved)
-                q, cost = moved, cost - fallen
-                floor = np.maximum(floor, np.minimum(_margins(proximity, q, time), _ROOM) - TOUCH)
+                before, q, cost = cost, moved, _cost(weights, moved)
+                floor = np.maximum(floor, np.minimum(_margins(proximity, q, time), ROOM) - TOUCH)
                 price *= 0.3
-                if fallen < _ENOUGH * cost:
+                if before - cost < ENOUGH * cost:
                     break
                 continue
         scale = np.concatenate((weights[:1], np.maximum(weights[1:], weights[:-1]), weights[-1:]))
@@ -111,7 +102,7 @@ def _cost(weights: Vector, q: Matrix) -> float:
 
 
 def strict_targets(targets: TargetBatch) -> TargetBatch:
-    """The targets without the pitch ranges that leave room."""
+    """The targets without the pitch ranges: only what must be met exactly."""
     return TargetBatch(
         targets.position, targets.rotation, targets.turned, targets.pitch_middle, targets.pitch_half,
         targets.pitched & (targets.pitch_half < 1e-9),
@@ -121,7 +112,7 @@ def strict_targets(targets: TargetBatch) -> TargetBatch:
 def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None = None) -> Vector:
     """(K,) least margin of each sample [m], or a lower bound of it that is above `floor` (K,)."""
     found = np.full(len(q), np.inf)
-    wanted = np.full(len(q), _ROOM) if floor is None else floor
+    wanted = np.full(len(q), ROOM) if floor is None else floor
     for row, joints in enumerate(q):
         lower, _ = proximity.lower_bounds(joints, time=time, floor=proximity.clearance + wanted[row])
         lower = np.where(proximity.appears_at <= time, lower, np.inf)
@@ -130,7 +121,7 @@ def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None 
 
 
 def null_bases(kinematics: BatchKinematics, targets: TargetBatch, q: Matrix) -> NDArray[np.float64]:
-    """(K, n, r) orthonormal bases of the null spaces, with the r that all samples have at least."""
+    """(K, n, r) orthonormal bases of the null spaces at q (K, n); r is the least dimension of all samples."""
     J = targets.jacobians(kinematics.at(q))
     _, size, Vt = np.linalg.svd(J)
     rank = int(np.max(np.sum(size > 1e-6, axis=1)))
@@ -138,7 +129,12 @@ def null_bases(kinematics: BatchKinematics, targets: TargetBatch, q: Matrix) -> 
 
 
 def _step(weights: Vector, q: Matrix, N: NDArray[np.float64], price: Vector, held: Mask) -> Matrix:
-    """(K, r) the Gauss-Newton step in null-space coordinates."""
+    """(K, r) the Gauss-Newton step z in null-space coordinates.
+
+    Parameters
+    ----------
+    N: (K, n, r) bases of the null spaces. price: (K,) added to the weight of each z. held: (K,) samples that stay.
+    """
     count, r = len(q), N.shape[2]
     pull = weights[:, None] * np.diff(q, axis=0)
     force = np.zeros_like(q)

@@ -10,13 +10,13 @@ from backhoe_planner.site import Obstruction
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Joint positions with the tip on the path.
+    """Joint positions with the tip on a path.
 
     Attributes
     ----------
     stations: (K,) arc lengths [m], not decreasing.
     q: (K, n) joint positions there [rad or m].
-    obstruction: what ended it before the end of the path; None where nothing did.
+    obstruction: what ended the stretch before the end of the path; None where nothing did.
     """
 
     stations: Vector

@@ -17,21 +17,23 @@ from backhoe_planner.motion import Trajectory, drive_of, retime, time_along
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.proof import segment_is_clear
 
-_SPACINGS = (0.1, 0.05, 0.02)  # s of the slowest joint between places; the closer, the nearer to the law's way
-_FEWEST = 4  # intervals between them
-_INTERVALS = 300  # on a way, at whose ends limits are looked at
-_GAIN = 0.01  # of the time, below which a motion is left as it is
+# s of the slowest joint between places, tried in turn: the closer, the nearer to the law's way;
+# chosen, down to the period of a motion's samples
+_SPACINGS = (0.1, 0.05, 0.02)
+_FEWEST = 4  # intervals between places at least; chosen: fewer do not bend a curve
+_INTERVALS = 300  # of a way, at whose ends limits are looked at; chosen to be quick, the certificate looks at all
+_GAIN = 0.01  # part of the time; chosen: for less a motion is left as it is
 
 
 def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
-    """The same way from rest to rest in less time; `arrived` itself where none is proven clear.
+    """The same way from rest to rest in less time; `arrived` itself where no faster motion is proven clear.
 
-    Where anything moves or appears the times belong to the proof, and are left.
+    Where anything moves or appears, the proof holds for these times alone: they stay.
 
     Parameters
     ----------
-    begun: the motion before, at rest.
-    arrived: the same with the law's way after it, at rest.
+    begun: the motion up to where the law's way begins, at rest.
+    arrived: the same motion with the law's way after it, at rest.
     """
     problem, motion = begun.problem, arrived.trajectory()
     first = int(np.searchsorted(motion.time, begun.time - 1e-9))
@@ -58,17 +60,17 @@ def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
 
 
 def shortest_time(q: Matrix, limits: JointLimits) -> float:
-    """[s] below which no motion along the polyline q (T, n) is, by the rates of its joints alone."""
+    """A lower bound of the time along the polyline q (T, n) [s], by the velocity limits of the joints alone."""
     return float(np.sum(np.max(np.abs(np.diff(q, axis=0)) / limits.velocity, axis=1)))
 
 
 def places_on(q: Matrix, rate: Vector, spacing: float) -> tuple[Vector, Matrix]:
-    """(K,) and (K, n) places on the polyline through q (T, n), evenly along it, both ends among them.
+    """(K,) stations [s] and (K, n) places on the polyline through q (T, n), evenly along it, with both ends.
 
     Parameters
     ----------
-    rate: (n,) of the joints at most [rad/s or m/s]: a segment is as long as the slowest of them takes [s].
-    spacing: between them at most [s].
+    rate: (n,) velocity limits [rad/s or m/s]; a segment is as long as the slowest joint takes for it [s].
+    spacing: between neighbouring places at most [s].
     """
     finite = np.where(np.isfinite(rate), rate, 1.0)
     steps = np.max(np.abs(np.diff(q, axis=0)) / finite, axis=1)

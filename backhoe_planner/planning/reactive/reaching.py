@@ -22,17 +22,20 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.site import Nearby, Obstruction
 
-_ARRIVED = 2e-5  # m and rad
-_AT_GOAL = 1e-4  # m and rad, with all that is asked
-_LONGEST = 40.0  # s of motion per attempt
-_PATIENCE = 1.5  # s without progress after which an attempt counts as stuck
-_PROGRESS = 0.002  # m (or rad) that counts as progress,
-_NOTICEABLE = 0.02  # or this part of what is left, where that is more
-_POSTURES_FIRST = 3  # quick to try, and quick motions where they arrive
-_STILL = 0.03  # m that the tip must get on within the patience while it circulates
-_LONGEST_TURN = 12.0  # s
-_BRAKING_PART = 0.5  # of the acceleration is planned with while slowing down
-_SETTLE = 10.0  # 1/s, slowest mode at the end of a motion
+_AT_GOAL = 1e-4  # m and rad from the goal: chosen, far below what a machine can keep
+_ARRIVED = 0.2 * _AT_GOAL  # m and rad that are left in the law's own rows; the other rows may add to it
+_LONGEST = 40.0  # s of motion per attempt; chosen: long for a motion to a goal
+_PATIENCE = 1.5  # s without progress after which an attempt counts as stuck; chosen
+_PROGRESS = 0.002  # m (or rad) within the patience that counts as progress; chosen
+_NOTICEABLE = 0.02  # part of what is left that counts as progress, where that is more; chosen
+_POSTURES_FIRST = 3  # tried before the tip circulates: they are quick to try, and quick motions where they arrive
+_STILL = 0.03  # m that the tip must move within the patience while it circulates; chosen: 2 cm/s
+_LONGEST_TURN = 12.0  # s that the tip circulates; chosen: a third of an attempt, so that something is left after it
+_HOLD = 0.4  # s after which a surface that was left no longer counts; chosen: 20 steps
+_LEADS = 0.6  # part of the way to the goal; chosen: where so much lies along a surface, the surface leads to the goal
+_CLOSE = 0.1  # m of margin: chosen, nearer pairs say where the surface is
+_BRAKING_PART = 0.5  # of the acceleration; chosen: half is kept in reserve
+_SETTLE = 10.0  # 1/s: chosen, the rate at which a motion ends; five of its time constants are half a second
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,11 @@ class Attempt:
 
     Attributes
     ----------
-    arrived: the tip is on the goal, at rest.
+    arrived: whether the tip is on the goal, at rest.
     stepper: the motion that was made.
     distance: of the tip from the goal at the end [m].
-    obstruction: what held the motion back at the end; None where nothing is near.
-    way: how it was tried, in words.
+    obstruction: what is nearest to the machine at the end; None where nothing is near.
+    way: how the goal was tried, in words.
     """
 
     arrived: bool
@@ -56,7 +59,7 @@ class Attempt:
 
 
 class Sense(Enum):
-    """Which way to go round: the direction of the circulation along a surface."""
+    """The direction in which the tip circulates along a surface."""
 
     UP = "over the top"
     LEFT = "round the left"
@@ -81,15 +84,17 @@ def approach_goal(
     Parameters
     ----------
     stepper: a motion that is at rest; every attempt is a branch of it.
-    configurations: (n,) known to put the tip on the goal, the preferred one first.
+    configurations: (n,) each, with the tip on the goal [rad or m], the preferred one first.
     work: from which every step is taken; without any left, or without time, the attempt
         ends where it is and no further one is begun.
-    all_ways: go on after an attempt that arrives, for whoever wants another one.
-    null_space: whether the null-space terms of the law take part; to compare without.
+    all_ways: whether to go on after an attempt that arrives.
+    null_space: whether the null-space terms of the law take part; studies leave them out.
     """
-    at, _ = stepper.look()
+    # an arm that stays in a level plane has no way over the top or underneath
+    level = not movable_rows(stepper.look()[0].jacobian[:3])[2]
+    senses = [Sense.LEFT, Sense.RIGHT] if level else list(Sense)
     postures: list[_Way] = [(f"to posture {index}", q, None) for index, q in enumerate(configurations, start=1)]
-    turns: list[_Way] = [(sense.value, None, sense) for sense in _senses(at)]
+    turns: list[_Way] = [(sense.value, None, sense) for sense in senses]
     straight: _Way = ("straight", None, None)
     ways = [straight, *postures[:_POSTURES_FIRST], *turns, *postures[_POSTURES_FIRST:]]
     for number, (name, posture, sense) in enumerate(ways, start=1):
@@ -101,13 +106,6 @@ def approach_goal(
         yield attempt
         if (attempt.arrived and not all_ways) or work.law_steps <= 0 or work.brake.is_used_up():
             return
-
-
-def _senses(at: Configuration) -> list[Sense]:
-    """Left and right for an arm that stays in a level plane, else all four."""
-    if not movable_rows(at.jacobian[:3])[2]:
-        return [Sense.LEFT, Sense.RIGHT]
-    return list(Sense)
 
 
 # --- moving the tip ---------------------------------------------------------------
@@ -157,14 +155,14 @@ def _task(goal: TipTarget, at: Configuration) -> tuple[Vector, Matrix]:
 
 
 def _pace(limits: JointLimits, dq: Vector) -> float:
-    """1/s by which the way `dq` (n,) that is left is to shrink: as fast as every joint can, and can still brake."""
+    """The rate at which the rest of the way, `dq` (n,), shrinks [1/s]: so that every joint can still brake."""
     size = np.abs(dq) + 1e-9
     braking = np.sqrt(2.0 * _BRAKING_PART * limits.acceleration / size)
     return float(min(np.min(limits.velocity / size), np.min(braking), _SETTLE))
 
 
 def _within_rates(v: Vector, limits: JointLimits) -> Vector:
-    """`v` slowed, not bent, until every joint is within its rate."""
+    """`v` (n,) in the same direction, so slow that every joint is within its velocity limit."""
     ratio = float(np.max(np.abs(v) / limits.velocity))
     return v / ratio if ratio > 1.0 else v
 
@@ -186,14 +184,10 @@ class _Progress:
 class _Turning:
     """The circulation term: along the surface of what blocks the way.
 
-    It begins where the straight way is stuck. Where the surface itself leads towards the
-    goal it is followed that way, else in the sense that was asked for. It ends where the
-    tip is nearer to the goal than it was at the beginning and the way to the goal points
-    away from the surface.
+    It begins where the straight way is stuck. Where the surface leads towards the goal,
+    the tip follows it that way, else in the given sense. It ends where the tip is nearer
+    to the goal than at the beginning and the way to the goal points away from the surface.
     """
-
-    _HOLD = 0.4  # s: a surface just left still counts
-    _LEADS = 0.6  # part of the way to the goal that must lie along the surface
 
     def __init__(self, sense: Sense | None) -> None:
         self._sense = sense
@@ -209,7 +203,7 @@ class _Turning:
         return self._hit is not None
 
     def begin(self, nearby: Nearby, stepper: Stepper, left: float) -> bool:
-        """Start to circulate; False where there is no sense, or nothing to go round."""
+        """Start to circulate; False where no sense is given, or nothing blocks the way."""
         if self._sense is None or self._hit is not None:
             return False
         normal = _blocking_normal(nearby, stepper)
@@ -221,13 +215,18 @@ class _Turning:
         return True
 
     def stuck(self, tip: Vector, time: float) -> bool:
-        """Whether the tip is where it was `_PATIENCE` ago, or has circulated for too long."""
+        """Whether the tip at `tip` (3,) has hardly moved for `_PATIENCE`, or has circulated for too long."""
         if self._place is None or float(np.linalg.norm(tip - self._place)) > _STILL:
             self._place, self._since = tip, time
         return time - self._since > _PATIENCE or time - self._begun > _LONGEST_TURN
 
     def direction(self, error: Vector, at: Configuration, nearby: Nearby, stepper: Stepper, left: float) -> Vector:
-        """(m,) where to go: the error itself, or along the surface while circulating."""
+        """(m,) where to go: along `error` (m,), or along the surface while circulating.
+
+        Parameters
+        ----------
+        left: size of the error [m or rad].
+        """
         if self._hit is None or self._sense is None:
             return error
         normal = _blocking_normal(nearby, stepper)
@@ -237,23 +236,23 @@ class _Turning:
         toward = np.zeros(3)
         toward[:rows] = error[:rows]
         into = float(toward @ self._normal)
-        off_surface = normal is None and stepper.time - self._touched > self._HOLD
+        off_surface = normal is None and stepper.time - self._touched > _HOLD
         if left < self._hit - 0.02 and (into <= 0.0 or off_surface):
             self._hit = None
             return error
         size = max(float(np.linalg.norm(toward)), 0.3)
         along = toward - into * self._normal
-        if float(np.linalg.norm(along)) < self._LEADS * float(np.linalg.norm(toward)):
+        if float(np.linalg.norm(along)) < _LEADS * float(np.linalg.norm(toward)):
             along = _tangent(self._normal, self._sense, at)
         along = along / max(float(np.linalg.norm(along)), 1e-9)
         found = np.array(error)
-        # towards the surface a little, so as not to lose it
+        # a little into the surface, so as not to lose it
         found[:rows] = (size * (along + 0.3 * self._normal))[:rows]
         return found
 
 
 def _tangent(normal: Vector, sense: Sense, at: Configuration) -> Vector:
-    """(3,) along a surface with `normal` into it, the way of `sense`; any length."""
+    """(3,) along a surface in the given sense, of any length; `normal` (3,) points into the surface."""
     up = np.array([0.0, 0.0, 1.0])
     if sense in (Sense.LEFT, Sense.RIGHT):
         left = np.cross(normal, up) if abs(normal[2]) < 0.9 else np.cross(up, at.tip_position - at.points[0])
@@ -266,11 +265,11 @@ def _tangent(normal: Vector, sense: Sense, at: Configuration) -> Vector:
 
 
 def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:
-    """(3,) mean direction into what the shield is held back by; None if by nothing."""
+    """(3,) unit vector into what holds the shield back, the mean of all that is close; None where nothing does."""
     shielded = stepper.shielded
     if shielded is None or len(shielded.binding) == 0 or len(nearby) == 0:
         return None
-    close = nearby.margin < 0.1
+    close = nearby.margin < _CLOSE
     if not np.any(close):
         return None
     weight = 1.0 / (np.maximum(nearby.margin[close], 0.0) + 0.01)
@@ -302,7 +301,7 @@ def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, 
 
 
 def _may_step(work: Work) -> bool:
-    """Take a step from the work, if there is one left."""
+    """Take a step from the work; False where none is left, or no time."""
     work.law_steps -= 1
     return work.law_steps >= 0 and not work.brake.is_used_up()
 

@@ -1,9 +1,9 @@
 """One step after another, each taken only when it is proven clear.
 
-A `Stepper` turns wished joint velocities into a motion: the shield filters the wish,
-the certificate's bound checks the step that results. A step that
-is not proven is tried again with more distance asked of the pairs that came too near,
-then with half the time; if nothing helps, the machine brakes.
+A `Stepper` turns wished joint velocities into a motion: the shield filters the wish, the
+certificate's bound checks the step that results. A step that is not proven is tried again
+with more distance from the pairs that came too near, then with half the time; if nothing
+helps, the machine brakes.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import Shield, Shielded
 from backhoe_planner.machine import Configuration, Kinematics
-from backhoe_planner.motion import Problem, Trajectory
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Nearby, Proximity
 
-STEP = 0.02  # s
-_BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
-_HALVINGS = 5
-_CORRECTIONS = 3
-_LONGEST_STOP = 10.0  # s after which giving way has to be over
+STEP = SAMPLE_PERIOD  # s: a step is a sample of the motion
+_BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen
+_HALVINGS = 5  # of the time of a step, tried in turn; chosen: the last is about a millisecond
+_CORRECTIONS = 3  # tries with more distance at one length of the step; chosen
+_LONGEST_STOP = 10.0  # s after which giving way is given up; chosen: long for a stop
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class PlannerStep:
     ----------
     time: [s] in the motion.
     q: (n,) joint positions [rad or m].
-    attempt: which attempt of the planner the step belongs to, from 1.
+    attempt: the attempt of the planner that the step belongs to, from 1.
     """
 
     time: float
@@ -48,14 +48,16 @@ Watcher = Callable[[PlannerStep], object]
 
 
 class Stepper:
-    """The state of a motion that is being made.
+    """A motion that is being made, step by step.
 
     Attributes
     ----------
-    q, v: (n,) where the joints are, and their velocity in the last step.
-    proximity: to what the motion keeps clear of, where it is at the time of each step.
-    time: [s]
-    shielded: what the shield said to the last step, None before the first.
+    q: (n,) where the joints are [rad or m].
+    v: (n,) their velocity in the last step [rad/s or m/s].
+    time: of the motion so far [s].
+    proximity: to the obstacles that the motion keeps clear of, as they are at the time of each step.
+    attempt: of the planner, from 1; shown to the watcher.
+    shielded: the shield's answer to the last step; None before the first, and where it was not asked.
     """
 
     def __init__(
@@ -66,14 +68,13 @@ class Stepper:
         proximity: Proximity,
         kinematics: Kinematics,
         watch: Watcher | None = None,
-        attempt: int = 1,
     ) -> None:
         self.problem = problem
         self.q = np.array(q, dtype=float)
         self.v = np.zeros_like(self.q)
         self.time = 0.0
         self.shielded: Shielded | None = None
-        self.attempt = attempt
+        self.attempt = 1
         self.proximity = proximity
         self._kinematics = kinematics
         self._shield = Shield(problem.limits)
@@ -87,7 +88,8 @@ class Stepper:
 
         Parameters
         ----------
-        proximity: what it is to keep clear of from now on; by default the same.
+        attempt: of the planner, from 1.
+        proximity: to what the new motion keeps clear of; by default the same.
         """
         other = copy.copy(self)
         other.proximity = proximity or self.proximity
@@ -98,8 +100,8 @@ class Stepper:
     def look(self) -> tuple[Configuration, Nearby]:
         """The present configuration, and the pairs that act on the motion there.
 
-        Those are the pairs within the influence distance, and those that could be
-        reached before the machine stops.
+        Those are the pairs within the influence distance, and those whose distance could be
+        used up before the machine stops.
         """
         nearby = self.proximity.at(
             self.q, time=self.time, margin=np.maximum(self._stopping_distances(), self.problem.scene.influence)
@@ -111,8 +113,10 @@ class Stepper:
 
         Parameters
         ----------
+        wish: joint velocities [rad/s or m/s].
         nearby: as returned by `look` at the present configuration.
         J_tip: (3, n) position Jacobian of the tip; zeros where only the joints count.
+        dt: time of the step [s]; a shorter one is taken where this is not clear.
         """
         for _ in range(_HALVINGS):
             extra = np.full(len(nearby), _BUFFER)
@@ -133,8 +137,8 @@ class Stepper:
     def play(self, piece: Trajectory) -> None:
         """Append a motion that begins where this one stands, from rest to rest.
 
-        Two motions that each come to rest change their velocity twice at the seam: one
-        step in which the machine stands lies between them.
+        After a motion the machine stands for one step: the velocity would change twice at the
+        seam otherwise.
         """
         if len(piece) < 2:
             return
@@ -153,7 +157,7 @@ class Stepper:
         self.shielded = None
 
     def replay(self, motion: Trajectory, until: float) -> None:
-        """Make this motion the part of `motion` up to the time `until` [s], with its velocity there."""
+        """Replace this motion by `motion` up to the time `until` [s], with its velocity there."""
         count = int(np.searchsorted(motion.time, until - 1e-9))
         self._times = [*motion.time[:count].tolist(), until]
         self._path = [*(np.array(q) for q in motion.q[:count]), motion.at(until)]
@@ -165,7 +169,7 @@ class Stepper:
             self.v = (self._path[-1] - self._path[-2]) / self._last_dt
 
     def rest(self, until: float) -> None:
-        """Stand, where the motion is at rest, until the time `until` [s]."""
+        """Stand until the time `until` [s]; the motion must be at rest."""
         if until > self.time:
             self._take(self.q, until - self.time, None)
 
@@ -174,7 +178,7 @@ class Stepper:
         return bool(np.all(np.abs(self.v) <= self.problem.limits.acceleration * STEP + 1e-12))
 
     def stop(self) -> None:
-        """Brake in proportion until at rest."""
+        """Brake all joints in proportion until they are at rest."""
         for _ in range(10_000):
             if not np.any(np.abs(self.v) > 1e-9) or not self._brake(STEP):
                 break
@@ -200,7 +204,7 @@ class Stepper:
         return Trajectory.from_steps(np.array(self._times), np.array(self._path))
 
     def _stopping_distances(self) -> Vector:
-        """(P,) how much nearer each pair can come before the machine stops [m]."""
+        """(P,) upper bounds of how much nearer each pair can come before the machine stops [m]."""
         fastest = np.abs(self.v) + self.problem.limits.acceleration * STEP
         time = self._shield.stopping_time(fastest)
         return np.asarray(time * (self.proximity.travel @ fastest + self.proximity.speed))
@@ -217,7 +221,7 @@ class Stepper:
             self._watch(PlannerStep(self.time, q, self.attempt))
 
     def _brake(self, dt: float) -> bool:
-        """One step of braking in proportion, where that is clear."""
+        """Brake all joints in proportion for one step; False where that is not clear."""
         time = self._shield.braking_time(self.v)
         span = 0.5 * (dt + self._last_dt)
         v = self.v * max(1.0 - span / time, 0.0) if time > 0.0 else self.v
@@ -235,7 +239,7 @@ class Stepper:
         return np.where(inside, np.clip(q, limits.lower, limits.upper), q)
 
     def _shortfall(self, q: Vector, dt: float, nearby: Nearby) -> Vector:
-        """(K,) how much further from each nearby pair the step must keep [m]."""
+        """(K,) how much further away each nearby pair must be kept for the step to `q` to be clear [m]."""
         found = np.zeros(len(nearby))
         for row, pair in enumerate(nearby.pair):
             reached = self.proximity.distance_of(int(pair), q, time=self.time + dt)

@@ -26,7 +26,7 @@ from pydantic import BeforeValidator, computed_field, model_validator
 from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
-from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, drive_of, trajectory_costs
+from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
@@ -178,13 +178,14 @@ def part_on_path(
 def fastest_motion(
     problem: Problem, path: TipPath, stretch: Stretch, *, proximity: Proximity, time: float = 0.0
 ) -> Trajectory:
-    """A stretch as fast as the limits allow, at rest at both ends and at the corners that are not rounded."""
-    task = problem.scene.task.path
-    assert task is not None
+    """A stretch as fast as the limits allow, at rest at both ends and at the corners that are not rounded.
+
+    Parameters
+    ----------
+    time: the obstacles stand where they are at this time [s].
+    """
     rounded, stops = round_corners(problem, path, stretch, proximity=proximity, time=time)
-    return join_motions(
-        time_stretch(path, rounded, problem.limits, speed=task.speed, drive=drive_of(problem), stops=stops)
-    )
+    return join_motions(time_stretch(problem, path, rounded, stops=stops))
 
 
 def join_motions(motions: Sequence[Trajectory]) -> Trajectory:

@@ -14,7 +14,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import JointPath
 
-_TRIES = 60  # random shortcuts; chosen: `_PATIENCE` mostly ends them before
+_TRIES = 60  # random shortcuts; chosen
 _PATIENCE = 20  # shortcuts in a row without a gain after which no more are tried; a third of all
 _GAIN = 1e-3  # part of the length; chosen: a shortcut that gains less is not worth its proof
 _ONE_JOINT = 0.4  # part of the shortcuts that move one joint alone; chosen, rather fewer than those of all joints
