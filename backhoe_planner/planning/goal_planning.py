@@ -19,23 +19,21 @@ from backhoe_planner.planning.search.postures import PostureResult
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
 
-_LONG_SEARCH = 8  # times as many starting points, before a goal is said to be in collision
-_MOST_POSTURES = 8  # that the law is sent to, one attempt each
+_LONG_SEARCH = 8  # times the usual starting points, before a goal is said to be in collision; chosen
+_MOST_POSTURES = 8  # that the law is sent to, one attempt each; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class ToGoal:
-    """The task of bringing the tip to a goal, and be at rest there."""
+    """The task of bringing the tip to a goal, at rest there.
+
+    In all methods `stepper` is the motion so far; it stays as it is.
+    """
 
     goal: TipTarget
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """The tip straight for it by the law, then a sampled way, then what else the law can do.
-
-        Parameters
-        ----------
-        stepper: a motion that is at rest.
-        """
+        """From rest by the law straight to the goal, else by a sampled way, else by the other ways of the law."""
         found = self._postures(world, stepper)
         if isinstance(found, Outcome):
             return found
@@ -55,7 +53,7 @@ class ToGoal:
         return replace(outcome, message=f"{outcome.message}; {transit}") if outcome.reason else outcome
 
     def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
-        """Straight on by the law, from a motion that need not be at rest; None where it does not arrive."""
+        """By the law straight to the goal, from a motion that need not be at rest; None where it does not arrive."""
         attempt = next(approach_goal(stepper, self.goal, (), work=world.work))
         return Outcome(attempt.stepper.trajectory(), findings=Findings(way=attempt.way)) if attempt.arrived else None
 
@@ -65,14 +63,14 @@ class ToGoal:
         return found if isinstance(found, Outcome) else self._attempts(world, stepper, found.clear)
 
     def by_paper(self, world: World, stepper: Stepper) -> Outcome:
-        """The iteration of the paper, its steps timed."""
+        """By the paper's iteration as it is printed; its steps are timed afterwards."""
         steps = run_iteration(
             world.problem, stepper.q, self.goal, proximity=world.proximity, kinematics=world.kinematics
         )
         return Outcome(time_polyline(steps, world.problem.limits), findings=Findings(iterations=len(steps) - 1))
 
     def _postures(self, world: World, stepper: Stepper) -> PostureResult | Outcome:
-        """Clear configurations on the goal, the nearest first; or why there is none."""
+        """Clear configurations on the goal; or why there is none."""
         count = world.work.effort.starting_points
         found = world.postures.at(self.goal, near=stepper.q, count=count, time=stepper.time)
         if found.best.reached and not found.clear:
@@ -80,16 +78,16 @@ class ToGoal:
         return no_posture(world, found, self.goal, "goal_in_collision", "goal") or found
 
     def _attempts(self, world: World, stepper: Stepper, postures: Sequence[Vector]) -> Outcome:
-        """What the law can do, with `postures` (n,) on the goal, the preferred one first."""
+        """All ways of the law, with `postures` (n,) on the goal, the preferred one first."""
         attempts = list(approach_goal(stepper, self.goal, postures[:_MOST_POSTURES], work=world.work))
         if not attempts[-1].arrived:
             return describe_attempts(attempts, world.work.brake)
         arrived = speed_up(stepper, attempts[-1].stepper)
-        return Outcome(arrived.trajectory(), findings=_findings(attempts))
+        return Outcome(arrived.trajectory(), findings=Findings(attempts=len(attempts), way=attempts[-1].way))
 
 
 def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: PostureResult) -> Outcome:
-    """The tip's straight way or, where that is open and faster, the joints'."""
+    """The tip's straight way, or the joints' straight way where that is clear and faster."""
     limits, drive = world.problem.limits, drive_of(world.problem)
     direct = find_transit(world, stepper, found.clear, straight=True)
     joints = direct.trajectory() if isinstance(direct, Stepper) else None
@@ -106,8 +104,11 @@ def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: Postur
 def describe_attempts(attempts: Sequence[Attempt], brake: Brake) -> Outcome:
     """The attempt that came nearest, and what held it back or that time ran out; none of `attempts` arrived."""
     nearest = min(attempts, key=lambda attempt: attempt.distance)
-    findings = _findings(attempts).model_copy(
-        update={"closest_distance": nearest.distance, "obstruction": nearest.obstruction}
+    findings = Findings(
+        attempts=len(attempts),
+        way=attempts[-1].way,
+        closest_distance=nearest.distance,
+        obstruction=nearest.obstruction,
     )
     held = ""
     if nearest.obstruction is not None:
@@ -116,7 +117,3 @@ def describe_attempts(attempts: Sequence[Attempt], brake: Brake) -> Outcome:
     if brake.is_used_up():
         return Outcome(nearest.stepper.trajectory(), "budget", f"{brake.message}; {message}", findings)
     return Outcome(nearest.stepper.trajectory(), "blocked", message, findings)
-
-
-def _findings(attempts: Sequence[Attempt]) -> Findings:
-    return Findings(attempts=len(attempts), way=attempts[-1].way)

@@ -1,14 +1,13 @@
-"""Planning among obstacles that move, and such that nobody knew of before they appear.
+"""Planning among obstacles that move, and among obstacles that are unknown until they appear.
 
 Moving obstacles: the plan waits until they have passed, keeps out of all the space that
-they will take up, gives way, or goes to where they will not pass. Each is tried as a
-motion among obstacles that stand still, and taken where it is proven clear of them as
-they move.
+they will take up, gives way, or goes to where they will not pass. Each of these is planned
+as a motion among obstacles that stand still, and taken where it is proven clear of the
+obstacles as they move.
 
-Obstacles that appear: the motion up to that moment is made as it was planned, and what
-follows is planned anew from the state the machine then has. First it is tried to swerve
-without stopping (the completed law), then the machine brakes along its way and plans
-from rest.
+Obstacles that appear: up to that moment the motion stays as it was planned, and from there
+on it is planned anew. First the machine swerves without stopping (the completed law), then
+it brakes along its way and plans from rest. Where both work, the shorter motion is taken.
 """
 
 from __future__ import annotations
@@ -32,20 +31,20 @@ from backhoe_planner.site import Obstacle, Obstruction, Proximity, swept
 
 _Reply = tuple[Outcome, str, float | None]  # how the motion goes on, in a word, and when the machine stands [s]
 
-_WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s
-_HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of what moves is kept free
-_SOON = (0.5, 1.5)  # s, where there is a refuge to get to
-_REFUGES = 150  # postures that are looked at
-_ROOM = 0.02  # m of margin in a refuge
-_HALVINGS = 4  # of the time between a wait that is too short and one that is not
-_SLOWEST_BRAKING = 0.05  # 1/s^2: the motion's own clock stops within 20 s, or braking along the way is given up
-_TOUCH = 2e-5  # m by which the proof may fall short: the steps of a motion are proven with rounding of their own
+_WAITS = (0.5, 1.0, 2.0, 3.0, 4.5, 6.0, 8.0, 10.0, 13.0, 17.0, 22.0, 30.0)  # s, tried in turn; chosen
+_HORIZONS = (3.0, 6.0, 15.0)  # s ahead for which the space of moving obstacles is kept free, in turn; chosen
+_SOON = (0.5, 1.5)  # s: shorter horizons, for a way to a refuge; chosen
+_REFUGES = 150  # random postures that may be refuges; chosen
+_ROOM = 0.02  # m of margin in a refuge; chosen
+_HALVINGS = 4  # of the time between a wait that is too short and one that is not; chosen
+_SLOWEST_BRAKING = 0.05  # 1/s: where its own clock would take more than 20 s to stop, a motion is not braked; chosen
+_TOUCH = 2e-5  # m by which the proof may fall short; chosen: far below a clearance, far above the rounding of a step
 
 
 def plan_over_time(world: World, task: ToGoal | AlongPath, stepper: Stepper) -> Outcome:
-    """A motion from `stepper`, which is at rest, among all that stands, moves, and appears.
+    """A motion from `stepper`, which is at rest, among all obstacles.
 
-    Where no obstacle appears or moves it is what `task.from_rest` gives.
+    Where none of them moves or appears it is that of `task.from_rest`.
     """
     if not world.problem.is_dynamic:
         return task.from_rest(world, stepper)
@@ -61,7 +60,7 @@ class _OverTime:
         self._limits = world.problem.limits
 
     def plan(self, stepper: Stepper) -> Outcome:
-        """A motion that reacts to every obstacle that appears while it lasts."""
+        """A motion from `stepper`, at rest, that reacts to every obstacle that appears while it lasts."""
         reactions: list[Reaction] = []
         outcome = self._among_known(stepper)
         known_until = stepper.time
@@ -71,7 +70,7 @@ class _OverTime:
                 continue
             motion = outcome.trajectory
             if moment >= motion.duration:
-                continue  # it stands by then: at its end, or stopped by something else
+                continue  # the machine stands by then: at the end, or stopped by another obstacle
             known_until = moment
             known = self._known(moment)
             if _is_clear(known.proximity, motion, moment):
@@ -84,13 +83,13 @@ class _OverTime:
         return outcome.adding(reactions=tuple(reactions))
 
     def _known(self, moment: float) -> World:
-        """The world with nothing but the obstacles that have appeared by then."""
+        """The world with the obstacles that have appeared by `moment` [s]."""
         return self._world.among([o for o in self._world.problem.obstacles if o.appears_at <= moment])
 
     # --- what moves -----------------------------------------------------------------
 
     def _among_known(self, stepper: Stepper) -> Outcome:
-        """From rest among the obstacles that are known at that moment, all of them in motion as they are."""
+        """From rest among the obstacles that are known at the end of `stepper`, each moving as it does."""
         known = self._known(stepper.time)
         obstacles = known.proximity.obstacles
         stepper = stepper.branch(attempt=stepper.attempt, proximity=known.proximity)
@@ -137,8 +136,8 @@ class _OverTime:
     # --- what appears ---------------------------------------------------------------
 
     def _react(self, known: World, motion: Trajectory, moment: float) -> _Reply:
-        """A motion that is `motion` up to `moment` and goes on otherwise."""
-        # it is seen at the next sample, where the motion may change without a shorter step
+        """`motion` up to `moment` [s], and from there on a motion that is clear of what appears then."""
+        # the obstacle is seen at the next sample, where the motion can change without a shorter step
         moment = float(motion.time[np.searchsorted(motion.time, moment - 1e-9)])
         tightest = known.proximity.tightest(motion.at(moment), time=moment)
         if tightest is not None and tightest.margin < 0.0:
@@ -154,7 +153,7 @@ class _OverTime:
         return again, way, stopped_at
 
     def _stop_and_plan(self, known: World, moving: Stepper, motion: Trajectory, moment: float) -> _Reply:
-        """The motion up to `moment`, to rest, and on from there."""
+        """`motion` up to `moment` [s], then to rest, and on from there."""
         stopped = moving.branch(attempt=moving.attempt)
         braked = _brake_along(motion, moment, self._limits)
         if braked is not None and _is_clear(known.proximity, braked, moment):
@@ -168,12 +167,12 @@ class _OverTime:
         return outcome, "stopped and planned anew", stopped.time
 
     def _halt(self, motion: Trajectory, moment: float, why: str, obstruction: Obstruction | None = None) -> _Reply:
-        """The motion up to `moment`, and to rest along its own way, be it clear or not."""
+        """`motion` up to `moment` [s], then to rest along its own way, clear or not."""
         halted = _brake_along(motion, moment, self._limits) or motion
         return Outcome(halted, "blocked", why, Findings(obstruction=obstruction)), "", halted.duration
 
     def _duration(self, outcome: Outcome) -> float:
-        """How long a motion takes once torque, flow and power are looked at too [s]."""
+        """How long a motion takes when torque, flow and power are kept too [s]."""
         return retime(outcome.trajectory, self._limits, drive=drive_of(self._world.problem)).duration
 
 
@@ -185,7 +184,7 @@ def _describe(reaction: Reaction) -> str:
 
 
 def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None:
-    """The same motion after the shortest wait that is found to be clear, None where none is."""
+    """`direct` after the shortest wait at the end of `stepper` that makes it clear; None where none does."""
 
     def clear(wait: float) -> bool:
         return _is_clear(known, _delay(direct.trajectory, stepper.time, wait), stepper.time)
@@ -207,13 +206,13 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
 
 
 def _swept_world(known: World, since: float, horizon: float) -> World:
-    """What stands, and all the space that what moves takes up for a time [s]."""
+    """The world with standing obstacles, and with all the space that moving ones take up for `horizon` [s]."""
     obstacles = known.proximity.obstacles
     return known.among([swept(o, since, since + horizon) if o.moves else _from_the_beginning(o) for o in obstacles])
 
 
 def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
-    """Motions to where nothing will pass, at rest there until everything has."""
+    """Motions to where no moving obstacle will pass, at rest there until all have passed."""
     robot = known.problem.robot
     rng = np.random.default_rng(known.seed)
     passed = _swept_world(known, stepper.time, _HORIZONS[-1]).proximity
@@ -233,16 +232,16 @@ def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
 
 
 def _delay(motion: Trajectory, since: float, wait: float) -> Trajectory:
-    """The same motion, standing for `wait` [s] at the time `since`, at which it stands."""
+    """The same motion, standing `wait` [s] longer at the time `since` [s], where it is at rest."""
     split = int(np.searchsorted(motion.time, since - 1e-9))
     time = np.concatenate((motion.time[: split + 1], motion.time[split:] + wait))
     return Trajectory.from_steps(time, np.vstack((motion.q[: split + 1], motion.q[split:])))
 
 
 def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Trajectory | None:
-    """The motion to rest along its own way from `moment` on, as hard as the accelerations allow; None if too slow.
+    """The motion up to `moment` [s], then braked along its own way as hard as accelerations allow; None if too slow.
 
-    The motion's own clock runs slower and slower, and stops after 1 / rate.
+    The motion's own clock slows down evenly, and stops after 1 / rate.
     """
     rate = 1.0 / SAMPLE_PERIOD
     before = motion.time < moment - 1e-9
@@ -259,12 +258,12 @@ def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Traj
 
 
 def _from_the_beginning(obstacle: Obstacle) -> Obstacle:
-    """The same, taken to have been there from the beginning."""
+    """The same obstacle, there from the beginning."""
     return replace(obstacle, appears_at=0.0)
 
 
 def _is_clear(proximity: Proximity, motion: Trajectory, since: float) -> bool:
-    """Whether a motion provably keeps clear from `since` [s] on."""
+    """Whether a motion is proven clear from `since` [s] on."""
     time = np.append(since, motion.time[motion.time > since + 1e-9])
     q = motion.at(time)
     return all(

@@ -79,10 +79,10 @@ def plan(
     begun = clock.monotonic()
     brake = Brake(budget)
     problem = build_problem(robot, scene)
-    task, unfit = ("path", "paper") if problem.goal is None else ("goal", "optimal")
+    has, needs, unfit = ("path", "goal", "paper") if problem.goal is None else ("goal", "path", "optimal")
     if checked == unfit:
         allowed = ", ".join(name for name in METHODS if name != unfit)
-        raise InputError(f"is not for a scene with a {task}", key="method", found=unfit, allowed=allowed)
+        raise InputError(f"needs a {needs}; this scene has a {has}", key="method", found=unfit, allowed=allowed)
     outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message

@@ -1,4 +1,4 @@
-"""From where the machine stands to other configurations, by a sampled way."""
+"""Sampled ways, from where the machine stands to other configurations."""
 
 from __future__ import annotations
 
@@ -15,22 +15,28 @@ from backhoe_planner.planning.search.sampling import JointPath, sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world import World
 
-_SPARES = (0.01, 0.002)  # m beyond every clearance; less is asked where more leads nowhere
-_TUBES = (0.25, 0.6, 1.5)  # m, and half of what is left out, that a detour may go off the path
-_DETOURS = 4  # of which the shortest is taken
-_TUBE_PART, _FREE_PART = 8, 2  # one in so many of the motions of a search, for a detour in a tube, and one without
+_SPARES = (0.01, 0.002)  # m kept beyond every clearance; chosen: the second where the first leads nowhere
+_TUBES = (0.25, 0.6, 1.5)  # m that a detour may go off the path, beside half of what it leaves out; chosen
+_DETOURS = 4  # of which the shortest is taken; chosen
+_TUBE_PART, _FREE_PART = 8, 2  # parts of `Effort.motions_per_search` for a detour in a tube, and one without; chosen
 
 
 def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector], *, straight: bool = False) -> Stepper | str:
-    """Bring a motion that is at rest to one of `goals`, (n,) each.
+    """A motion from rest to one of several configurations.
 
     Parameters
     ----------
+    stepper: a motion that is at rest; it stays as it is.
+    goals: (n,) each [rad or m].
     straight: whether only straight motions of the joints are tried.
 
     Returns
     -------
     The motion, at rest on one of the goals; where no way was found, what was tried, in words.
+
+    Raises
+    ------
+    OutOfTime: the budget is used up.
     """
     if not len(goals):
         return "there is nowhere to go"
@@ -51,12 +57,12 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector], *, str
 def find_detour(
     world: World, path: TipPath, start: Vector, end: Vector, low: float, high: float, *, time: float
 ) -> Matrix | None:
-    """(K, n) a way that stays near the part of a path from arc length `low` to `high` [m].
+    """(K, n) corners of a way that leaves a path from arc length `low` to `high` [m] and stays near it; None if none.
 
     Parameters
     ----------
-    start, end: (n,) joints with the tip on the path at `low` and `high`.
-    time: at which the obstacles are taken to be where they are [s].
+    start, end: (n,) joints with the tip on the path at `low` and `high` [rad or m].
+    time: the obstacles stand where they are at this time [s].
     """
     work = world.work
     for tube in (*_TUBES, np.inf):
@@ -80,7 +86,7 @@ def find_detour(
 
 
 def play(world: World, stepper: Stepper, path: JointPath) -> None:
-    """Append a path that begins where the motion stands, with its corners rounded."""
+    """Append to a motion a path that begins where it stands, with rounded corners."""
     ends = [path.q[0], path.q[-1]]
     _play_checked(MotionCheck(world.problem, world.proximity, ends, spare=_SPARES[1], time=stepper.time), stepper, path)
 
@@ -91,7 +97,7 @@ def _play_checked(check: MotionCheck, stepper: Stepper, path: JointPath) -> None
 
 
 def _near(world: World, path: TipPath, low: float, high: float, reach: float) -> Callable[[Vector], bool]:
-    """Whether the tip is within `reach` [m] of the path between two arc lengths."""
+    """The condition that the tip is within `reach` [m] of the path between two arc lengths [m]."""
     marks = path.stations[(path.stations > low) & (path.stations < high)]
     corners = np.array([path(float(s)) for s in (low, *marks, high)])
     steps = np.diff(corners, axis=0)

@@ -146,10 +146,7 @@ class Stepper:
             self._take(self.q, self._last_dt, None)
         begun = self.time
         for moment, q in zip(piece.time[1:], piece.q[1:], strict=True):
-            self._times.append(begun + float(moment))
-            self._path.append(np.array(q))
-            if self._watch is not None:
-                self._watch(PlannerStep(self._times[-1], q, self.attempt))
+            self._append(begun + float(moment), np.array(q))
         self.time = self._times[-1]
         self.q = self._path[-1]
         self.v = piece.segment_velocities()[-1].copy()
@@ -215,10 +212,13 @@ class Stepper:
         self.time += dt
         self.shielded = shielded
         self._last_dt = dt
-        self._times.append(self.time)
+        self._append(self.time, q)
+
+    def _append(self, time: float, q: Vector) -> None:
+        self._times.append(time)
         self._path.append(q)
         if self._watch is not None:
-            self._watch(PlannerStep(self.time, q, self.attempt))
+            self._watch(PlannerStep(time, q, self.attempt))
 
     def _brake(self, dt: float) -> bool:
         """Brake all joints in proportion for one step; False where that is not clear."""

@@ -1,4 +1,4 @@
-"""Where along a path a motion keeps the speed that is asked, and what it waits for elsewhere."""
+"""On how much of a path a motion keeps the scene's speed, and which limit slows the rest."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, TipPath, Trajectory, limit_usage
 from backhoe_planner.planning.report.comparison import part_on_path
 
-KEPT = 0.9  # of the asked speed, from which on it counts as kept
+KEPT = 0.9  # part of the scene's speed from which on it counts as kept; chosen
 
 
 class Slower(Record):
-    """A part of the path on which the tip is slower than asked."""
+    """A part of the path on which the tip is slower than the scene's speed."""
 
     path_from: Figure
     path_to: Figure
@@ -29,21 +29,21 @@ class Slower(Record):
 
 
 class AskedSpeed(Record):
-    """How well a motion keeps the speed that is asked along its path."""
+    """How well a motion keeps the speed that the scene gives for its path."""
 
     asked: Figure
-    """[m/s]"""
+    """The scene's speed [m/s]."""
     kept_percent: Figure
-    """Of the path's length, on which the tip has 90 % of it or more."""
+    """Part of the path's length on which the tip has 90 % of it or more [%]."""
     slower: tuple[Slower, ...]
     """The other parts, in the order of the path."""
 
 
 def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> AskedSpeed | None:
-    """Of a motion that follows the scene's path; None where no speed is asked.
+    """How well a motion along the scene's path keeps its speed; None where the scene gives none.
 
-    Parts where the tip is off the path by more than the tolerance, on a detour, are not
-    counted: the asked speed does not hold there.
+    Parts where the tip is off the path by more than the tolerance, on a detour, do not
+    count: the speed does not hold there.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> 
         if not is_slow:
             continue
         part = list(rows)
-        # what of the machine is used on these segments, where it has to slow down among them
+        # the limit that is used most on these segments makes the tip slow
         during = (usage.moments.time >= motion.time[part[0]]) & (usage.moments.time <= motion.time[part[-1] + 1])
         most = np.max(usage.ratio[during], axis=0)
         slower.append(
@@ -87,7 +87,7 @@ def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> 
 
 
 def _places(path: TipPath, tips: NDArray[np.float64], tolerance: float) -> tuple[Vector, NDArray[np.bool_]]:
-    """(T,) arc lengths of the tips, which never go back [m], and (T,) whether each is on the path."""
+    """(T,) arc lengths of the tips (T, 3), never decreasing [m], and (T,) whether each is on the path."""
     places, near = np.zeros(len(tips)), np.zeros(len(tips), dtype=bool)
     here = 0.0
     for row, tip in enumerate(tips):

@@ -1,16 +1,15 @@
 """How much a plan saves: its objective beside that of the local law, on the same path.
 
-The law is led along the same path from the same start, and is then taken to be where the
-plan is at every moment, so that the two motions differ in how the redundancy is used and
-in nothing else. Where the law gets stuck at a joint limit, the plain pseudo-inverse is
-taken, v = J^+ xdot, which knows no limits and goes on through them: what it would cost is
-told beside the limit that it breaks.
+The law follows the same path from the same joints, and its tip is where the plan's tip is
+at every moment. So the two motions differ in the use of the redundancy and in nothing else.
+Where the law gets stuck at a joint limit, the plain pseudo-inverse is taken, v = J^+ xdot,
+which goes on through limits: its cost is given beside the limit that it breaks.
 
-Time is what the same timing would make equal: for the objective `time` the law's way is
-run as fast as the same limits allow, corners rounded as the plan's are.
+The same timing would make the objective `time` equal: for it the law's way is run as fast
+as the same limits allow, with its corners rounded like the plan's.
 
-A plan may go far to begin in a cheap posture. So both are told: the path alone, and all of
-the motion. The law begins where the plan does, so its approach is the same.
+A plan may go far to begin in a cheap posture. So both costs are given: of the path alone,
+and of all of the motion. The law begins where the plan does, so its approach is the same.
 """
 
 from __future__ import annotations
@@ -34,10 +33,11 @@ from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction, Proximity
 
-_EXACT = 1e-9
-_CORRECTIONS = 12
-_STANDING = 1e-6  # m: a leg on which only the bucket turns
-_BREAKS = 1e-6  # rad or m
+_EXACT = 1e-9  # m and rad: chosen, the tip is on the path for all that follows
+_CORRECTIONS = 12  # of Newton's iteration; chosen: it doubles the digits with each
+_FURTHEST = 1.0  # rad or m: chosen, where a joint moves further in a step the arm is stretched out
+_STANDING = 1e-6  # m: on a leg that is shorter only the bucket turns
+_BREAKS = 1e-6  # rad or m beyond a limit: far above what rounding makes
 
 
 def _obstruction(found: Any) -> Any:
@@ -71,7 +71,7 @@ class LawComparison(Record):
     @model_validator(mode="before")
     @classmethod
     def _compute_anew(cls, content: Any) -> Any:
-        """What a file has of the properties is not read."""
+        """Ignore the values that a file has for the computed properties."""
         if not isinstance(content, Mapping):
             return content
         return {key: value for key, value in content.items() if key not in cls.model_computed_fields}
@@ -101,19 +101,18 @@ class Comparison:
 
     Attributes
     ----------
-    figures: what both need.
-    motion: the part of the plan that follows the path; begun: when it begins in the plan [s].
-    law_motion: the law's, with the same timing; None where it does not get along the path.
+    figures: the cost of both.
+    begun: when the plan begins to follow the path [s].
+    law_motion: along the path by the law, with the same timing and time from 0; None where it does not get along.
     """
 
     figures: LawComparison
-    motion: Trajectory
     begun: float
     law_motion: Trajectory | None
 
 
 def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> Comparison | None:
-    """A motion along the scene's path beside the law's; None where it does not follow a path."""
+    """A motion along the scene's path beside the law's; None where the motion does not follow a path."""
     path = problem.path
     if path is None or len(trajectory) < 3 or not certificate.tracking.done:
         return None
@@ -121,47 +120,49 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
     motion, begun = part_on_path(path, trajectory, certificate.tracking.approach_time, kinematics=kinematics)
     if len(motion) < 3:
         return None
+    moved, breaks = None, None
+    stands = np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING)
+    # with detours the path itself is blocked; where the tip stands, no place says what to compare
+    if not certificate.detours and not stands:
+        moved, breaks = _along_by_law(problem, path, motion, begun, kinematics=kinematics)
     name = problem.scene.objective
-    is_time = OBJECTIVES[name].is_time
-    value, whole = trajectory_costs(problem, motion)[name], trajectory_costs(problem, trajectory)[name]
+    value, whole = (trajectory_costs(problem, way)[name] for way in (motion, trajectory))
+    law = None if moved is None else trajectory_costs(problem, moved)[name]
+    figures = LawComparison(name=name, value=value, whole=whole, law=law, law_breaks=breaks)
+    return Comparison(figures, begun, moved)
 
-    def beside(law: float | None, moved: Trajectory | None, breaks: Obstruction | None) -> Comparison:
-        figures = LawComparison(name=name, value=value, whole=whole, law=law, law_breaks=breaks)
-        return Comparison(figures, motion, begun, moved)
 
-    if certificate.detours:
-        return beside(None, None, None)  # the path itself is blocked
-    if np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING):
-        return beside(None, None, None)  # no place to compare by
-    proximity = Proximity(problem.robot, problem.obstacles)
+def _along_by_law(
+    problem: Problem, path: TipPath, motion: Trajectory, begun: float, *, kinematics: Kinematics
+) -> tuple[Trajectory | None, Obstruction | None]:
+    """The law's motion beside `motion`, None where it does not get along the path; and what it breaks."""
+    proximity, is_time = Proximity(problem.robot, problem.obstacles), OBJECTIVES[problem.scene.objective].is_time
     law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
     breaks = law.obstruction
     if breaks is not None:
-        if breaks.kind != "joint":
-            return beside(None, None, breaks)
         # a motion beyond a limit cannot be timed within the limits
-        found = None if is_time else least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
-        if found is None:
-            return beside(None, None, breaks)
-        law = found
+        if is_time or breaks.kind != "joint":
+            return None, breaks
+        blind = least_norm_resolution(problem, path, motion.q[0], kinematics=kinematics)
+        if blind is None:
+            return None, breaks
+        law = blind
     if is_time:
-        moved = fastest_motion(problem, path, law, proximity=proximity, time=begun)
-    else:
-        moved = law_motion(path, law, motion, kinematics=kinematics)
-    return beside(trajectory_costs(problem, moved)[name], moved, breaks)
+        return fastest_motion(problem, path, law, proximity=proximity, time=begun), breaks
+    return law_motion(path, law, motion, kinematics=kinematics), breaks
 
 
 def part_on_path(
     path: TipPath, trajectory: Trajectory, begun: float, *, kinematics: Kinematics
 ) -> tuple[Trajectory, float]:
-    """What follows the path, with time from 0, and when it begins [s].
+    """The part of a motion that follows the path, with time from 0, and when it begins [s].
 
-    An approach comes within the tolerance before it ends: where there is one, the path
-    begins where the tip is nearest to its beginning.
+    An approach comes within the tolerance before it ends: after one, the part begins where
+    the tip is nearest to the beginning of the path.
 
     Parameters
     ----------
-    begun: when the tip is first within the tolerance [s].
+    begun: when the tip is first within the tolerance of the beginning [s].
     """
     first = int(np.searchsorted(trajectory.time, begun - 1e-9))
     if first > 0:
@@ -189,7 +190,7 @@ def fastest_motion(
 
 
 def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
-    """Motions from rest to rest one after the other, with a step between them in which the machine stands."""
+    """Motions from rest to rest, one after the other; the machine stands for one step between them."""
     times, places = [motions[0].time], [motions[0].q]
     for motion in motions[1:]:
         if len(motion) < 2:
@@ -202,7 +203,7 @@ def join_motions(motions: Sequence[Trajectory]) -> Trajectory:
 
 
 def law_motion(path: TipPath, law: Stretch, motion: Trajectory, *, kinematics: Kinematics) -> Trajectory:
-    """What the law found, with the tip at every moment where it is in `motion`."""
+    """The law's resolution of the whole path, with the tip at every moment where it is in `motion`."""
     stations = stations_of(path, motion, kinematics=kinematics)
     marks = np.searchsorted(law.stations, path.stations - 1e-9)
     q = np.empty_like(motion.q)
@@ -217,23 +218,23 @@ def law_motion(path: TipPath, law: Stretch, motion: Trajectory, *, kinematics: K
 
 
 def stations_of(path: TipPath, motion: Trajectory, *, kinematics: Kinematics) -> Vector:
-    """(T,) arc lengths at which the tip is, for a motion that follows the whole path [m]."""
+    """(T,) arc lengths of the tip [m] in a motion that follows the whole path."""
     tips = np.array([kinematics.at(q).tip_position for q in motion.q])
     gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))))
     return np.asarray(gone * (path.length / max(float(gone[-1]), 1e-12)))
 
 
 def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinematics: Kinematics) -> Stretch | None:
-    """Along the whole path by the pseudo-inverse alone, which breaks limits and touches what stands there.
+    """The whole path resolved by the pseudo-inverse alone, which breaks limits and ignores obstacles.
 
     Parameters
     ----------
-    q: (n,) joints with the tip on the beginning of the path.
+    q: (n,) joints with the tip on the beginning of the path [rad or m].
 
     Returns
     -------
-    With the first joint that breaks a limit as its obstruction; None where the arm is
-    stretched out before the end.
+    The stretch; its `obstruction` is the first joint that breaks a limit. None where the
+    arm is stretched out before the end.
     """
     stations = sample_stations(path, 0.0)
     found = [np.array(q, dtype=float)]
@@ -250,7 +251,7 @@ def least_norm_resolution(problem: Problem, path: TipPath, q: Vector, *, kinemat
             if float(np.max(np.abs(error[rows]), initial=0.0)) < _EXACT:
                 break
             joints = joints + np.linalg.lstsq(J[rows], error[rows], rcond=None)[0]
-            if np.max(np.abs(joints - found[-1])) > 1.0:
+            if np.max(np.abs(joints - found[-1])) > _FURTHEST:
                 return None
         else:
             return None

@@ -14,11 +14,13 @@ import yaml
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import OutputError
 from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.machine import Hydraulics
+from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.result.plan import Plan
 
 
 def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
-    """Write the motion as the file's ending says, whole or not at all.
+    """Write the motion in the format of the file's ending, whole or not at all.
 
     ``.csv``: a header, then time [s], position and velocity of every joint; where the
     machine has a hydraulic description, then length [m], speed [m/s] and flow [m^3/s] of
@@ -45,8 +47,8 @@ def _write_csv(plan: Plan, stream: IO[Any]) -> None:
     columns = [motion.time[:, None], motion.q, motion.v]
     hydraulics = plan.robot.hydraulics
     if hydraulics is not None:
-        for quantity, values in _cylinders(plan).items():
-            header += [f"{name}.{_CSV_NAMES[quantity]}" for name in hydraulics.cylinder_names]
+        for quantity, values in zip(("length", "speed", "flow"), _cylinders(hydraulics, motion).values(), strict=True):
+            header += [f"{name}.{quantity}" for name in hydraulics.cylinder_names]
             columns.append(values)
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
@@ -58,18 +60,12 @@ def _write_npz(plan: Plan, stream: IO[Any]) -> None:
     motion, hydraulics = plan.trajectory, plan.robot.hydraulics
     arrays = {"time": motion.time, "q": motion.q, "v": motion.v, "joints": np.array(plan.robot.joint_names)}
     if hydraulics is not None:
-        arrays |= _cylinders(plan) | {"cylinders": np.array(hydraulics.cylinder_names)}
+        arrays |= _cylinders(hydraulics, motion) | {"cylinders": np.array(hydraulics.cylinder_names)}
     np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
-_CSV_NAMES = {"lengths": "length", "rod_speeds": "speed", "flows": "flow"}
-
-
-def _cylinders(plan: Plan) -> dict[str, Matrix]:
-    """Lengths, speeds and flows (T, m) of the cylinders."""
-    motion, hydraulics = plan.trajectory, plan.robot.hydraulics
-    if hydraulics is None:
-        return {}
+def _cylinders(hydraulics: Hydraulics, motion: Trajectory) -> dict[str, Matrix]:
+    """Lengths [m], speeds [m/s] and flows [m^3/s] of the cylinders, (T, m) each."""
     return {
         "lengths": hydraulics.lengths(motion.q),
         "rod_speeds": hydraulics.rod_speeds(motion.q, motion.v),

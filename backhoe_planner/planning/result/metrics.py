@@ -1,4 +1,4 @@
-"""What a motion takes: time, lengths, energy, detours, and how it compares."""
+"""The figures of a motion: time, lengths, energy, detours, and the comparison with the local law."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from backhoe_planner.planning.report.comparison import LawComparison, compare_wi
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Obstruction
 
-_APART = 0.05  # m: a detour as it is measured begins and ends this far from where it was planned at most
+_APART = 0.05  # m: chosen, a detour is measured to begin and end at most this far from where it was planned
 
 
 class DetourTotal(Record):
@@ -30,12 +30,12 @@ class DetourTotal(Record):
 
 
 class Metrics(Record):
-    """What a motion takes."""
+    """The figures of a motion."""
 
     duration: Figure
     """[s]"""
     planning_time: Figure
-    """[s]; 0 of a motion driven by hand."""
+    """[s]; 0 for a motion driven by hand."""
     tip_length: Figure = float("nan")
     """Of the tip's way [m]."""
     joint_length: Figure = float("nan")
@@ -47,9 +47,9 @@ class Metrics(Record):
     detours: tuple[Detour, ...] = ()
     """Each of them, with what it goes round."""
     objective: LawComparison | None = None
-    """What was made small along a path, beside what the local law needs; None without a path."""
+    """The cost of the motion along a path beside that of the local law; None without a path."""
     asked_speed: AskedSpeed | None = None
-    """How well the asked speed is kept; None where none is asked."""
+    """How well the scene's speed is kept; None where it gives none."""
 
 
 def measure_motion(
@@ -61,11 +61,12 @@ def measure_motion(
     detours: Sequence[Obstruction] = (),
     compare: bool = False,
 ) -> Metrics:
-    """What a motion takes.
+    """The figures of a motion.
 
     Parameters
     ----------
-    planning_time: [s]
+    certificate: of the motion.
+    planning_time: of the planner [s].
     detours: what the planner left the path for, and where.
     compare: whether a motion along a path is compared with the local law's.
     """
@@ -97,7 +98,7 @@ def measure_motion(
 
 
 def _with_obstruction(detour: Detour, planned: Sequence[Obstruction]) -> Detour:
-    """The detour with what it goes round: what was planned for most of the same part of the path."""
+    """The detour with what it goes round: that of the planned detour whose part of the path overlaps it most."""
 
     def overlap(other: Obstruction) -> float:
         if other.path_from is None or other.path_to is None:

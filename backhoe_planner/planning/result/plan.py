@@ -40,22 +40,22 @@ METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleo
 class Plan:
     """The result of planning, verified or not.
 
-    The certificate alone says ``verified``. A planner that gave up or ran out of time
-    beside a motion whose certificate holds has a verified plan: every clearance and limit
-    is proven and the task is done, only the search for a better one ended early. Then
-    `reason` is empty, and `message` keeps what the planner said.
+    The certificate alone decides. Where it holds, the plan is verified even if the planner
+    gave up or ran out of time: every clearance and limit is proven and the task is done,
+    only the search for a better motion ended early. Then `reason` is empty, and `message`
+    keeps what the planner said.
 
     Attributes
     ----------
     problem: machine and scene, brought together.
-    method, seed: as they were asked.
+    method, seed: as they were given.
     trajectory: the motion; where planning failed, the best that was found, which may
         be the start alone.
     certificate: what is proven of it.
     metrics: duration, lengths, energy, detours, and the comparison with the local law.
     findings: what the planner found out on the way, such as what is in the way.
-    failure: why the planner says that it failed; empty where it does not.
-    note: the same in a sentence, with its numbers.
+    failure: why planning failed, by the planner; empty where it did not.
+    note: the same in a sentence, with its numbers; also that time ran out while the motion was made better.
     """
 
     problem: Problem
@@ -75,7 +75,7 @@ class Plan:
 
     @property
     def scene(self) -> Scene:
-        """As it was given."""
+        """The scene, as it was given."""
         return self.problem.scene
 
     @property
@@ -101,7 +101,7 @@ class Plan:
 
     @property
     def message(self) -> str:
-        """The same in a sentence, with its numbers; of a verified plan what the planner has to add, mostly nothing."""
+        """`reason` in a sentence, with its numbers; of a verified plan what the planner has to add, mostly nothing."""
         return self.note or "; ".join(self.certificate.problems)
 
     def tip_path(self) -> NDArray[np.float64]:
@@ -124,7 +124,7 @@ class Plan:
 
 
 def plan_to_dict(plan: Plan) -> dict[str, Any]:
-    """The plan as plain data, in the layout of the plan file, but for what goes sample by sample."""
+    """The plan as plain data in the layout of the plan file, without what it has for every sample."""
     return dict(json.loads(_record(plan, None).model_dump_json(exclude={"trajectory", "dynamics"})))
 
 
@@ -133,7 +133,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
 
     Parameters
     ----------
-    urdf: where the machine's URDF lies now, if not where the plan says.
+    urdf: path of the machine's URDF, where it no longer lies where the plan file says.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
 
 
 def _record(plan: Plan, folder: Path | None) -> PlanRecord:
-    """What is written of a plan into a file in `folder`."""
+    """The record of a plan, for a file in `folder`; with None paths stay as they are."""
     energy, motion, urdf = plan.energy(), plan.trajectory, plan.robot.urdf
     return PlanRecord(
         verdict=plan.verdict,
@@ -216,7 +216,7 @@ def _record(plan: Plan, folder: Path | None) -> PlanRecord:
 
 
 def _source(robot: Robot, folder: Path | None) -> str:
-    """Where the URDF is to be found again: ``example:NAME`` wherever it was given from, if it is a shipped model."""
+    """Where the URDF lies: ``example:NAME`` for a shipped model, else its path relative to `folder`."""
     path = robot.urdf.path.resolve()
     if robot.urdf.source.startswith("example:"):
         return robot.urdf.source
@@ -224,7 +224,7 @@ def _source(robot: Robot, folder: Path | None) -> str:
 
 
 def _locate(source: str, file: Path) -> str:
-    """A URDF's path as stored: relative to the plan file, or to where we are."""
+    """The path of a URDF that a plan file names: relative to the file, or to the working directory."""
     if source.startswith("example:"):
         return source
     for path in (file.parent / source, Path(source)):

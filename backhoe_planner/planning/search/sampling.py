@@ -136,7 +136,7 @@ class _Search:
             bounds.setHigh(joint, float(high[joint]))
         space.setBounds(bounds)
         space_information = base.SpaceInformation(space)
-        space_information.setMotionValidator(_validator(base, space_information, n, self.allows))
+        space_information.setMotionValidator(_validator(base, space_information, n, self._allows))
         space_information.setStateValidityChecker(base.AllValidStateValidityChecker(space_information))
         space_information.setup()
         definition = base.ProblemDefinition(space_information)
@@ -149,7 +149,7 @@ class _Search:
         planner.setRange(min(_RANGE, _MOST_OF_BOX * float(np.linalg.norm(high - low))))
         planner.setProblemDefinition(definition)
         planner.setup()
-        planner.solve(base.PlannerTerminationCondition(self.ended))
+        planner.solve(base.PlannerTerminationCondition(self._ended))
         if self._raised is not None or not definition.hasExactSolution():
             return None
         corners = [state[0:n] for state in definition.getSolutionPath().getStates()]
@@ -173,7 +173,7 @@ class _Search:
         state[0 : len(q)] = (q / self._rate).tolist()
         return state
 
-    def allows(self, a: list[float], b: list[float]) -> bool:
+    def _allows(self, a: list[float], b: list[float]) -> bool:
         """Whether OMPL may move from `a` to `b`, in joint times."""
         self._work.motions -= 1
         if self._raised is not None:
@@ -184,7 +184,7 @@ class _Search:
             self._raised = raised
             return False
 
-    def ended(self) -> bool:
+    def _ended(self) -> bool:
         """Whether OMPL is to stop."""
         return self._raised is not None or self._work.motions <= self._until
 
