@@ -87,9 +87,7 @@ class _Follower:
 
     def furthest(self, stepper: Stepper, s: float, candidates: Sequence[Vector]) -> list[Vector]:
         """`candidates` (n,) at arc length `s` [m], the one from which the law gets furthest first."""
-        reached = [self._follow_law(stepper, s, q).reached for q in candidates]
-        order = sorted(range(len(candidates)), key=lambda index: (-round(reached[index], 3), index))
-        return [candidates[index] for index in order]
+        return sorted(candidates, key=lambda q: -round(self._follow_law(stepper, s, q).reached, 3))
 
     def follow(self, stepper: Stepper) -> Outcome:
         """Go along the path from a motion that is at rest on its beginning."""

@@ -26,7 +26,7 @@ from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan
 from backhoe_planner.planning.result.plan_file import Method
-from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, Brake, Effort, OutOfTime, Work, effort_named
+from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, EFFORTS, Brake, Effort, OutOfTime, Work
 from backhoe_planner.planning.world import World
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
@@ -75,7 +75,8 @@ def plan(
         raise InputError("must be a time greater than 0", key="budget", found=budget)
     if seed < 0:
         raise InputError("must not be negative", key="seed", found=seed)
-    counts = effort_named(effort)
+    if effort not in EFFORTS:
+        raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
     begun = clock.monotonic()
     brake = Brake(budget)
     problem = build_problem(robot, scene)
@@ -83,7 +84,7 @@ def plan(
     if checked == unfit:
         allowed = ", ".join(name for name in METHODS if name != unfit)
         raise InputError(f"needs a {needs}; this scene has a {has}", key="method", found=unfit, allowed=allowed)
-    outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=counts, brake=brake, watch=watch)
+    outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message
     if note and not outcome.reason and not certificate.verified:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, PlanFileError, RobotError
+from backhoe_planner.files.output_file import whole_file
 from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, load_robot, shipped
 from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
 from backhoe_planner.planning.result.findings import NOTHING, Findings
@@ -28,7 +29,6 @@ from backhoe_planner.planning.result.plan_file import (
     RobotRecord,
     TrajectoryRecord,
     read_plan_file,
-    write_plan_file,
 )
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene, scene_from_dict
@@ -120,7 +120,8 @@ class Plan:
         ------
         OutputError: the folder does not exist or cannot be written.
         """
-        write_plan_file(_record(self, Path(path).parent), path)
+        with whole_file(path) as stream:
+            stream.write(_record(self, Path(path).parent).model_dump_json() + "\n")
 
 
 def plan_to_dict(plan: Plan) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The plan file: JSON, written whole or not at all, read with every field checked.
+"""The plan file: JSON, read with every field checked.
 
 The records below are the schema, for reading and for writing. What a file says of its
 motion (certificate, dynamics, versions) is for other programs: here it is computed anew.
@@ -7,7 +7,6 @@ motion (certificate, dynamics, versions) is for other programs: here it is compu
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -16,7 +15,6 @@ import numpy as np
 from pydantic import Field, StrictInt, ValidationError, model_validator
 
 from backhoe_planner.errors import InputError, PlanFileError
-from backhoe_planner.files.output_file import whole_file
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.motion import Detour, Trajectory
 from backhoe_planner.planning.result.findings import Findings
@@ -30,7 +28,7 @@ LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulic
 
 FORMAT: Literal["backhoe-planner/plan"] = "backhoe-planner/plan"
 VERSION: Literal[1] = 1
-_SHORTEST_STEP = 1e-12  # s: rates over less than this overflow where they are squared
+_SHORTEST_STEP = 1e-12  # s: chosen; rates over far less overflow where they are squared
 
 
 class RobotRecord(Record):
@@ -57,7 +55,7 @@ class TrajectoryRecord(Record):
     """(T, n) joint velocities [rad/s or m/s]."""
 
     def trajectory(self, n: int, *, file: Path) -> Trajectory:
-        """For a machine of `n` joints; PlanFileError where the samples are not those of a motion."""
+        """The motion of a machine with `n` joints; PlanFileError where the samples do not make one."""
         for key, rows in (("q", self.q), ("v", self.v)):
             lengths = sorted({len(row) for row in rows} | {n})
             if lengths != [n]:
@@ -75,7 +73,7 @@ class TrajectoryRecord(Record):
 
 
 class DynamicsRecord(Record):
-    """What the motion takes, sample by sample."""
+    """Torques, power and work of the motion, sample by sample."""
 
     torque: list[list[Figure]]
     """(T, n) [N m or N]."""
@@ -115,7 +113,7 @@ class ClearanceRecord(Record):
 
 
 class UseRecord(Record):
-    """How much of a limit is used, where most is; see `LimitUse`."""
+    """How much of a limit is used, where most of it is used; see `LimitUse`."""
 
     ratio: Figure
     time: Figure
@@ -188,7 +186,7 @@ class PlanRecord(Record):
     @model_validator(mode="before")
     @classmethod
     def _read_older(cls, content: Any) -> Any:
-        """What older files call `details`: of it only what a recording leaves out is still used."""
+        """Take from `details` of older files what is still used: what a recording leaves out."""
         if not isinstance(content, Mapping) or "details" not in content:
             return content
         details = content["details"]
@@ -202,12 +200,6 @@ class PlanRecord(Record):
             allowed = "no reason" if self.verdict == "verified" else "a reason"
             raise ValueError(f"reason {self.reason!r} beside the verdict {self.verdict}; allowed: {allowed}")
         return self
-
-
-def write_plan_file(record: PlanRecord, path: str | os.PathLike[str]) -> None:
-    """Write a plan file, whole or not at all; OutputError where it cannot be written."""
-    with whole_file(path) as stream:
-        stream.write(record.model_dump_json() + "\n")
 
 
 def read_plan_file(file: Path) -> PlanRecord:

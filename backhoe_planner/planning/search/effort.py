@@ -13,8 +13,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from backhoe_planner.errors import InputError
-
 DEFAULT_BUDGET = 60.0  # s: several times what `normal` takes on one core, so that plans end by their counts
 
 
@@ -73,18 +71,6 @@ EFFORTS: Mapping[str, Effort] = MappingProxyType(
         "thorough": _scaled(4.0),
     }
 )
-
-
-def effort_named(name: str) -> Effort:
-    """The effort called `name`.
-
-    Raises
-    ------
-    InputError: there is no effort of that name.
-    """
-    if name not in EFFORTS:
-        raise InputError.unknown_name("no such effort", name, names=EFFORTS, key="effort")
-    return EFFORTS[name]
 
 
 class OutOfTime(Exception):  # noqa: N818 - an outcome inside the planner, not an error
