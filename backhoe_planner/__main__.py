@@ -8,11 +8,11 @@ import sys
 from types import FrameType
 from typing import NoReturn
 
-_INTERRUPTED = 130
+_INTERRUPTED = 128 + signal.SIGINT  # exit status, as shells give it to what Ctrl-C ended
 
 
 def main() -> NoReturn:
-    """Entry point of the command line. Ctrl-C is understood while Python still imports, too."""
+    """Entry point of the command line. Ctrl-C also works while Python is still importing."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
     from backhoe_planner.cli import main as run
@@ -21,10 +21,10 @@ def main() -> NoReturn:
 
 
 def _interrupt(_: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; end at once in the middle of an import.
+    """Raise KeyboardInterrupt; in the middle of an import, end at once.
 
-    Some libraries take every exception during their imports for a part that is not
-    installed, and would go on. Nothing is being written then.
+    Some libraries take every exception during an import to mean that a part is not
+    installed, and would go on. Nothing is being written at that time.
     """
     while frame is not None:
         if frame.f_code.co_filename.startswith("<frozen importlib"):

@@ -14,6 +14,6 @@ Matrix: TypeAlias = NDArray[np.float64]
 Vector: TypeAlias = NDArray[np.float64]
 """With one axis."""
 Indices: TypeAlias = NDArray[np.intp]
-"""Rows of something, with one axis."""
+"""Indices of rows, with one axis."""
 Flags: TypeAlias = NDArray[np.bool_]
-"""True and false, with one axis."""
+"""Truth values, of any shape."""

@@ -67,11 +67,18 @@ class InputError(PlannerError, ValueError):
     def unknown_name(
         cls, problem: str, name: str, *, names: Iterable[str], file: str | Path | None = None, key: str | None = None
     ) -> Self:
-        """That `name` is none of `names`; the message lists them and says which looks most like it."""
+        """The error for a `name` that is none of `names`; the message lists them and suggests the most similar one.
+
+        Parameters
+        ----------
+        problem, file, key: as of the class.
+        name: what was found.
+        names: all that is allowed.
+        """
         known = list(names)
         near = nearest_name(name, known)
         hint = f"did you mean {near!r}?" if near else None
-        return cls(problem, file=file, key=key, found=name, allowed=", ".join(known), hint=hint)
+        return cls(problem, file=file, key=key, found=name, allowed=", ".join(known) or "none", hint=hint)
 
 
 class RobotError(InputError):
@@ -91,6 +98,6 @@ class OutputError(InputError):
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:
-    """The entry of `names` that looks most like `name`, if any does."""
-    close = difflib.get_close_matches(name, list(names), n=1, cutoff=0.6)
+    """The entry of `names` that is most similar to `name`; None where none is similar."""
+    close = difflib.get_close_matches(name, list(names), n=1)
     return close[0] if close else None

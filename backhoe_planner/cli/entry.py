@@ -43,7 +43,7 @@ def main() -> NoReturn:
     """Entry point of `backhoe-planner`."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a name may not fit the terminal's alphabet
+            stream.reconfigure(errors="backslashreplace")  # the terminal may not have all letters of a name
     try:
         status = app(standalone_mode=False)
         sys.stdout.flush()
@@ -70,8 +70,8 @@ def main() -> NoReturn:
 
 
 def _output_lost(error: OSError) -> int:
-    """The exit status where what is printed can no longer be written: nobody reads it, or the disk is full."""
-    with contextlib.suppress(OSError):  # what is still in the buffer would fail again as Python ends
+    """The exit status where the output can no longer be written: nobody reads it, or the disk is full."""
+    with contextlib.suppress(OSError):  # the rest of the buffer would fail again when Python ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     if isinstance(error, BrokenPipeError):
         return FAILED

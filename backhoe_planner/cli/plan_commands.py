@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import time as clock
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -13,17 +14,7 @@ import typer
 import backhoe_planner as bp
 from backhoe_planner import motion, planning, show
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
-from backhoe_planner.cli.terminal import (
-    ERR,
-    FAILED,
-    OUT,
-    VERIFIED,
-    PlanFile,
-    PlanUrdf,
-    SceneFile,
-    Urdf,
-    print_warnings,
-)  # fmt: skip
+from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_writable
 
 
@@ -42,7 +33,7 @@ def plan(
         float,
         typer.Option(
             metavar="S",
-            help="Seconds of computing time after which what still runs is ended; --effort bounds the search.",
+            help="Seconds of computing time after which a search is stopped; --effort is what bounds it.",
         ),
     ] = planning.DEFAULT_BUDGET,
     view: Annotated[bool, typer.Option("--view", help="Show the steps in the browser, then play the plan.")] = False,
@@ -54,25 +45,29 @@ def plan(
     ] = False,
 ) -> int:
     """Plan the task of a scene, and write the plan."""
+    inputs = [given for given in (Path(urdf), scene) if given.exists()]
     for target in (output, html):
-        if (
-            target is not None
-            and target.exists()
-            and any(given.exists() and target.samefile(given) for given in (Path(urdf), scene))
-        ):
+        if target is None:
+            continue
+        if target.exists() and any(map(target.samefile, inputs)):
             raise bp.OutputError("is an input of this command", file=target)
-    check_writable(output)
-    if html is not None:
-        check_writable(html)
+        check_writable(target)
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
-    if view:
-        found = _plan_in_viewer(robot, loaded, method, seed, effort, budget, output, as_json)
-    else:
-        with _working(not as_json):
-            found = bp.plan(robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
+    compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
+    with show.Viewer() if view else contextlib.nullcontext() as viewer:
+        if viewer is not None:
+            print_warnings(viewer.show_problem(motion.build_problem(robot, loaded)))
+            _wait_for_browser(viewer)
+            found = compute(watch=lambda step: viewer.show_step(step.q, step.time))
+        else:
+            with ERR.status("planning ...") if ERR.is_terminal and not as_json else contextlib.nullcontext():
+                found = compute()
         found.save(output)
         print_plan(found, output, as_json)
+        if viewer is not None:
+            print_warnings(viewer.play(found))
+            _play_until_interrupted(viewer)
     if html is not None:
         _write_html(found, html, quiet=as_json)
     return VERIFIED if found.verified else FAILED
@@ -94,7 +89,9 @@ def view(
         _write_html(loaded, html)
         return VERIFIED
     with show.Viewer() as viewer:
-        _play(viewer, loaded)
+        print_warnings(viewer.play(loaded))
+        _wait_for_browser(viewer)
+        _play_until_interrupted(viewer)
     return VERIFIED
 
 
@@ -113,10 +110,7 @@ def plot(
     urdf: PlanUrdf = None,
 ) -> int:
     """Plot joints, rates, clearances, power and energy of a plan over time."""
-    check_writable(file)
-    show.plot_plan(bp.load_plan(plan_file, urdf=urdf), file)
-    OUT.print(f"wrote {file}")
-    return VERIFIED
+    return _write(show.plot_plan, plan_file, urdf, file)
 
 
 def export(
@@ -127,48 +121,24 @@ def export(
     urdf: PlanUrdf = None,
 ) -> int:
     """Write a plan's motion for other tools."""
+    return _write(planning.export_plan, plan_file, urdf, file)
+
+
+def _write(write: Callable[[bp.Plan, Path], object], plan_file: Path, urdf: str | None, file: Path) -> int:
+    """Have `write` write a plan to `file`."""
     check_writable(file)
-    planning.export_plan(bp.load_plan(plan_file, urdf=urdf), file)
+    write(bp.load_plan(plan_file, urdf=urdf), file)
     OUT.print(f"wrote {file}")
     return VERIFIED
 
 
-@contextlib.contextmanager
-def _working(shown: bool) -> Iterator[None]:
-    if shown and ERR.is_terminal:
-        with ERR.status("planning ..."):
-            yield
-    else:
-        yield
-
-
-def _plan_in_viewer(
-    robot: bp.Robot, scene: bp.Scene, method: str, seed: int, effort: str, budget: float, output: Path, as_json: bool
-) -> bp.Plan:
-    with show.Viewer() as viewer:
-        print_warnings(viewer.show_problem(motion.build_problem(robot, scene)))
-        _announce(viewer)
-        found = bp.plan(
-            robot, scene, method=method, seed=seed, effort=effort, budget=budget,
-            watch=lambda step: viewer.show_step(step.q, step.time),
-        )  # fmt: skip
-        found.save(output)
-        print_plan(found, output, as_json)
-        _play(viewer, found, announced=True)
-    return found
-
-
-def _announce(viewer: show.Viewer) -> None:
+def _wait_for_browser(viewer: show.Viewer) -> None:
     ERR.print(f"open {viewer.url} in a browser (Ctrl-C ends)")
     viewer.wait_for_browser()
 
 
-def _play(viewer: show.Viewer, found: bp.Plan, *, announced: bool = False) -> None:
-    """Show a plan until Ctrl-C."""
-    print_warnings(viewer.play(found))
-    if not announced:
-        _announce(viewer)
-    ERR.print("playing; the panel in the page has speed and position; Ctrl-C ends")
+def _play_until_interrupted(viewer: show.Viewer) -> None:
+    ERR.print("playing; the panel in the page sets speed and position; Ctrl-C ends")
     with contextlib.suppress(KeyboardInterrupt):
         while viewer.alive():
             clock.sleep(0.2)

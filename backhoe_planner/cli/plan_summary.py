@@ -14,11 +14,18 @@ import backhoe_planner as bp
 from backhoe_planner import live, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT
 
-_MOST_PARTS = 3  # parts of a path that are listed one by one: what still fits into a line or two
+_MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
 
 
 def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
-    """The result of planning, as a summary or as JSON."""
+    """Print the result of planning as a summary, or as JSON.
+
+    Parameters
+    ----------
+    found: the plan.
+    output: the file to which it was written.
+    as_json: whether to print JSON.
+    """
     if as_json:
         content = planning.plan_to_dict(found)
         content["trajectory"] = {"samples": len(found.trajectory), "file": str(output)}
@@ -49,7 +56,7 @@ def _print_motion(found: bp.Plan) -> None:
             f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off{_around(detour)}"
         )
     if found.findings.waits > 0.0:
-        OUT.print(f"waits         {found.findings.waits:.2f} s for what moves to pass")
+        OUT.print(f"waits         {found.findings.waits:.2f} s until moving obstacles have passed")
     for reaction in found.findings.reactions:
         stopped = f", stopped at {reaction.stopped_at:.2f} s" if reaction.stopped_at is not None else ""
         OUT.print(
@@ -67,7 +74,7 @@ def _print_motion(found: bp.Plan) -> None:
 
 
 def print_certificate(plan: bp.Plan) -> None:
-    """What is proven of a plan, row by row."""
+    """Print what is proven of a plan, row by row."""
     certificate = plan.certificate
     if certificate.verified:
         OUT.print(Text("verified", style="bold green"))
@@ -100,7 +107,7 @@ def print_certificate(plan: bp.Plan) -> None:
 
 
 def print_recording(plan: bp.Plan) -> None:
-    """Say that a plan was driven by hand, and what it leaves out; nothing for any other plan."""
+    """Print that a plan was driven by hand, and what it leaves out; nothing for any other plan."""
     if live.is_recording(plan):
         OUT.print(f"recording     driven by hand, {plan.trajectory.duration:.2f} s")
     for note in live.unrecorded_changes(plan):
@@ -108,18 +115,15 @@ def print_recording(plan: bp.Plan) -> None:
 
 
 def _around(detour: bp.Detour) -> str:
-    """What a detour goes round, where the planner says so."""
+    """What a detour goes around, where the planner knows it."""
     found = detour.obstruction
-    if found is None:
-        return ""
-    return f", for {found.name}" if found.kind == "joint" else f", around {found.name}"
+    return "" if found is None else f", {'for' if found.kind == 'joint' else 'around'} {found.name}"
 
 
 def _loads(found: bp.Plan) -> str:
-    loads = ["gravity", "inertia"]
-    loads += ["payload"] if found.scene.payload > 0.0 else []
-    loads += ["soil"] if found.scene.soil is not None else []
-    return f"{', '.join(loads[:-1])} and {loads[-1]}"
+    present = {"payload": found.scene.payload > 0.0, "soil": found.scene.soil is not None}
+    *first, last = ["gravity", "inertia", *(load for load, acts in present.items() if acts)]
+    return f"{', '.join(first)} and {last}"
 
 
 def _print_comparison(compared: planning.LawComparison | None) -> None:
@@ -146,7 +150,7 @@ def _print_comparison(compared: planning.LawComparison | None) -> None:
 
 
 def _print_asked_speed(kept: planning.AskedSpeed | None) -> None:
-    """On how much of the path the asked speed is kept, and which limit is in the way elsewhere."""
+    """On how much of the path the asked speed is kept, and which limit prevents it elsewhere."""
     if kept is None:
         return
     parts = [f"{part.path_from:.2f} to {part.path_to:.2f} m ({part.limit})" for part in kept.slower[:_MOST_PARTS]]
@@ -156,7 +160,7 @@ def _print_asked_speed(kept: planning.AskedSpeed | None) -> None:
 
 
 def describe_quantity(value: float, unit: str) -> str:
-    """A number of four digits with its unit: 11.39 kJ, 1357 (kN m)^2 s."""
+    """A `value` in four digits with its `unit`, with a prefix where that helps: 11.39 kJ, 1357 (kN m)^2 s."""
     if unit == "N^2 m^2 s" and abs(value) >= 1e4:
         value, unit = 1e-6 * value, "(kN m)^2 s"
     elif unit.startswith("J"):

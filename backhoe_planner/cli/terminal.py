@@ -1,4 +1,4 @@
-"""What several commands share: arguments, where they print, and their exit statuses."""
+"""What the commands share: arguments, exit statuses, and where they print."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PlanUrdf = Annotated[
     str | None, typer.Option("--urdf", metavar="URDF", help="Where the URDF lies now, if not where the plan says.")
 ]
 
-VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-DEGREES = 180.0 / math.pi  # in a radian
+VERIFIED, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130  # exit statuses; 130 is the shells' own for Ctrl-C
+DEGREES = math.degrees(1.0)  # in a radian
 
 OUT = Console(highlight=False, markup=False, soft_wrap=True)
 ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
-    """Each of `warnings` once, to the error stream."""
+    """Print each of `warnings` once, to the error stream."""
     for warning in dict.fromkeys(warnings):
         ERR.print(f"warning: {warning}")

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from backhoe_planner.errors import OutputError
 
 @contextlib.contextmanager
 def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
-    """Open a file for writing that appears under its name only once it is complete.
+    """Open a file for writing; it appears under its name only once it is complete.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
 
     Raises
     ------
-    OutputError: the folder does not exist, or cannot be written.
+    OutputError: the file cannot be written there.
     """
     target = Path(path)
     check_writable(target)
@@ -33,9 +33,8 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
         raise OutputError(f"cannot be written: {error.strerror}", file=target) from error
     part = Path(name)
     try:
-        with os.fdopen(
-            descriptor, mode, encoding=None if "b" in mode else "utf-8", newline=None if "b" in mode else ""
-        ) as stream:
+        encoding, newline = (None, None) if "b" in mode else ("utf-8", "")
+        with os.fdopen(descriptor, mode, encoding=encoding, newline=newline) as stream:
             yield stream
         mask = os.umask(0)
         os.umask(mask)
@@ -48,11 +47,11 @@ def whole_file(path: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
-    """Complain about a place that cannot be written before long work, not after it.
+    """Check that a file can be written, before the long work whose result it is to hold.
 
     Raises
     ------
-    OutputError: it is a folder, its folder does not exist, or may not be written.
+    OutputError: the path is a folder or a device, or its folder does not exist or may not be written.
     """
     target = Path(path)
     if target.is_dir():

@@ -1,4 +1,4 @@
-"""Files with a schema: their records, and what is wrong with a file in words.
+"""Files with a schema: their records, and messages that say what is wrong with a file.
 
 A schema is written once, as pydantic records. `explain` turns pydantic's complaints into
 messages that name the key as it stands in the file, its line, what was found and what is
@@ -16,9 +16,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from backhoe_planner.errors import nearest_name
 from backhoe_planner.files.yaml_text import KeyPath
 
-_LARGEST_FIGURE = 1e30  # in any unit: squares of it are still numbers
-
-_BRIEF = 80  # characters: a value that is longer is not repeated in a message
+_LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
+_BRIEF = 80  # characters, about a line: a longer value is not repeated in a message
 
 
 def _figure(found: Any) -> Any:
@@ -27,12 +26,12 @@ def _figure(found: Any) -> Any:
     return math.nan if found is None else found
 
 
-# what was computed and may not be a number, which JSON calls null
+# a computed number, which may be nan; JSON writes that as null
 Figure = Annotated[float, Field(strict=True), BeforeValidator(_figure)]
 
 
 class Record(BaseModel):
-    """Keys that are not in the contract are refused; nothing changes after reading."""
+    """Keys that are not in the schema are refused; nothing changes after reading."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True
@@ -40,7 +39,7 @@ class Record(BaseModel):
 
 
 def exactly_one(*keys: str) -> Any:
-    """A check for a `Record`: exactly one of the keys is given."""
+    """A validator for a `Record`: exactly one of `keys` is given."""
 
     def check(record: Any) -> Any:
         if sum(getattr(record, key) is not None for key in keys) != 1:
@@ -88,7 +87,12 @@ def explain(
 
 
 def describe(detail: Any) -> str:
-    """One of pydantic's complaints in words, without the place."""
+    """One of pydantic's complaints in plain words, without the place.
+
+    Parameters
+    ----------
+    detail: an entry of `ValidationError.errors`.
+    """
     kind, found = detail["type"], detail.get("input")
     if kind == "missing":
         return "is missing"
@@ -99,7 +103,7 @@ def describe(detail: Any) -> str:
         return f"has {detail['ctx']['actual_length']} entries, allowed: at most {detail['ctx']['max_length']}{brief}"
     shown = brief if isinstance(found, (Mapping, list)) else f"; found {found!r}"
     if kind == "literal_error":
-        return f"is not one of those that there are{shown}; allowed: {detail['ctx']['expected']}"
+        return f"is not one of the allowed values{shown}; allowed: {detail['ctx']['expected']}"
     if kind in ("model_type", "dict_type"):
         return f"does not hold keys and values{shown}"
     if kind == "tuple_type":
@@ -108,7 +112,7 @@ def describe(detail: Any) -> str:
 
 
 def _wrong_tag(detail: Any, variants: Mapping[str, type[BaseModel]]) -> str:
-    """That the key which chooses between records is missing, or chooses none."""
+    """The message for a key that chooses between records, where it is missing or chooses none."""
     key = str(detail["ctx"]["discriminator"]).strip("'")
     choices = sorted(tag for tag, record in variants.items() if key in record.model_fields)
     if detail["type"] == "union_tag_not_found":
@@ -123,7 +127,7 @@ def _nearest(name: str, names: list[str]) -> str:
 
 
 def _variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
-    """The records between which a tag chooses, anywhere within `root`, by that tag."""
+    """Every record within `root` that a tag chooses, by its tag."""
     found: dict[str, type[BaseModel]] = {}
     seen, todo = set[type[BaseModel]](), [root]
     while todo:
@@ -139,23 +143,23 @@ def _variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
 
 
 def _place_in_file(loc: tuple[str | int, ...], content: Any, *, missing: bool) -> KeyPath:
-    """The key path without the names that pydantic adds for union members; `missing`: its last key is not there."""
+    """The path of keys in the file: `loc` without the names that pydantic adds for members of a union.
+
+    With `missing`, the last key is one that the file does not have.
+    """
     place: list[str | int] = []
     node = content
-    for position, part in enumerate(loc):
-        last = position == len(loc) - 1
-        if isinstance(node, Mapping) and part in node:  # noqa: SIM114
+    for part in loc[:-1] if missing else loc:
+        if isinstance(node, Mapping):
+            if part not in node:
+                continue
             node = node[part]
-        elif isinstance(node, (list, tuple)) and isinstance(part, int) and part < len(node):
-            node = node[part]
-        elif isinstance(node, Mapping) and isinstance(part, str) and last and missing:
-            pass  # a key that is missing
         elif isinstance(node, (list, tuple)) and isinstance(part, int):
-            pass
+            node = node[part] if part < len(node) else None
         else:
             continue
         place.append(part)
-    return tuple(place)
+    return (*place, *loc[-1:]) if missing else tuple(place)
 
 
 def _spell(place: KeyPath) -> str:

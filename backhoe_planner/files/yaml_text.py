@@ -2,9 +2,9 @@
 
 PyYAML's own loader keeps the last of two equal keys, reads ``1e-3`` as text and
 ``no`` as false; this one does not, and it knows the line on which each key stands.
-ruamel.yaml was tried instead: a key that stands twice is reported there without its path
-and its first line, and lists as keys are accepted. With both put right by hand the code was
-as long as this, and a scene of 20 lines took two to three times as long to read.
+ruamel.yaml was tried instead: it reports a key that stands twice without its path and its
+first line, and accepts lists as keys. With both corrected by hand the code was as long as
+this, and reading a scene of 20 lines took two to three times as long.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ from typing import Any
 import yaml
 
 from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.files.text_file import read_text
 
 KeyPath = tuple[str | int, ...]
 
-
-_MOST_KEYS = 200_000  # of one file, aliases written out: 1 kB of aliases can stand for 10^9 entries
+# keys and entries of one file, aliases written out: 1 kB of aliases can stand for 10^9 of them
+_MOST_KEYS = 200_000
 
 
 class _Loader(yaml.SafeLoader):
@@ -38,16 +39,11 @@ for _tag, _pattern, _first in (
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(_pattern), list(_first))
 
 
-def _plain_int(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
-    return int(node.value)
-
-
-def _plain_float(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> float:
-    return float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan"))
-
-
-_Loader.add_constructor("tag:yaml.org,2002:int", _plain_int)
-_Loader.add_constructor("tag:yaml.org,2002:float", _plain_float)
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))
+_Loader.add_constructor(
+    "tag:yaml.org,2002:float",
+    lambda _, node: float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan")),
+)
 
 
 def read_yaml(
@@ -57,25 +53,15 @@ def read_yaml(
 
     Parameters
     ----------
-    what, keys: for messages, what the file holds, and by which keys it is known.
-    error: what is raised.
+    path: the file.
+    what, keys: for messages: what the file holds, and some of its keys.
+    error: the class of what is raised.
 
     Raises
     ------
     error: the file cannot be read, is empty, is not YAML, or names a key twice.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise error(f"no such {what} file", file=path) from None
-    except IsADirectoryError:
-        raise error(f"is a folder, not a {what} file", file=path) from None
-    except UnicodeDecodeError as problem:
-        raise error(f"is not UTF-8 text: {problem.reason} at byte {problem.start}", file=path) from problem
-    except OSError as problem:
-        raise error(f"cannot be read: {problem.strerror}", file=path) from problem
-    if not text.strip():
-        raise error("the file is empty", file=path, allowed=f"a {what}")
+    text = read_text(path, what=what, error=error)
     loader: _Loader | None = None
     try:
         loader = _Loader(text)
@@ -86,7 +72,7 @@ def read_yaml(
         _note_lines(node, (), lines, path, error)
         content = loader.construct_document(node)
     except yaml.YAMLError as problem:
-        raise error(_say(problem), file=path) from problem
+        raise error(_describe(problem), file=path) from problem
     except InputError:
         raise
     except (ValueError, RecursionError) as problem:
@@ -98,8 +84,9 @@ def read_yaml(
 
 
 def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: Path, error: type[InputError]) -> None:
+    """Add the line of every key and entry below `node`, which stands at `at`, to `lines`."""
     if len(lines) > _MOST_KEYS:
-        raise error(f"holds more than {_MOST_KEYS} entries, its aliases written out", file=path)
+        raise error(f"holds more than {_MOST_KEYS} entries, counting what its aliases stand for", file=path)
     if isinstance(node, yaml.MappingNode):
         for key, value in node.value:
             place = (*at, str(key.value))
@@ -118,7 +105,8 @@ def _note_lines(node: yaml.Node, at: KeyPath, lines: dict[KeyPath, int], path: P
             _note_lines(value, (*at, index), lines, path, error)
 
 
-def _say(error: yaml.YAMLError) -> str:
+def _describe(error: yaml.YAMLError) -> str:
+    """What is wrong with the text, with line and column."""
     mark = getattr(error, "problem_mark", None)
     problem = getattr(error, "problem", None) or str(error)
     where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""

@@ -103,7 +103,7 @@ def test_layout_is_the_contracts(solved: bp.Plan, tmp_path: Path) -> None:
         (["certificate", "proven"], True, "certificate.proven: there is no such key"),
         (["findings", "waits"], "yes", "findings.waits"),
         (["reazon"], "", "reazon: there is no such key; did you mean 'reason'?"),
-        (["reason"], "banana", "reason: is not one of those that there are; found 'banana'; allowed: ''"),
+        (["reason"], "banana", "reason: is not one of the allowed values; found 'banana'; allowed: ''"),
         (["reason"], "blocked", "reason 'blocked' beside the verdict verified; allowed: no reason"),
         (["verdict"], "failed", "reason '' beside the verdict failed; allowed: a reason"),
     ],

@@ -1,0 +1,34 @@
+"""Text files, read whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from backhoe_planner.errors import InputError
+
+
+def read_text(path: Path, *, what: str, error: type[InputError] = InputError) -> str:
+    """The text of a file in UTF-8, without the byte order mark that it may begin with.
+
+    Parameters
+    ----------
+    what: what the file holds, for messages, such as ``scene``.
+    error: the class of what is raised.
+
+    Raises
+    ------
+    error: the file does not exist, is empty, or cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise error(f"no such {what} file", file=path) from None
+    except IsADirectoryError:
+        raise error(f"is a folder, not a {what} file", file=path) from None
+    except UnicodeDecodeError as problem:
+        raise error(f"is not UTF-8 text: {problem.reason} at byte {problem.start}", file=path) from problem
+    except OSError as problem:
+        raise error(f"cannot be read: {problem.strerror}", file=path) from problem
+    if not text.strip():
+        raise error("the file is empty", file=path, allowed=f"a {what}")
+    return text
