@@ -13,8 +13,9 @@ A message says where (file and key), what was found, and what is allowed.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -65,7 +66,14 @@ class InputError(PlannerError, ValueError):
 
     @classmethod
     def unknown_name(
-        cls, problem: str, name: str, *, names: Iterable[str], file: str | Path | None = None, key: str | None = None
+        cls,
+        problem: str,
+        name: str,
+        *,
+        names: Iterable[str],
+        file: str | Path | None = None,
+        key: str | None = None,
+        other_words: Mapping[str, str] = MappingProxyType({}),
     ) -> Self:
         """The error for a `name` that is none of `names`; the message lists them and suggests the most similar one.
 
@@ -74,10 +82,11 @@ class InputError(PlannerError, ValueError):
         problem, file, key: as of the class.
         name: what was found.
         names: all that is allowed.
+        other_words: words that are not allowed, and the name to suggest where one of them was meant.
         """
         known = list(names)
-        near = nearest_name(name, known)
-        hint = f"did you mean {near!r}?" if near else None
+        near = nearest_name(name, (*known, *other_words))
+        hint = f"did you mean {other_words.get(near, near)!r}?" if near else None
         return cls(problem, file=file, key=key, found=name, allowed=", ".join(known) or "none", hint=hint)
 
 

@@ -12,7 +12,7 @@ from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
 from .description.link_shapes import Visual as Visual
 from .description.urdf import example_names as example_names
 from .description.urdf import read_urdf as read_urdf
-from .description.urdf import shipped as shipped
+from .description.urdf import shipped_folder as shipped_folder
 from .dynamics import GRAVITY as GRAVITY
 from .dynamics import Dynamics as Dynamics
 from .dynamics import MotionEnergy as MotionEnergy

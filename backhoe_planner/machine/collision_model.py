@@ -1,11 +1,11 @@
 """The machine's collision shape as Pinocchio sees it, which parts may meet, and how far they can travel.
 
 Neighbouring links overlap at their joint, and some parts touch in every posture:
-such pairs say nothing and are left out. All others count.
+such pairs are left out. All others count.
 
-`travel_bounds` gives, for every collision piece and joint, the farthest r_j that a point
-of the piece can ever be from that joint's axis. A motion dq then moves no point of the
-piece further than sum_j |dq_j| r_j: on this bound the certificate and the broad phase rest.
+`travel_bounds` gives, for every collision piece and joint, the greatest distance r_j that a
+point of the piece can have from that joint's axis. A motion dq then moves no point of the
+piece further than sum_j |dq_j| r_j. The certificate and the broad phase rest on this bound.
 """
 
 from __future__ import annotations
@@ -15,13 +15,12 @@ from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
 _SAMPLES = 60  # postures: a rate of 0.9 is then known to within 0.04 (one standard deviation)
-_TOUCHES_BY_CONSTRUCTION = 0.9  # of the sampled postures
+_TOUCHES_BY_CONSTRUCTION = 0.9  # part of the sampled postures in which such links touch at least; chosen
 
 
 def geometry_model(robot: Robot) -> pin.GeometryModel:
@@ -38,8 +37,8 @@ def geometry_model(robot: Robot) -> pin.GeometryModel:
 def self_pairs(robot: Robot) -> tuple[tuple[int, int], ...]:
     """Pairs of indices into `robot.pieces` that must not touch each other.
 
-    Left out are pieces on one body, on bodies joined by one joint, and links that
-    touch in nearly every posture (60 seeded ones).
+    Left out are pieces on one body, pieces on bodies joined by one joint, and links that
+    touch in nearly every one of 60 seeded postures.
     """
     pieces = robot.pieces
     parents = robot.model.parents
@@ -62,7 +61,7 @@ def _links(robot: Robot, pair: tuple[int, int]) -> tuple[str, str]:
 
 
 def _touch_rates(robot: Robot, pairs: list[tuple[int, int]]) -> dict[tuple[str, str], float]:
-    """Part of the sampled postures in which two links touch, by their names."""
+    """The part of the sampled postures in which two links touch, 0 to 1, by their names."""
     model = geometry_model(robot)
     for a, b in pairs:
         model.addCollisionPair(pin.CollisionPair(a, b))
@@ -77,21 +76,24 @@ def _touch_rates(robot: Robot, pairs: list[tuple[int, int]]) -> dict[tuple[str, 
 
 
 def travel_bounds(robot: Robot) -> Matrix:
-    """(pieces, n) radii r [m/rad, or 1 for a prismatic joint]; 0 for joints further out."""
+    """(pieces, n) r of each of `robot.pieces` and each joint [m/rad], 1 for a prismatic joint.
+
+    0 for joints further out than the piece: they do not move it.
+    """
     bounds = np.zeros((len(robot.pieces), robot.n))
     for row, piece in enumerate(robot.pieces):
         bounds[row] = _bounds_of_points(robot, piece.joint, piece.piece.hull, piece.piece.radius)
     return bounds
 
 
-def tip_travel_bound(robot: Robot) -> NDArray[np.float64]:
-    """(n,) the same for the tip."""
+def tip_travel_bound(robot: Robot) -> Vector:
+    """(n,) r of each joint for the robot's tip [m/rad], 1 for a prismatic joint."""
     frame = robot.model.frames[robot.tip_frame]
     return _bounds_of_points(robot, int(frame.parentJoint), frame.placement.translation[None, :], 0.0)
 
 
-def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float) -> NDArray[np.float64]:
-    """(n,) for points (k, 3) fixed in the frame of `joint`, fattened by `radius`."""
+def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float) -> Vector:
+    """(n,) r for balls of `radius` [m] around points (k, 3) that are fixed in the frame of `joint`."""
     model = robot.model
     found = np.zeros(robot.n)
     if joint == 0:
@@ -117,7 +119,7 @@ def _slide(robot: Robot, joint: int) -> float:
     return float(max(abs(robot.limits.lower[joint - 1]), abs(robot.limits.upper[joint - 1])))
 
 
-def _off_axis(points: Matrix, axis: NDArray[np.float64]) -> float:
-    """The largest distance of (k, 3) points from the line through 0 along `axis`."""
+def _off_axis(points: Matrix, axis: Vector) -> float:
+    """The largest distance of (k, 3) points from the line through 0 along the unit vector `axis` [m]."""
     along = points @ axis
     return float(np.max(np.linalg.norm(points - along[:, None] * axis, axis=1)))

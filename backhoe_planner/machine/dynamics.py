@@ -2,7 +2,7 @@
 
     tau = M(q) a + C(q, v) v + g(q) - J_tip^T F
 
-with F what acts on the tip from outside, such as the soil. A payload is part of the last
+with F the force on the tip from outside, such as the soil's. A payload is part of the last
 body: its weight and its inertia are in M, C and g.
 """
 
@@ -12,21 +12,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
 GRAVITY = 9.81  # m/s^2
 
 
 class Dynamics:
-    """Inverse dynamics of one machine with a payload at its tip; own working memory.
+    """Inverse dynamics of one machine with a payload at its tip.
+
+    It owns its working memory: do not share one between threads.
 
     Parameters
     ----------
-    payload: mass that the tip carries [kg], taken as a point: its weight and its
-        inertia both count.
+    payload: mass that the tip carries [kg], as a point.
     """
 
     def __init__(self, robot: Robot, *, payload: float = 0.0) -> None:
@@ -39,7 +40,7 @@ class Dynamics:
         self._tip = robot.tip_frame
 
     def torques(self, q: Vector, v: Vector, a: Vector, *, tip_force: Vector | None = None) -> Vector:
-        """(n,) joint torques or forces [N m or N] for q, v, a (n,).
+        """(n,) joint torques or forces [N m or N] at positions q, velocities v and accelerations a (n,).
 
         Parameters
         ----------
@@ -56,7 +57,7 @@ class Dynamics:
         found = [pin.computeGeneralizedGravity(self._model, self._data, row) for row in q]
         return np.array(found, dtype=float).reshape(q.shape)
 
-    def mass_matrices(self, q: Matrix) -> NDArray[np.float64]:
+    def mass_matrices(self, q: Matrix) -> Array:
         """(B, n, n) M of every configuration in q (B, n)."""
         found = np.empty((*q.shape, q.shape[-1]))
         for row, joints in enumerate(q):
@@ -65,11 +66,11 @@ class Dynamics:
         return found
 
     def kinetic_energy(self, q: Vector, v: Vector) -> float:
-        """[J] at q, v (n,)."""
+        """Kinetic energy at q, v (n,) [J]."""
         return float(pin.computeKineticEnergy(self._model, self._data, q, v))
 
     def potential_energy(self, q: Vector) -> float:
-        """[J], up to a constant."""
+        """Potential energy at q (n,), up to a constant [J]."""
         return float(pin.computePotentialEnergy(self._model, self._data, q))
 
 
@@ -81,11 +82,11 @@ class MotionEnergy:
     ----------
     time: (T,) [s].
     torque: (T, n) of the joints [N m or N].
-    joint_power: (T, n) tau_i v_i, what each joint puts in [W]; negative where it brakes.
-    power: (T,) sum of max(tau_i v_i, 0) [W]: hydraulics give nothing back.
+    joint_power: (T, n) tau_i v_i, the power of each joint [W]; negative where it brakes.
+    power: (T,) sum of max(tau_i v_i, 0) [W]: hydraulics recover no energy.
     work: (T,) integral of `power` up to that time [J].
     kinetic, potential: (T,) [J], the potential energy from the first sample on.
-    hydraulic_power: (T,) what a load-sensing pump puts in, the highest pressure times the
+    hydraulic_power: (T,) power of a load-sensing pump, the highest pressure times the
         whole flow [W]; None for a machine without a hydraulic description.
     hydraulic: (T,) its integral [J], or None.
     """
@@ -115,9 +116,9 @@ def motion_energy(
 
     Parameters
     ----------
-    time: (T,) [s]; q, v, a: (T, n).
+    time: (T,) [s]; q, v, a: (T, n) positions, velocities and accelerations of the joints.
     payload: mass at the tip [kg].
-    tip_force: (T, 3) on the tip from outside [N], world, as the soil's.
+    tip_force: (T, 3) force on the tip from outside [N], world, such as the soil's.
     """
     dynamics = Dynamics(robot, payload=payload)
     outside = [None] * len(time) if tip_force is None else list(tip_force)
@@ -133,15 +134,9 @@ def motion_energy(
         torque=torque,
         joint_power=joint_power,
         power=power,
-        work=_integral(power, time),
+        work=cumulative_trapezoid(power, time, initial=0.0),
         kinetic=np.array([dynamics.kinetic_energy(*row) for row in zip(q, v, strict=True)]),
         potential=potential - potential[:1],
         hydraulic_power=hydraulic_power,
-        hydraulic=None if hydraulic_power is None else _integral(hydraulic_power, time),
+        hydraulic=None if hydraulic_power is None else cumulative_trapezoid(hydraulic_power, time, initial=0.0),
     )
-
-
-def _integral(rate: Vector, time: Vector) -> Vector:
-    """(T,) integral up to each sample, by trapezia."""
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)
-    return np.concatenate((np.zeros(1), np.cumsum(steps)))

@@ -1,8 +1,8 @@
 """The machine: a Pinocchio model of the joints that move the tip, and its shape.
 
 `load_robot` is the only door. The model holds one number per joint: continuous
-joints are angles without limits, joints that do not move the tip are held still.
-Nothing in here changes after loading, and nobody else's model is written on.
+joints are angles without limits, and joints that do not move the tip are held still.
+A robot does not change after loading.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.description.chain_model import chain_model
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
@@ -24,8 +23,10 @@ from backhoe_planner.machine.description.link_shapes import LinkPiece, Visual, l
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 
-_DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none
-_FULL_RATE_AFTER = 0.5  # s: acceleration where neither URDF nor scene gives one
+_DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none; chosen
+_FULL_RATE_AFTER = 0.5  # s from rest, where neither URDF nor scene gives an acceleration; chosen
+_SEEDS_OF_AXIS = 8  # postures in which the last axis is looked at: one that leaves the level does so in nearly all
+_SEEDS_OF_REACH = 64  # postures among which the furthest reach is sought; only its sign counts
 
 
 @dataclass(frozen=True)
@@ -99,18 +100,18 @@ class Robot:
         return tuple(link.name for link in self.urdf.robot.links)
 
     @cached_property
-    def prismatic(self) -> NDArray[np.bool_]:
+    def prismatic(self) -> Flags:
         """(n,) which joints slide."""
         return np.array([self.urdf.joints[name].type == "prismatic" for name in self.joint_names])
 
     @cached_property
-    def joint_axes(self) -> Vector:
+    def joint_axes(self) -> Matrix:
         """(n, 3) unit axis of each joint in its own frame."""
         return np.array([axis_of(self.urdf.joints[name]) for name in self.joint_names])
 
     @cached_property
-    def support(self) -> NDArray[np.float64]:
-        """(n + 1, n) 1 where a joint (column) moves the body of Pinocchio's joint (row); row 0 stands still."""
+    def support(self) -> Matrix:
+        """(n + 1, n) 1 where a joint (column) moves the body of Pinocchio's joint (row); 0 elsewhere and in row 0."""
         mask = np.zeros((self.n + 1, self.n))
         for joint in range(1, self.n + 1):  # Pinocchio numbers joints from the root outward
             mask[joint] = mask[int(self.model.parents[joint])]
@@ -120,17 +121,29 @@ class Robot:
     @cached_property
     def middle(self) -> Vector:
         """(n,) the middle of each joint's range, 0 where there is no range [rad or m]."""
-        finite = np.isfinite(self.limits.lower) & np.isfinite(self.limits.upper)
-        centre = np.zeros(self.n)
-        centre[finite] = 0.5 * (self.limits.lower[finite] + self.limits.upper[finite])
-        return centre
+        lower, upper = self._finite_range
+        return 0.5 * (lower + upper)
+
+    @cached_property
+    def nearest_zero(self) -> Vector:
+        """(n,) every joint at 0, or at the limit nearest to it [rad or m]."""
+        return np.clip(np.zeros(self.n), self.limits.lower, self.limits.upper)
+
+    @cached_property
+    def _finite_range(self) -> tuple[Vector, Vector]:
+        """(n,), (n,) the limits of each joint; half a turn either way for continuous joints."""
+        limits = self.limits
+        return (
+            np.where(np.isfinite(limits.lower), limits.lower, -np.pi),
+            np.where(np.isfinite(limits.upper), limits.upper, np.pi),
+        )
 
     @cached_property
     def has_pitch(self) -> bool:
         """Whether the last joint's axis stays horizontal, so that pitch is defined."""
         data = self.model.createData()
         rng = np.random.default_rng(0)
-        for _ in range(8):
+        for _ in range(_SEEDS_OF_AXIS):
             q = self.random_q(rng)
             pin.computeJointJacobians(self.model, data, q)
             axis = data.J.reshape(6, self.n)[3:, -1]  # of one joint alone it is 1-D
@@ -142,13 +155,13 @@ class Robot:
     def pitch_sense(self) -> float:
         """1 where turning the last joint forward lifts the tip, -1 where it lowers it.
 
-        Forward is where the tip lies when the arm reaches out furthest, over 64 seeded
-        postures; the axis of the last joint may point to either side of the arm.
+        Forward is the direction in which the tip lies where the arm reaches out furthest,
+        of 64 seeded postures. The axis of the last joint may point to either side of the arm.
         """
         data = self.model.createData()
         rng = np.random.default_rng(0)
         furthest, sense = 0.0, 1.0
-        for _ in range(64):
+        for _ in range(_SEEDS_OF_REACH):
             pin.computeJointJacobians(self.model, data, self.random_q(rng))
             tip = pin.updateFramePlacement(self.model, data, self.tip_frame).translation
             out = tip - data.oMi[1].translation
@@ -159,19 +172,22 @@ class Robot:
         return sense
 
     def random_q(self, rng: np.random.Generator) -> Vector:
-        """(n,) uniform within the limits; a turn either way for continuous joints."""
-        lower = np.where(np.isfinite(self.limits.lower), self.limits.lower, -np.pi)
-        upper = np.where(np.isfinite(self.limits.upper), self.limits.upper, np.pi)
-        return np.asarray(rng.uniform(lower, upper))
+        """(n,) joint positions drawn evenly within the limits; for continuous joints, half a turn either way."""
+        return np.asarray(rng.uniform(*self._finite_range))
 
     def with_tip(self, tip: str | None) -> Robot:
-        """The same machine moved at another tip; itself if `tip` is None or the same."""
+        """The same machine with another link as its tip; itself if `tip` is None or the same."""
         if tip is None or tip == self.tip:
             return self
         return _build(self.urdf, tip, None if self.hydraulics is None else self.hydraulics.file)
 
     def check_q(self, q: object, *, what: str = "q") -> Vector:
-        """(n,) a finite copy of `q`.
+        """(n,) a copy of `q`, checked.
+
+        Parameters
+        ----------
+        q: n finite numbers.
+        what: its name, for messages.
 
         Raises
         ------
@@ -189,9 +205,7 @@ class Robot:
                 allowed=f"({self.n},): {', '.join(self.joint_names)}",
             )
         if not np.all(np.isfinite(values)):
-            bad = ", ".join(
-                name for name, value in zip(self.joint_names, values, strict=True) if not np.isfinite(value)
-            )
+            bad = ", ".join(np.array(self.joint_names)[~np.isfinite(values)])
             raise InputError("is not finite", key=f"{what} ({bad})", found=values.tolist())
         return values
 
@@ -210,8 +224,7 @@ def load_robot(
 
     Raises
     ------
-    RobotError: see `read_urdf` and `read_hydraulics`; also an unknown or ambiguous tip, a tip that no joint
-        moves, a mimic joint between the root and the tip, and one that copies a joint between them.
+    RobotError: see `read_urdf`, `read_hydraulics` and `chain_model`.
 
     Examples
     --------
@@ -220,10 +233,9 @@ def load_robot(
     ('swing', 'boom', 'stick', 'bucket')
     """
     urdf = read_urdf(source)
-    if hydraulics is not None:
-        return _build(urdf, tip, Path(hydraulics))
     beside = description_beside(urdf.path)
-    return _build(urdf, tip, beside if beside.is_file() else None)
+    description = Path(hydraulics) if hydraulics is not None else beside if beside.is_file() else None
+    return _build(urdf, tip, description)
 
 
 def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
@@ -244,15 +256,12 @@ def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
 
 
 def _limits(urdf: Urdf, model: pin.Model) -> JointLimits:
-    lower, upper, velocity, acceleration, effort = [], [], [], [], []
+    rows = []
     for name in model.names[1:]:
         joint = urdf.joints[name]
         limit = joint.limit
-        free = joint.type == "continuous"
-        lower.append(-np.inf if free else float(limit.lower))
-        upper.append(np.inf if free else float(limit.upper))
-        rate = float(limit.velocity) if limit is not None and limit.velocity else _DEFAULT_VELOCITY
-        velocity.append(rate)
-        acceleration.append(urdf.acceleration.get(name, rate / _FULL_RATE_AFTER))
-        effort.append(float(limit.effort) if limit is not None and limit.effort else np.inf)
-    return JointLimits(*(np.array(values) for values in (lower, upper, velocity, acceleration, effort)))
+        ends = (-np.inf, np.inf) if joint.type == "continuous" else (limit.lower, limit.upper)
+        rate = limit.velocity if limit is not None and limit.velocity else _DEFAULT_VELOCITY
+        effort = limit.effort if limit is not None and limit.effort else np.inf
+        rows.append((*ends, rate, urdf.acceleration.get(name, rate / _FULL_RATE_AFTER), effort))
+    return JointLimits(*np.array(rows, dtype=float).T.copy())

@@ -21,7 +21,7 @@ from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, field_val
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.files.records import Record, describe, exactly_one, explain
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
-from backhoe_planner.machine import shipped
+from backhoe_planner.machine import shipped_folder
 from backhoe_planner.site.obstacle_shapes import (
     Box,
     HalfSpace,
@@ -448,8 +448,12 @@ def load_scene(path: str | Path) -> Scene:
     SceneError: names the file, the key's path, what was found, and what is allowed.
     """
     file = Path(path)
-    if not file.exists() and file.parent in (Path("scenes"), Path()) and (shipped("scenes") / file.name).is_file():
-        file = shipped("scenes") / file.name
+    if (
+        not file.exists()
+        and file.parent in (Path("scenes"), Path())
+        and (shipped_folder("scenes") / file.name).is_file()
+    ):
+        file = shipped_folder("scenes") / file.name
     content, lines = read_yaml(file)
     return scene_from_dict(content, folder=file.parent, file=file, lines=lines)
 

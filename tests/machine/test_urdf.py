@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from backhoe_planner.errors import RobotError
-from backhoe_planner.machine import example_names, load_robot, read_urdf, shipped
+from backhoe_planner.machine import example_names, load_robot, read_urdf, shipped_folder
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 JOINT = (
@@ -219,13 +219,13 @@ def test_robot_error_is_a_value_error(tmp_path: Path) -> None:
 
 
 def test_unknown_example_names_the_nearest_one() -> None:
-    with pytest.raises(RobotError, match=r"example:bakhoe.*no such example robot.*did you mean example:backhoe\?"):
+    with pytest.raises(RobotError, match=r"example:bakhoe.*no such example robot.*did you mean 'backhoe'\?"):
         read_urdf("example:bakhoe")
 
 
 @pytest.mark.parametrize("name", ["excavator", "Excavators", "digger"])
 def test_another_word_for_a_backhoe_names_the_backhoe(name: str) -> None:
-    with pytest.raises(RobotError, match=rf"example:{name}: no such example robot.*did you mean example:backhoe\?"):
+    with pytest.raises(RobotError, match=rf"example:{name}: no such example robot.*did you mean 'backhoe'\?"):
         read_urdf(f"example:{name}")
 
 
@@ -236,13 +236,13 @@ def test_examples_hold_the_shipped_models_and_those_of_example_robot_data() -> N
 
 
 def test_shipped_models_are_found_by_name() -> None:
-    assert read_urdf("example:backhoe").path == shipped("models") / "backhoe.urdf"
+    assert read_urdf("example:backhoe").path == shipped_folder("models") / "backhoe.urdf"
 
 
 @pytest.mark.parametrize("source", ["models/backhoe.urdf", "backhoe.urdf"])
 def test_shipped_models_are_found_from_any_folder(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert read_urdf(source).path == shipped("models") / "backhoe.urdf"
+    assert read_urdf(source).path == shipped_folder("models") / "backhoe.urdf"
 
 
 def test_file_of_ones_own_goes_before_the_shipped_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from strategies import scenes
 
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.live import Servo
-from backhoe_planner.machine import load_robot, shipped
+from backhoe_planner.machine import load_robot, shipped_folder
 from backhoe_planner.site import (
     Capsule,
     HalfSpace,
@@ -204,7 +204,7 @@ def test_reading_does_not_change_the_data_it_is_given() -> None:
 
 def test_shipped_scenes_are_read_and_found_from_any_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    files = sorted(shipped("scenes").glob("*.yaml"))
+    files = sorted(shipped_folder("scenes").glob("*.yaml"))
     assert files
     for file in files:
         assert load_scene(f"scenes/{file.name}") == load_scene(file)
@@ -652,5 +652,5 @@ def test_schema_describes_soil_and_each_of_its_keys_with_its_default() -> None:
 
 
 def test_the_schema_beside_the_scenes_is_the_one_in_the_code() -> None:
-    beside = shipped("scenes") / "scene.schema.json"
+    beside = shipped_folder("scenes") / "scene.schema.json"
     assert json.loads(beside.read_text(encoding="utf-8")) == scene_schema()

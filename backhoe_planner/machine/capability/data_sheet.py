@@ -1,7 +1,7 @@
 """The figures of a data sheet: how far, how deep and how high the machine reaches, and how hard it digs.
 
-The working envelope of a machine that works in one upright plane (in the spirit of
-ISO 7135 and SAE J1193), from the URDF alone:
+The working envelope of a machine that works in one upright plane, from the URDF alone (after
+ISO 7135 and SAE J1193):
 
 - digging depth: the greatest depth of the tip below the ground z = 0;
 - reach at ground level: the greatest horizontal distance of the tip from the first
@@ -10,17 +10,16 @@ ISO 7135 and SAE J1193), from the URDF alone:
   the bucket tipped to the dump pitch; loading reach: its distance from the axis there;
 - bucket rotation and swing arc: the ranges of the last and the first joint.
 
-The sheet does not give the dump pitch; -80 degrees is ours.
+Data sheets do not give the dump pitch; -80 degrees is chosen here.
 
-Digging forces at relief pressure (in the spirit of ISO 6015 and SAE J1179), from geometry
-alone:
+Digging forces at relief pressure, from geometry alone (after ISO 6015 and SAE J1179):
 
 - bucket: the greatest force at the tooth tip, across the line bucket pin to tip, that the
   bucket's cylinders give by curling, over the range of the bucket;
 - stick: the same of the stick's cylinders, across the line stick pin to tip, over the
   range of the stick, with the bucket where its own force is greatest.
 
-All other cylinders hold, the machine neither tips nor slides, and nothing weighs.
+All other cylinders hold, the machine neither tips nor slides, and weights are left out.
 """
 
 from __future__ import annotations
@@ -34,11 +33,12 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics, wrap_angle
 from backhoe_planner.machine.robot import Robot
 
-_DUMP_PITCH = np.radians(-80.0)
-_GRID = 9  # points per joint
-_SAMPLES = 4001  # of a joint's range: a thousandth of a radian apart, torque being flat at its greatest
-_AT_PIN = 1e-3  # m: a tip this near the last pin cannot dig about it
-_SEEDS = 4  # of the grid's best points: one may lie beside a lesser maximum
+_DUMP_PITCH = np.radians(-80.0)  # rad; chosen, see above
+_GRID = 9  # points per joint from which the search starts; chosen
+_SAMPLES = 4001  # of a joint's range: a thousandth of a radian apart, and the torque is flat at its maximum
+_AT_PIN = 1e-3  # m: a tip this near the last pin has no lever to dig with
+_SEEDS = 4  # best points of the grid from which to search: the best one may lie beside a lesser maximum
+_ON_GROUND = 1e-6  # m of height that count as none: a thousandth of the millimetre of a data sheet
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def working_envelope(robot: Robot) -> Envelope | None:
 
 
 def reachable_points(robot: Robot, *, count: int = 20_000, seed: int = 0) -> Matrix:
-    """(count, 3) positions of the tip [m], world, at joint positions of the `robot` drawn with `seed`."""
+    """(count, 3) positions of the tip [m], world, at random joint positions drawn with `seed`."""
     kinematics, rng = Kinematics(robot), np.random.default_rng(seed)
     return np.array([kinematics.at(robot.random_q(rng)).tip_position for _ in range(count)])
 
@@ -94,9 +94,9 @@ class _Plane:
 
     def __init__(self, robot: Robot) -> None:
         self._kinematics = Kinematics(robot)
-        self._middle = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
-        at = self._kinematics.at(self._middle)
-        # a first joint that does not raise anything swings the plane
+        self._level = robot.nearest_zero
+        at = self._kinematics.at(self._level)
+        # a first joint with an upright axis swings the plane
         self.swings = bool(abs(at.J_world[5, 0]) > 0.99)
         self._first = 1 if self.swings else 0
         finite = np.isfinite(robot.limits.lower) & np.isfinite(robot.limits.upper)
@@ -106,7 +106,7 @@ class _Plane:
 
     def _at(self, angles: Vector) -> Configuration:
         """The machine with the joints in the plane at `angles`."""
-        q = self._middle.copy()
+        q = self._level.copy()
         q[self._first :] = angles
         return self._kinematics.at(q)
 
@@ -122,10 +122,10 @@ class _Plane:
     def reach_at_ground(self) -> float | None:
         """Greatest radius with the tip on the ground [m]."""
         radius, height = self.point(self._best(0, 1.0, on_ground=True))
-        return float(radius) if abs(height) < 1e-6 else None
+        return float(radius) if abs(height) < _ON_GROUND else None
 
     def loading(self) -> tuple[float, float] | None:
-        """Radius and height of the tip raised and tipped [m]."""
+        """Radius and height of the tip, raised and with the bucket tipped [m]."""
         angles = self._upper.copy()
         for turn in (0.0, -2.0 * np.pi, 2.0 * np.pi):
             angles[-1] = 0.0
@@ -154,7 +154,7 @@ class _Plane:
                 options={"ftol": 1e-12, "maxiter": 200},
             )
             reached = self.point(found.x)
-            if on_ground and abs(reached[1]) > 1e-6:
+            if on_ground and abs(reached[1]) > _ON_GROUND:
                 continue
             if sign * reached[axis] > value:
                 best, value = found.x, sign * reached[axis]
@@ -184,7 +184,7 @@ def digging_forces(robot: Robot) -> DiggingForces | None:
     if {robot.n - 2, robot.n - 1} - set(robot.hydraulics.joint_of.tolist()):
         return None
     kinematics = Kinematics(robot)
-    q = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
+    q = robot.nearest_zero.copy()
     curl, q[-1] = _strongest(robot, q, robot.n - 1)
     points = kinematics.at(q).points
     pull, stick_at = _strongest(robot, q, robot.n - 2)
@@ -201,9 +201,8 @@ def _strongest(robot: Robot, q: Vector, joint: int) -> tuple[float, float]:
     postures = np.tile(q, (_SAMPLES, 1))
     postures[:, joint] = angles
     limits = robot.hydraulics.torque_limits(postures)
-    # to curl is to lower the tip where the arm reaches out, and so the pitch
-    level = np.clip(np.zeros(robot.n), robot.limits.lower, robot.limits.upper)
-    lifts = Kinematics(robot).at(level).pitch_row[joint] > 0.0
+    # curling lowers the tip where the arm reaches out, and so the pitch
+    lifts = Kinematics(robot).at(robot.nearest_zero).pitch_row[joint] > 0.0
     torque = (limits.negative if lifts else limits.positive)[:, joint]
     best = int(np.argmax(torque))
     return float(torque[best]), float(angles[best])

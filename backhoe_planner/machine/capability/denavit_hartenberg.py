@@ -16,7 +16,7 @@ import pinocchio as pin
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine.robot import Robot
 
-_PARALLEL = 1e-9  # rad, and m: nearer than this, axes are parallel or meet but for rounding
+_PARALLEL = 1e-9  # rad or m: axes nearer to each other are parallel, or meet, but for rounding
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class DhTable:
 
 
 def dh_table(robot: Robot) -> DhTable:
-    """The table of the joints between the root and the tip, at q = 0."""
+    """The table of the joints between the root and the tip of `robot`, at q = 0."""
     data = robot.model.createData()
     pin.computeJointJacobians(robot.model, data, np.zeros(robot.n))
     tip = pin.updateFramePlacement(robot.model, data, robot.tip_frame).copy()
@@ -105,7 +105,7 @@ def _axes(robot: Robot, data: pin.Data) -> tuple[list[Vector], list[Vector]]:
 
 def _frame(z: Vector, origin: Vector, x: Vector | None) -> pin.SE3:
     if x is None:
-        seed = np.eye(3)[int(np.argmin(np.abs(z)))] if abs(z[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
+        seed = np.eye(3)[int(np.argmin(np.abs(z))) if abs(z[0]) > 0.9 else 0]  # x, unless z is nearly along it
         x = seed - (seed @ z) * z
     x = x / np.linalg.norm(x)
     return pin.SE3(np.column_stack((x, np.cross(z, x), z)), origin)

@@ -1,4 +1,4 @@
-"""The joints that move the tip as Pinocchio's model; all others are held still."""
+"""Pinocchio's model of the joints that move the tip; all other joints are held still."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from backhoe_planner.machine.description.urdf import Urdf, axis_of, se3
 
 
 def chain_model(urdf: Urdf, tip: str | None) -> tuple[str, pin.Model]:
-    """The link that is moved, and Pinocchio's model in which only the joints above it move.
+    """The link that is the tip, and Pinocchio's model in which only the joints above it move.
 
     Parameters
     ----------
@@ -21,10 +21,10 @@ def chain_model(urdf: Urdf, tip: str | None) -> tuple[str, pin.Model]:
 
     Raises
     ------
-    RobotError: an unknown or ambiguous tip, a tip that no joint moves, a mimic joint between
-        the root and the tip, and one that copies a joint between them.
+    RobotError: the tip is unknown or ambiguous, no joint moves it, or a joint between the root
+        and the tip copies another joint (``<mimic>``) or is copied by one that is not fixed.
     """
-    tip = _checked_tip(urdf, tip)
+    tip = _find_tip(urdf, tip)
     chain = [joint for joint in urdf.chain(tip) if joint.type != "fixed"]
     for joint in chain:
         if joint.mimic is not None:
@@ -36,11 +36,12 @@ def chain_model(urdf: Urdf, tip: str | None) -> tuple[str, pin.Model]:
             )
     if not chain:
         raise RobotError("no joint moves the tip", file=urdf.path, key="tip", found=tip)
-    _check_followers(urdf, {joint.name for joint in chain})
-    return tip, _model(urdf, {joint.name for joint in chain})
+    moving = {joint.name for joint in chain}
+    _check_followers(urdf, moving)
+    return tip, _model(urdf, moving)
 
 
-def _checked_tip(urdf: Urdf, tip: str | None) -> str:
+def _find_tip(urdf: Urdf, tip: str | None) -> str:
     links = [link.name for link in urdf.robot.links]
     if tip is None:
         if "bucket_tip" in links:
@@ -60,7 +61,7 @@ def _checked_tip(urdf: Urdf, tip: str | None) -> str:
 
 
 def _check_followers(urdf: Urdf, moving: set[str]) -> None:
-    """That no joint beside the chain copies one that moves: held still, its link would not be where it is."""
+    """Refuse joints beside the chain that copy one in it: held still, their links would be in a wrong place."""
     copies = {joint.name: joint.mimic.joint for joint in urdf.robot.joints if joint.mimic is not None}
     for joint in urdf.robot.joints:
         leader, met = joint.name, set[str]()
@@ -70,7 +71,7 @@ def _check_followers(urdf: Urdf, moving: set[str]) -> None:
         if met and leader in moving and joint.type != "fixed":
             raise RobotError(
                 f"copies joint {leader!r}, which moves the tip: mimic joints beside the arm are supported "
-                "only where what they copy stands still",
+                "only where the joint that they copy does not move the tip",
                 file=urdf.path,
                 key=f"joint {joint.name!r}",
                 found="<mimic>",
@@ -81,21 +82,18 @@ def _check_followers(urdf: Urdf, moving: set[str]) -> None:
 def _model(urdf: Urdf, moving: set[str]) -> pin.Model:
     """Pinocchio's model in which only the joints named in `moving` move.
 
-    The others are made fixed where they are held: at 0, or the limit nearest to it. Pinocchio's own
-    `buildReducedModel` refuses a machine whose links are named as its joints.
+    The others become fixed joints at 0, or at the limit nearest to it. Pinocchio's own
+    `buildReducedModel` is not used: it refuses a machine whose links have the names of its joints.
     """
     root = etree.fromstring(urdf.xml)
     for element in root.findall("link"):
-        for unread in (*element.findall("visual"), *element.findall("collision")):
-            element.remove(unread)
+        _remove(element, "visual", "collision")
     for element in root.findall("joint"):
         joint = urdf.joints[element.get("name")]
         if joint.type != "fixed" and joint.name not in moving:
             _hold(element, joint)
             continue
-        for unread in ("dynamics", "safety_controller", "calibration"):
-            for node in element.findall(unread):
-                element.remove(node)
+        _remove(element, "dynamics", "safety_controller", "calibration")
         limit = element.find("limit")
         if joint.type == "continuous":
             element.set("type", "revolute")
@@ -114,14 +112,12 @@ def _model(urdf: Urdf, moving: set[str]) -> pin.Model:
 
 
 def _hold(element: etree._Element, joint: yourdfpy.Joint) -> None:
-    """Make a joint's element fixed at 0, or at the limit nearest to 0."""
+    """Make the `element` of a `joint` a fixed one, at position 0 or at the limit nearest to it."""
     held = 0.0
     if joint.limit is not None and joint.type != "continuous" and joint.limit.lower is not None:
         held = float(np.clip(0.0, joint.limit.lower, joint.limit.upper))
     element.set("type", "fixed")
-    for unwanted in ("limit", "mimic", "axis", "dynamics", "safety_controller"):
-        for node in element.findall(unwanted):
-            element.remove(node)
+    _remove(element, "limit", "mimic", "axis", "dynamics", "safety_controller")
     if held == 0.0:
         return
     way = held * axis_of(joint)
@@ -132,3 +128,9 @@ def _hold(element: etree._Element, joint: yourdfpy.Joint) -> None:
         origin = etree.SubElement(element, "origin")
     origin.set("xyz", " ".join(repr(float(x)) for x in placement.translation))
     origin.set("rpy", " ".join(repr(float(x)) for x in pin.rpy.matrixToRpy(placement.rotation)))
+
+
+def _remove(element: etree._Element, *tags: str) -> None:
+    """Remove the children of an element that have one of the tags."""
+    for child in [child for child in element if child.tag in tags]:
+        element.remove(child)

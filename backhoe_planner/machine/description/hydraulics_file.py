@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,17 +17,18 @@ import yourdfpy
 from pydantic import Field, ValidationError, model_validator
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import RobotError, nearest_name
+from backhoe_planner.errors import RobotError
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import read_yaml
 from backhoe_planner.machine.description.urdf import Urdf, axis_of
-from backhoe_planner.machine.hydraulics.hydraulics import Cylinder, Hydraulics
+from backhoe_planner.machine.hydraulics.hydraulics import SAME_LENGTH, Cylinder, Hydraulics
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
 
-_LARGEST = 1e9  # Pa, W: a pressure of 1e9 Pa no oil line bears
-_SAMPLES = 1441  # of a joint's range, in which a linkage is tried
-_ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever
-_NO_LEVER = 2e-3  # of the longest; between two samples a lever falls by less
+_LARGEST = 1e9  # Pa, W or m^3/s: no oil line bears such a pressure, no machine has such a power or flow
+_SAMPLES = 1441  # angles at which a linkage is tried: every quarter of a degree of a whole turn
+_ALONG_AXIS = 1e-6  # m: a pin this near the joint's axis has no lever; chosen, far below what is ever drawn
+_NO_LEVER = 2e-3  # part of the longest lever; from one of the samples to the next a lever falls by less
+_SAME_END = 1e-9  # m, rad: ends of strokes and of ranges this near each other are one but for rounding
 
 Length = Annotated[float, Field(strict=True, gt=0.0, le=1e3, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(strict=True, ge=-1e3, le=1e3, allow_inf_nan=False)]
@@ -104,7 +106,7 @@ class CylinderRecord(Record):
 
 
 class HydraulicsRecord(Record):
-    """The file as a whole."""
+    """The whole file."""
 
     version: Literal[1]
     pump: PumpRecord
@@ -121,7 +123,7 @@ class HydraulicsRecord(Record):
 
 
 def description_beside(urdf: Path) -> Path:
-    """Where the description of a URDF lies if it has one: ``NAME.hydraulics.yaml``."""
+    """The path of a URDF's hydraulic description, if there is one: ``NAME.hydraulics.yaml`` beside it."""
     return urdf.with_name(f"{urdf.stem}.hydraulics.yaml")
 
 
@@ -130,14 +132,16 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
 
     Parameters
     ----------
-    joint_names: the joints of interest; cylinders of others are checked, and left out.
+    file: the description.
+    urdf: the machine that it describes.
+    joint_names: the joints that move the tip; cylinders of other joints are checked and left out.
 
     Raises
     ------
-    RobotError: names the file, the key, what was found and what is allowed. A joint that
-        the URDF does not have or that does not turn between limits; a linkage that does
-        not close, or comes to a dead centre, within the joint's limits; a stroke that the
-        pins do not allow, or that does not reach the joint's limits.
+    RobotError: the URDF has no such joint, or it does not turn between limits; within the
+        joint's limits the linkage does not close or passes a dead centre; the pins do not
+        allow the stroke, or it does not reach the joint's limits. The message names the
+        file, the key, what was found and what is allowed.
     """
     content, lines = read_yaml(
         file, what="hydraulic description", keys="version, pump, cylinders, ...", error=RobotError
@@ -175,29 +179,29 @@ def read_hydraulics(file: Path, urdf: Urdf, joint_names: Sequence[str]) -> Hydra
     )
 
 
+@dataclass(frozen=True)
 class _Place:
     """Where in the file a cylinder stands; makes its errors."""
 
-    def __init__(self, file: Path, key: str, name: str) -> None:
-        self._file, self._key, self._name = file, key, name
+    file: Path
+    cylinder: str  # its key
+    name: str
+
+    def key(self, key: str) -> str:
+        return f"{self.cylinder}{key and '.'}{key} ({self.name})"
 
     def wrong(self, problem: str, *, key: str = "", found: Any = None, allowed: str | None = None) -> RobotError:
-        where = f"{self._key}.{key}" if key else self._key
-        return RobotError(problem, file=self._file, key=f"{where} ({self._name})", found=found, allowed=allowed)
+        return RobotError(problem, file=self.file, key=self.key(key), found=found, allowed=allowed)
 
 
 def _turning_joint(name: str, joints: Mapping[str, yourdfpy.Joint], place: _Place) -> yourdfpy.Joint:
     turning = [joint.name for joint in joints.values() if joint.type == "revolute"]
-    allowed = ", ".join(turning) or "none"
     if name not in joints:
-        near = nearest_name(name, turning)
-        hint = f"; did you mean {near!r}?" if near else ""
-        raise place.wrong(f"the URDF has no such joint{hint}", key="joint", found=name, allowed=allowed)
+        problem = "the URDF has no such joint"
+        raise RobotError.unknown_name(problem, name, names=turning, file=place.file, key=place.key("joint"))
     if name not in turning:
-        found = f"{name}, {joints[name].type}"
-        raise place.wrong(
-            "a cylinder moves a joint that turns between limits", key="joint", found=found, allowed=allowed
-        )
+        problem, found = "a cylinder moves a joint that turns between limits", f"{name}, {joints[name].type}"
+        raise place.wrong(problem, key="joint", found=found, allowed=", ".join(turning) or "none")
     return joints[name]
 
 
@@ -275,7 +279,7 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
     for cylinder, place in cylinders:
         shortest, longest = cylinder.linkage.length_range
         closed, opened = cylinder.closed, cylinder.open
-        # beside another cylinder, one may pass the dead centre at which it is shortest
+        # where two cylinders move one joint, one may pass the dead centre at which it is shortest
         if alone and closed < shortest:
             allowed = f"{shortest:.4f} m or more"
             raise place.wrong("is shorter than the pins come together", key="closed", found=closed, allowed=allowed)
@@ -287,7 +291,7 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
             ("closed", closed, float(np.min(at_limits))),
             ("open", opened, float(np.max(at_limits))),
         ):
-            if (beyond < end - 1e-9) if key == "closed" else (beyond > end + 1e-9):
+            if (beyond < end - _SAME_END) if key == "closed" else (beyond > end + _SAME_END):
                 raise place.wrong(
                     f"the stroke does not reach the joint's limits in the URDF, {_degrees(lower)} to {_degrees(upper)}",
                     key=key,
@@ -296,10 +300,10 @@ def _range_of_strokes(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float
                 )
             found = cylinder.linkage.angles(np.array(end))
             found = found + 2.0 * np.pi * np.round((middle - found) / (2.0 * np.pi))
-            on_branch = np.abs(cylinder.linkage.length(found) - end) < 1e-7
+            on_branch = np.abs(cylinder.linkage.length(found) - end) < SAME_LENGTH
             ends += [float(angle) for angle in found[on_branch]]
-    below = [end for end in ends if end <= lower + 1e-9]
-    above = [end for end in ends if end >= upper - 1e-9]
+    below = [end for end in ends if end <= lower + _SAME_END]
+    above = [end for end in ends if end >= upper - _SAME_END]
     if not below or not above:
         raise cylinders[0][1].wrong(
             "the strokes do not end the joint's range on either side: the linkage stops first",
@@ -324,7 +328,7 @@ def _check_linkages(cylinders: Sequence[tuple[Cylinder, _Place]], lower: float, 
                 found=f"open at {at:.4f} rad",
                 allowed=f"closed from {_degrees(lower)} to {_degrees(upper)}",
             )
-    # one cylinder alone is stuck where its lever changes sides; of two, one may help the other over
+    # a single cylinder is stuck where its lever changes sides; of two, one may help the other across
     alone = len(cylinders) == 1
     sense, levers = np.sign(arms[0]), np.max(np.abs(arms), axis=0)
     stuck = sense != sense[len(angles) // 2] if alone else levers < _NO_LEVER * np.max(levers)

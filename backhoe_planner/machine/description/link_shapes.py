@@ -15,9 +15,10 @@ from backhoe_planner.machine.description.urdf import Urdf, se3
 from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
 from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, sphere
 
-# A link's mesh is taken as its convex hull unless the hull would close a cavity.
-_LINK_HULL_EXCESS = 2.0  # times the mesh's volume: a solid link with recesses is below, an open bucket far above
-_PIECES_PER_LINK_MESH = 8  # at most: every piece is one more pair with each obstacle
+# volume of a mesh's hull over its own, up to which the hull stands for the link: a solid link with recesses
+# is below, an open bucket, whose cavity the hull would close, far above
+_LINK_HULL_EXCESS = 2.0
+_PIECES_PER_LINK_MESH = 8  # at most; chosen, few because each is one more pair with every obstacle
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class LinkPiece:
 
 @dataclass(frozen=True)
 class Visual:
-    """Something to draw.
+    """A shape to draw.
 
     Attributes
     ----------
@@ -62,14 +63,13 @@ class Visual:
 
 
 def _body(model: pin.Model, link: str) -> tuple[int, pin.SE3]:
-    """Joint that carries a link, and T_joint_link."""
+    """Pinocchio's joint that carries a link, and T_joint_link."""
     frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
     return int(frame.parentJoint), frame.placement
 
 
 def _mesh_scale(mesh: yourdfpy.Mesh) -> Vector:
-    scale = 1.0 if mesh.scale is None else mesh.scale
-    return np.broadcast_to(np.asarray(scale, dtype=float), (3,)).copy()
+    return np.full(3, 1.0 if mesh.scale is None else mesh.scale, dtype=float)
 
 
 def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[LinkPiece, ...]:
@@ -81,8 +81,6 @@ def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[LinkPiece, ...]:
     """
     found = []
     for link in urdf.robot.links:
-        if not link.collisions:
-            continue
         joint, T_joint_link = _body(model, link.name)
         pieces: list[Piece] = []
         for collision in link.collisions:
@@ -111,32 +109,24 @@ def _pieces_of(urdf: Urdf, geometry: yourdfpy.Geometry, placement: pin.SE3) -> l
 
 
 def visuals_of(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:
-    """What the URDF has to draw of every link, placed in the frames of the model's joints."""
-    colours = {
-        material.name: tuple(float(c) for c in material.color.rgba)
-        for material in urdf.robot.materials
-        if material.color is not None
-    }
+    """The shapes to draw of every link, placed in the frames of the model's joints."""
+    colours = {material.name: material.color for material in urdf.robot.materials}
     found = []
     for link in urdf.robot.links:
-        if not link.visuals:
-            continue
         joint, T_joint_link = _body(model, link.name)
         for visual in link.visuals:
-            geometry = visual.geometry
-            rgba = None
-            if visual.material is not None:
-                own = visual.material.color
-                rgba = tuple(float(c) for c in own.rgba) if own is not None else colours.get(visual.material.name)
+            geometry, material = visual.geometry, visual.material
+            colour = None if material is None else material.color or colours.get(material.name)
+            rgba = None if colour is None else tuple(map(float, colour.rgba))
             mesh = None
             if geometry.box is not None:
-                kind, size = "box", tuple(float(edge) for edge in geometry.box.size)
+                kind, size = "box", geometry.box.size
             elif geometry.cylinder is not None:
-                kind, size = "cylinder", (float(geometry.cylinder.radius), float(geometry.cylinder.length))
+                kind, size = "cylinder", (geometry.cylinder.radius, geometry.cylinder.length)
             elif geometry.sphere is not None:
-                kind, size = "sphere", (float(geometry.sphere.radius),)
+                kind, size = "sphere", (geometry.sphere.radius,)
             else:
-                kind, size = "mesh", tuple(float(s) for s in _mesh_scale(geometry.mesh))
-                mesh = urdf.mesh_path(geometry.mesh.filename)
-            found.append(Visual(link.name, joint, T_joint_link * se3(visual.origin), kind, size, mesh, rgba))
+                kind, size, mesh = "mesh", _mesh_scale(geometry.mesh), urdf.mesh_path(geometry.mesh.filename)
+            placement, edges = T_joint_link * se3(visual.origin), tuple(map(float, size))
+            found.append(Visual(link.name, joint, placement, kind, edges, mesh, rgba))
     return tuple(found)

@@ -1,8 +1,7 @@
-"""Reading a URDF: found, parsed and checked by yourdfpy before Pinocchio sees it.
+"""Reading a URDF: it is found, parsed by yourdfpy, and checked before Pinocchio sees it.
 
-`read_urdf` is the only door. What comes out of it has a name for every link and
-joint, finite numbers, only joint types this package plans with, and meshes that
-exist on disk.
+`read_urdf` is the only door. In a `Urdf` every link and joint has a name, all numbers are
+finite, all joints are of types that this package plans with, and all meshes exist on disk.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ import numpy as np
 import pinocchio as pin
 import yourdfpy
 from lxml import etree
-from numpy.typing import NDArray
 
-from backhoe_planner.errors import RobotError, nearest_name
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.errors import RobotError
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _REFUSED = {
@@ -33,7 +32,7 @@ _REFUSED = {
     "spherical": "a spherical joint is not described by one angle",
 }
 
-# Names for robots of example-robot-data whose file is called otherwise.
+# names for robots of example-robot-data whose file has another name
 _EXAMPLE_ALIASES = {
     "panda": "panda_description/urdf/panda.urdf",
     "ur3": "ur_description/urdf/ur3_robot.urdf",
@@ -44,7 +43,7 @@ _EXAMPLE_ALIASES = {
     "kinova": "kinova_description/robots/kinova.urdf",
 }
 
-# What a shipped model may be looked for as.
+# other words for which a shipped model is suggested
 _ALSO_CALLED = {"excavator": "backhoe", "backhoe loader": "backhoe", "digger": "backhoe", "bagger": "backhoe"}
 
 
@@ -54,7 +53,7 @@ class Urdf:
 
     Attributes
     ----------
-    source: what the user asked for, a path or ``example:NAME``.
+    source: as the user gave it, a path or ``example:NAME``.
     path: the file itself.
     xml: its text, with comments stripped.
     sha256: of the file's bytes.
@@ -76,12 +75,12 @@ class Urdf:
 
     @cached_property
     def joint_of_child(self) -> dict[str, yourdfpy.Joint]:
-        """The joint above each link but the root."""
+        """The joint above each link, by the link's name; the root has none."""
         return {joint.child: joint for joint in self.robot.joints}
 
     @cached_property
     def root(self) -> str:
-        """The link that hangs on no joint."""
+        """The link that has no joint above it."""
         return next(str(link.name) for link in self.robot.links if link.name not in self.joint_of_child)
 
     @cached_property
@@ -101,29 +100,26 @@ class Urdf:
         return tuple(reversed(joints))
 
     def mesh_path(self, uri: str) -> Path | None:
-        """Where a mesh's file lies, or None where it is nowhere to be found."""
-        for candidate in _mesh_candidates(uri, self.path):
-            if candidate.is_file():
-                return candidate
-        return None
+        """The file of a mesh that the URDF names by `uri`; None where there is no such file."""
+        return next(filter(Path.is_file, _mesh_candidates(uri, self.path)), None)
 
 
-def axis_of(joint: yourdfpy.Joint) -> NDArray[np.float64]:
+def axis_of(joint: yourdfpy.Joint) -> Vector:
     """(3,) unit axis of a joint in its own frame; x where the URDF gives none."""
     axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def se3(origin: NDArray[np.float64] | None) -> pin.SE3:
-    """A URDF origin (4, 4), the identity where it is None, as Pinocchio has transforms."""
+def se3(origin: Matrix | None) -> pin.SE3:
+    """The transform of a URDF `origin` (4, 4) for Pinocchio; the identity for None."""
     if origin is None:
         return pin.SE3.Identity()
     matrix = np.asarray(origin, dtype=float)
     return pin.SE3(matrix[:3, :3], matrix[:3, 3])
 
 
-def shipped(folder: str) -> Path:
-    """The folder `models` or `scenes` that comes with the package.
+def shipped_folder(folder: str) -> Path:
+    """The `folder` that comes with the package, ``models`` or ``scenes``.
 
     In a wheel it lies inside the package, in a clone beside it.
     """
@@ -134,13 +130,12 @@ def shipped(folder: str) -> Path:
 
 def example_names() -> list[str]:
     """Names that ``example:NAME`` understands, sorted."""
-    own = {path.stem for path in shipped("models").glob("*.urdf")}
+    found = {path.stem for path in shipped_folder("models").glob("*.urdf")}
     root = _example_root()
-    found: set[str] = set()
     if root is not None:
-        found = {path.stem for path in root.glob("*/*/*.urdf")}
+        found |= {path.stem for path in root.glob("*/*/*.urdf")}
         found |= {name for name, rel in _EXAMPLE_ALIASES.items() if (root / rel).is_file()}
-    return sorted(own | found)
+    return sorted(found)
 
 
 def read_urdf(source: str | os.PathLike[str]) -> Urdf:
@@ -153,9 +148,9 @@ def read_urdf(source: str | os.PathLike[str]) -> Urdf:
 
     Raises
     ------
-    RobotError: the file is missing, not XML, not a tree of links and joints, has a
-        joint of a kind that is not supported, no limits, a number that is not
-        finite, or names a mesh that is not there. The message names file and element.
+    RobotError: the file is missing, is not XML, or is not a tree of links and joints; a joint
+        is of a type that is not supported or has no limits; a number is not finite; a mesh
+        does not exist. The message names file and element.
     """
     path = _locate(os.fspath(source))
     try:
@@ -195,7 +190,7 @@ def _locate(source: str) -> Path:
         return path
     if path.is_dir():
         raise RobotError("is a folder, not a URDF file", file=path)
-    own = shipped("models") / path.name
+    own = shipped_folder("models") / path.name
     if path.parent in (Path("models"), Path()) and own.is_file():
         return own
     raise RobotError(
@@ -207,7 +202,7 @@ def _locate(source: str) -> Path:
 
 
 def _locate_example(name: str) -> Path:
-    own = shipped("models") / f"{name}.urdf"
+    own = shipped_folder("models") / f"{name}.urdf"
     if own.is_file():
         return own
     root = _example_root()
@@ -215,23 +210,13 @@ def _locate_example(name: str) -> Path:
         raise RobotError(
             "example-robot-data is not installed", key=f"example:{name}", hint="pip install example-robot-data"
         )
-    alias = _EXAMPLE_ALIASES.get(name)
-    candidates = [root / alias] if alias else []
+    candidates = [root / _EXAMPLE_ALIASES[name]] if name in _EXAMPLE_ALIASES else []
     candidates += sorted(root.glob(f"*/*/{name}.urdf"))
     for candidate in candidates:
         if candidate.is_file():
             return candidate
-    names = example_names()
-    near = nearest_name(name, (*names, *_ALSO_CALLED))
-    shipped_names = [path.stem for path in sorted(shipped("models").glob("*.urdf"))]
-    others = [known for known in names if known not in shipped_names]
-    raise RobotError(
-        "no such example robot",
-        key=f"example:{name}",
-        allowed=f"{', '.join(shipped_names)}, or of example-robot-data "
-        + (f"one of {len(others)} robots" if near else ", ".join(others)),
-        hint=f"did you mean example:{_ALSO_CALLED.get(near, near)}?" if near else "the backhoe is example:backhoe",
-    )
+    problem, key = "no such example robot", f"example:{name}"
+    raise RobotError.unknown_name(problem, name, names=example_names(), key=key, other_words=_ALSO_CALLED)
 
 
 def _example_root() -> Path | None:
@@ -246,6 +231,7 @@ def _example_root() -> Path | None:
 
 
 def _mesh_candidates(uri: str, urdf: Path) -> Iterator[Path]:
+    """The paths at which the file of a mesh may lie, the most likely first."""
     if uri.startswith("package://"):
         package, _, rest = uri.removeprefix("package://").partition("/")
         root = _example_root()
@@ -284,12 +270,11 @@ def _parse_xml(data: bytes, path: Path) -> etree._Element:
 
 def _element_key(element: etree._Element) -> str:
     """Where an element stands, by the names of the link or joint around it."""
-    parts = []
-    node: etree._Element | None = element
-    while node is not None and node.tag != "robot":
-        name = node.get("name")
-        parts.append(f"{node.tag} {name!r}" if name else str(node.tag))
-        node = node.getparent()
+    parts = [
+        f"{node.tag} {node.get('name')!r}" if node.get("name") else str(node.tag)
+        for node in (element, *element.iterancestors())
+        if node.tag != "robot"
+    ]
     return " > ".join(reversed(parts))
 
 
@@ -298,13 +283,7 @@ def _check_numbers(root: etree._Element, path: Path) -> None:
         "xyz", "rpy", "size", "radius", "length", "scale", "value", "lower", "upper", "velocity", "effort",
         "acceleration", "ixx", "ixy", "ixz", "iyy", "iyz", "izz", "damping", "friction", "multiplier", "offset",
     }  # fmt: skip
-    inside = {"link", "joint"}
-    for element in root.iter():
-        if not isinstance(element.tag, str):
-            continue
-        top = next((a.tag for a in element.iterancestors() if a.getparent() is root), element.tag)
-        if top not in inside:
-            continue
+    for element in (part for top in root if top.tag in ("link", "joint") for part in top.iter(etree.Element)):
         for attribute, text in element.attrib.items():
             if attribute not in numeric or (attribute == "value" and element.tag != "mass"):
                 continue
@@ -332,7 +311,7 @@ _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def _check_complete(root: etree._Element, path: Path) -> None:
-    """That shapes and inertias have all their parts; a half one would be dropped silently."""
+    """Check that shapes and inertias have all their parts; yourdfpy drops incomplete ones silently."""
     for link in root.findall("link"):
         for shape in (*link.findall("collision"), *link.findall("visual")):
             geometry = shape.find("geometry")
@@ -405,9 +384,8 @@ def _check_tree(robot: yourdfpy.Robot, path: Path) -> None:
         children[joint.child] = joint.name
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
-        raise RobotError(
-            "the links do not form one tree", file=path, found=f"roots: {', '.join(roots) or 'none (a loop)'}"
-        )
+        found = f"roots: {', '.join(roots) or 'none (a loop)'}"
+        raise RobotError("the links do not form one tree", file=path, found=found)
     try:
         graphlib.TopologicalSorter({joint.child: [joint.parent] for joint in robot.joints}).prepare()
     except graphlib.CycleError as error:
@@ -431,18 +409,16 @@ def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
         if limit.lower is None or limit.upper is None:
             raise RobotError("the <limit> has no lower and upper", file=path, key=key)
         if limit.lower >= limit.upper:
-            raise RobotError(
-                "lower limit is not below upper", file=path, key=key, found=f"lower {limit.lower}, upper {limit.upper}"
-            )
+            found = f"lower {limit.lower}, upper {limit.upper}"
+            raise RobotError("lower limit is not below upper", file=path, key=key, found=found)
     if limit is not None and (limit.velocity is None or limit.effort is None):
         missing = [name for name in ("velocity", "effort") if getattr(limit, name) is None]
         raise RobotError(f"the <limit> has no {' and no '.join(missing)}", file=path, key=key)
 
 
 def _acceleration_limits(root: etree._Element) -> dict[str, float]:
-    limits = {joint.get("name"): joint.find("limit") for joint in root.iter("joint")}
-    given = {name: None if limit is None else limit.get("acceleration") for name, limit in limits.items()}
-    return {name: float(value) for name, value in given.items() if value is not None}
+    limits = root.findall("joint/limit[@acceleration]")
+    return {limit.getparent().get("name"): float(limit.get("acceleration")) for limit in limits}
 
 
 def _check_meshes(urdf: Urdf) -> None:
@@ -452,13 +428,8 @@ def _check_meshes(urdf: Urdf) -> None:
                 mesh = None if shape.geometry is None else shape.geometry.mesh
                 if mesh is None or urdf.mesh_path(mesh.filename) is not None:
                     continue
-                package = mesh.filename.startswith("package://")
-                raise RobotError(
-                    "mesh file not found",
-                    file=urdf.path,
-                    key=f"link {link.name!r} > {kind}",
-                    found=mesh.filename,
-                    hint="the package's folder must be above the URDF or in ROS_PACKAGE_PATH"
-                    if package
-                    else "mesh paths are relative to the URDF",
-                )
+                hint = "mesh paths are relative to the URDF"
+                if mesh.filename.startswith("package://"):
+                    hint = "the package's folder must be above the URDF or in ROS_PACKAGE_PATH"
+                key = f"link {link.name!r} > {kind}"
+                raise RobotError("mesh file not found", file=urdf.path, key=key, found=mesh.filename, hint=hint)

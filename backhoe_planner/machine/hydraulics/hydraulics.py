@@ -12,6 +12,7 @@ Forces push positive, lengths grow positive.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array
+from backhoe_planner.arrays import Array, Flags
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.linkage import Linkage
 
-_CLOSES = 1e-7  # m: an angle whose length is this far off is on another branch
-_BESIDE = 1e-7  # rad: this far beyond the end of the stroke is still the end
+SAME_LENGTH = 1e-7  # m: an angle whose length is further off belongs to another branch; chosen, far above rounding
+_BESIDE = SAME_LENGTH  # rad, at a lever of 1 m: this far beyond the end of the stroke still counts as the end
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class BothWays:
 
     Attributes
     ----------
-    positive: while joints turn forward or are turned forward, or cylinders extend.
-    negative: while joints turn back, or cylinders retract.
+    positive: where a joint turns, or is driven, in its positive direction; where a cylinder extends.
+    negative: in the negative direction; where a cylinder retracts.
     """
 
     positive: Array
@@ -95,7 +96,7 @@ class Hydraulics:
     cylinders: the m cylinders.
     pump_flow: what the pump delivers at most [m^3/s].
     pressure: at which relief valves open [Pa].
-    engine_power: [W]; efficiency: what of it arrives in the oil, 0 to 1.
+    engine_power: [W]; efficiency: the part of it that reaches the oil, 0 to 1.
     """
 
     file: Path
@@ -127,7 +128,7 @@ class Hydraulics:
 
     @property
     def power_limit(self) -> float:
-        """What the engine can put into the oil [W]."""
+        """Power that the engine can give to the oil [W]."""
         return self.efficiency * self.engine_power
 
     @cached_property
@@ -143,19 +144,15 @@ class Hydraulics:
         return np.array([cylinder.flow for cylinder in self.cylinders])
 
     @cached_property
-    def _driven(self) -> NDArray[np.bool_]:
+    def _has_cylinder(self) -> Flags:
         """(n,) which joints a cylinder moves."""
-        driven = np.zeros(len(self.joint_names), dtype=bool)
-        driven[self.joint_of] = True
-        return driven
+        return np.isin(np.arange(len(self.joint_names)), self.joint_of)
 
     # --- geometry ---------------------------------------------------------------
 
     def lengths(self, q: Array) -> Array:
         """(..., m) pin-to-pin lengths [m] at q (..., n)."""
-        q = np.asarray(q, dtype=float)
-        columns = [c.linkage.length(q[..., j]) for c, j in zip(self.cylinders, self.joint_of, strict=True)]
-        return _stacked(columns, q)
+        return self._of_linkages(lambda linkage, angle: linkage.length(angle), q)
 
     def moment_arms(self, q: Array) -> Array:
         """(..., m, n) r = dl/dq [m/rad] at q (..., n)."""
@@ -165,14 +162,14 @@ class Hydraulics:
         return matrix
 
     def joints(self, lengths: Array) -> Array:
-        """(..., n) the joint positions [rad] with these lengths (..., m), the inverse of `lengths`.
+        """(..., n) the joint positions [rad] with these `lengths` (..., m) [m]; the inverse of the method `lengths`.
 
-        Within `joint_range`. Where several cylinders move one joint they must agree: nan
-        where they do not, and where a length is none that the joint's range has.
+        Positions lie within `joint_range`. nan where the cylinders of one joint do not
+        agree, and where no position in the joint's range has this length.
         """
         lengths = np.asarray(lengths, dtype=float)
         q = np.full((*lengths.shape[:-1], len(self.joint_names)), np.nan)
-        for joint in np.flatnonzero(self._driven):
+        for joint in np.flatnonzero(self._has_cylinder):
             mine = np.flatnonzero(self.joint_of == joint)
             own = lengths[..., mine]
             found = np.concatenate([self.cylinders[i].linkage.angles(own[..., k]) for k, i in enumerate(mine)])
@@ -180,7 +177,7 @@ class Hydraulics:
             found = found + 2.0 * np.pi * np.round((0.5 * (lower + upper) - found) / (2.0 * np.pi))
             off = sum(np.abs(self.cylinders[i].linkage.length(found) - own[..., k]) for k, i in enumerate(mine))
             outside = np.maximum(lower - found, found - upper) > _BESIDE
-            off = np.where(np.isnan(off) | outside | (off > _CLOSES), np.inf, off)
+            off = np.where(np.isnan(off) | outside | (off > SAME_LENGTH), np.inf, off)
             best = np.argmin(off, axis=0, keepdims=True)
             value = np.take_along_axis(found, best, axis=0)[0]
             q[..., joint] = np.where(np.isinf(np.take_along_axis(off, best, axis=0)[0]), np.nan, value)
@@ -196,8 +193,8 @@ class Hydraulics:
         for cylinder, (lower, upper) in zip(self.cylinders, self.joint_ranges, strict=True):
             if cylinder.joint == joint:
                 return float(lower), float(upper)
-        driven = list(dict.fromkeys(cylinder.joint for cylinder in self.cylinders))
-        raise InputError.unknown_name("no cylinder moves this joint", joint, names=driven, key="joint")
+        names = dict.fromkeys(cylinder.joint for cylinder in self.cylinders)
+        raise InputError.unknown_name("no cylinder moves this joint", joint, names=names, key="joint")
 
     # --- speed and flow ---------------------------------------------------------
 
@@ -215,10 +212,10 @@ class Hydraulics:
         return np.asarray(np.sum(self.flows(q, v), axis=-1))
 
     def velocity_limits(self, q: Array) -> BothWays:
-        """(..., n) the fastest that each joint can turn either way [rad/s], the others at rest.
+        """(..., n) the greatest speed of each joint either way [rad/s], the others at rest, at q (..., n).
 
-        By what the valve of each of its cylinders passes, and by the pump, which these
-        share; infinite where no cylinder moves the joint or all are at a dead centre.
+        The valves of its cylinders limit it, and the pump that these share. Infinite where
+        no cylinder moves the joint or all of them are at a dead centre.
         """
         arms = self._arms(q)
         sides = []
@@ -243,8 +240,8 @@ class Hydraulics:
     def cylinder_forces(self, q: Array, tau: Array) -> Array:
         """(..., m) the forces F [N] that give the torques tau (..., n) [N m], push positive.
 
-        Where several cylinders move one joint, those of least norm: F = r tau / (r . r).
-        A torque on a joint without a cylinder is none of theirs.
+        Where several cylinders move one joint, the forces of least norm: F = r tau / (r . r).
+        A torque on a joint without a cylinder is ignored.
         """
         arms = self._arms(q)
         share = self._by_joint(arms * arms)[..., self.joint_of]
@@ -252,7 +249,7 @@ class Hydraulics:
             return np.asarray(arms * np.asarray(tau)[..., self.joint_of] / share)
 
     def pressures(self, q: Array, tau: Array) -> Array:
-        """(..., m) pressure [Pa] in the chamber that bears the torques tau (..., n) [N m].
+        """(..., m) pressure [Pa] in the chamber that bears the torques tau (..., n) [N m] at q (..., n).
 
         The other chamber is at tank pressure, 0.
         """
@@ -260,30 +257,30 @@ class Hydraulics:
         return np.asarray(np.abs(force) / np.where(force > 0.0, self._cap, self._annulus))
 
     def torque_limits(self, q: Array) -> BothWays:
-        """(..., n) the greatest joint torque either way at relief pressure [N m].
+        """(..., n) the greatest joint torque either way at relief pressure [N m], at q (..., n).
 
-        Every cylinder of a joint helps, each from the side on which it does. Infinite
-        where no cylinder moves the joint.
+        All cylinders of a joint act together, each by pushing or pulling as its lever asks.
+        Infinite where no cylinder moves the joint.
         """
         arms = self._arms(q)
         push, pull = self.force_limits.positive, self.force_limits.negative
         sides = []
         for sign in (1.0, -1.0):
             limit = self._by_joint(np.abs(arms) * np.where(sign * arms > 0.0, push, pull))
-            sides.append(np.where(self._driven, limit, np.inf))
+            sides.append(np.where(self._has_cylinder, limit, np.inf))
         return BothWays(*sides)
 
     # --- power ------------------------------------------------------------------
 
     def power(self, q: Array, v: Array, tau: Array) -> Array:
-        """(...) what the oil must put in: the sum of p A |l'| [W], 0 for loads that drive their cylinder.
+        """(...) power that the oil must deliver: the sum of p A |l'| [W]; a load that drives its cylinder counts as 0.
 
         At q, v (..., n) with the torques tau (..., n) [N m]; to be kept within `power_limit`.
         """
         return np.asarray(np.sum(self._driving_pressures(q, v, tau) * self.flows(q, v), axis=-1))
 
     def load_sensing_power(self, q: Array, v: Array, tau: Array) -> Array:
-        """(...) what a load-sensing pump puts in: the highest pressure asked for times the whole flow [W].
+        """(...) power of a load-sensing pump: the highest pressure that is needed, times the whole flow [W].
 
         At q, v (..., n) with the torques tau (..., n) [N m]. Flow to the lighter loads is
         throttled down from that pressure, so it is never less than `power`.
@@ -298,9 +295,14 @@ class Hydraulics:
 
     def _arms(self, q: Array) -> Array:
         """(..., m) dl/dq of each cylinder along its own joint [m/rad]."""
-        q = np.asarray(q, dtype=float)
-        columns = [c.linkage.arm(q[..., j]) for c, j in zip(self.cylinders, self.joint_of, strict=True)]
-        return _stacked(columns, q)
+        return self._of_linkages(lambda linkage, angle: linkage.arm(angle), q)
+
+    def _of_linkages(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
+        """(..., m) what `compute` says of each cylinder's linkage at its joint's angle, at q (..., n)."""
+        found = np.empty((*np.shape(q)[:-1], len(self.cylinders)))
+        for column, (cylinder, joint) in enumerate(zip(self.cylinders, self.joint_of, strict=True)):
+            found[..., column] = compute(cylinder.linkage, np.asarray(q, dtype=float)[..., joint])
+        return found
 
     def _by_joint(self, values: Array) -> Array:
         """(..., n) sums of (..., m) over the cylinders of each joint."""
@@ -308,7 +310,3 @@ class Hydraulics:
         for i, joint in enumerate(self.joint_of):
             total[..., joint] += values[..., i]
         return total
-
-
-def _stacked(columns: list[Array], q: Array) -> Array:
-    return np.stack(columns, axis=-1) if columns else np.zeros((*q.shape[:-1], 0))

@@ -3,7 +3,7 @@
 Everything lies in the plane across the joint's axis, with the axis at the origin and
 angles positive about it. Two linkages are known: a cylinder straight across the joint
 (`Triangle`), and one that turns a rocker whose link turns the joint (`FourBar`), as on a
-bucket. Both map either way, and are vectorised over angles of any shape.
+bucket. Both give the length of an angle and the angles of a length, for arrays of any shape.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy as np
 
 from backhoe_planner.arrays import Array
 
-_ROUNDING = 1e-9  # a cosine this far beyond 1 is 1
+_ROUNDING = 1e-9  # a cosine this far beyond 1 is 1 but for rounding; chosen, well above that of some ten operations
 
 
 class Linkage(Protocol):
-    """What a cylinder needs to know of the pins between which it lies."""
+    """How a cylinder's length depends on its joint's angle; angles [rad] of any shape."""
 
     @property
     def length_range(self) -> tuple[float, float]:

@@ -2,10 +2,10 @@
 
 The iteration is the paper's (q <- q + J^+ (x* - x(q))), with the damping of
 Levenberg and Marquardt chosen from the error (Sugihara 2011, "Solvability-Unconcerned
-Inverse Kinematics by the Levenberg-Marquardt Method"), and with joints that push
-against a limit taken out of the step. `solve_batch` runs it for many targets at once, each
-from a guess of the caller. `solve_inverse_kinematics` runs it for one target with
-restarts, and finds the nearest pose where the target is out of reach.
+Inverse Kinematics by the Levenberg-Marquardt Method"). Joints that push against a limit
+are left out of the step. `solve_batch` runs it for many targets at once, each from a guess
+of the caller. `solve_inverse_kinematics` runs it for one target with restarts, and finds
+the nearest pose where the target is out of reach.
 """
 
 from __future__ import annotations
@@ -13,24 +13,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from backhoe_planner.arrays import Array, Vector
+from backhoe_planner.arrays import Array, Flags, Vector
 from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, Kinematics
 from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, movable_rows
 from backhoe_planner.machine.robot import Robot
 
-Mask = NDArray[np.bool_]
-
-_ITERATIONS = 40  # most converge quadratically, in few; near singular postures the damping makes it many
-_ITERATIONS_OF_ONE = 60  # one target is given up less soon, since nothing else will find it
-_LARGEST_STEP = 0.6  # rad or m: further from where it was taken, the Jacobian is another
-_STALLED_AT = 0.98  # of the squared error before: a step that leaves more is no progress
+_ITERATIONS = 40  # steps; most searches converge quadratically in a few, near singular postures damping slows them
+_ITERATIONS_OF_ONE = 60  # steps: a single target is given up later, since nothing else will find it
+_LARGEST_STEP = 0.6  # rad or m; chosen: over longer steps the Jacobian changes too much to be followed
+_STALLED_AT = 0.98  # part of the squared error: a step that leaves more of it is no progress; chosen
 _MOST_STALLED = 8  # such steps in a row; fewer would end searches that slide along a limit
-_DAMPING = 0.1  # of the squared error, which is taken as 0.01 at most (Sugihara's weight)
-_SETTLED = 6  # of the attempts that did not arrive, the best are led on to their nearest pose
-_ANGLE_WEIGHT = 1.0  # m per rad: a radian counts as a metre while converging
+_DAMPING = 0.1  # times the squared error (Sugihara's weight)
+_MOST_DAMPED_ERROR = 1e-2  # squared error beyond which the damping does not grow; chosen, an error of 0.1 m
+_LEAST_DAMPING = 1e-12  # keeps the equations solvable where no joint can move a row
+_SETTLED = 6  # attempts: where none arrives, so many of the best are led on to their nearest pose; chosen
+_ANGLE_WEIGHT = 1.0  # m per rad, in choosing among attempts: as in the squared error, a radian counts as a metre
 
 
 @dataclass(frozen=True)
@@ -62,15 +61,15 @@ def solve_inverse_kinematics(
     attempts: int = 60,
     tolerance: float = 1e-8,
 ) -> InverseKinematics:
-    """A configuration within the limits that puts the tip on `target`.
+    """A configuration within the limits that puts the tip on `target`, or the nearest that is found.
 
     Parameters
     ----------
     robot: the machine whose tip is placed.
     target: position, and pitch or orientation where asked.
     start: (n,) where the first attempt begins [rad or m]; the middle of the ranges by default.
-    rng: draws the other starting points; seeded with 0 by default.
-    attempts: the most starting points.
+    rng: draws the other starting points; by default one that is seeded with 0.
+    attempts: the greatest number of starting points.
     tolerance: on the position error [m] and the angle error [rad].
     """
     kinematics, batch = Kinematics(robot), BatchKinematics(robot)
@@ -103,8 +102,8 @@ def solve_inverse_kinematics(
 def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector:
     """(n,) where the squared error is least near `start`.
 
-    Newton-Raphson crawls there: with an error that stays large, its J^T J is far from
-    the second derivative of the squared error.
+    Newton-Raphson would crawl: where the error stays large, J^T J is far from the second
+    derivative of the squared error.
     """
     limits = kinematics.robot.limits
 
@@ -131,7 +130,7 @@ def solve_batch(
     *,
     tolerance: float = 1e-8,
     iterations: int = _ITERATIONS,
-) -> tuple[Array, Mask]:
+) -> tuple[Array, Flags]:
     """Configurations within the limits that put the tip on B targets, each searched from its own guess.
 
     Nothing is restarted: the caller chooses the guesses, so that one batch yields all
@@ -143,7 +142,7 @@ def solve_batch(
     targets: B of them.
     guesses: (B, n) where each search begins [rad or m]; brought into the limits.
     tolerance: on the norm of the position error [m] and the angle errors [rad] together.
-    iterations: the most steps of one search.
+    iterations: the greatest number of steps of one search.
 
     Returns
     -------
@@ -179,9 +178,9 @@ def solve_batch(
 
 
 def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) -> Array:
-    """(B, n) damped Newton steps; joints that a step drives beyond a limit at which they stand are taken out."""
+    """(B, n) damped Newton steps [rad or m], without the joints that would leave a limit at which they stand."""
     cost = np.einsum("bi,bi->b", error, error)
-    damping = np.minimum(cost, 1e-2) * _DAMPING + 1e-12
+    damping = np.minimum(cost, _MOST_DAMPED_ERROR) * _DAMPING + _LEAST_DAMPING
     step = np.zeros_like(q)
     free = np.ones(q.shape, dtype=bool)
     todo = np.arange(len(q))

@@ -1,9 +1,9 @@
 """Forward kinematics, of one configuration and of many at once.
 
 Owning a `Configuration` is evidence that everything in it belongs to its `q`. Pinocchio
-computes it. A `ConfigurationBatch` holds the same for B configurations. It takes one array
-operation per joint for the whole batch: a few microseconds for each configuration where
-thousands are looked at together. Tests hold the two to each other.
+computes it. A `ConfigurationBatch` holds the same for B configurations. It is computed with
+one array operation per joint for the whole batch, a few microseconds per configuration in a
+batch of thousands. Tests compare the two.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.robot import Robot
 
@@ -23,7 +22,7 @@ _Angle = TypeVar("_Angle", float, Array)
 
 
 def wrap_angle(angle: _Angle) -> _Angle:
-    """`angle` [rad], one or an array, brought into [-pi, pi)."""
+    """`angle` [rad], a number or an array, brought into [-pi, pi)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
@@ -64,7 +63,7 @@ class Configuration:
     def pitch(self) -> float:
         """Angle of the line bucket pin to tip above the horizontal [rad], up positive.
 
-        Taken in the plane across the last joint's axis; for the backhoe it equals
+        Measured in the plane across the last joint's axis; for the backhoe it equals
         boom + stick + bucket, up to whole turns.
 
         Raises
@@ -91,9 +90,9 @@ class Configuration:
 
 
 class Kinematics:
-    """Forward kinematics of one robot, with working memory of its own.
+    """Forward kinematics of one robot.
 
-    Do not share one between threads; make one each.
+    It owns its working memory: do not share one between threads.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -107,8 +106,7 @@ class Kinematics:
         pin.computeJointJacobians(robot.model, data, q)
         T_world_tip = pin.updateFramePlacement(robot.model, data, robot.tip_frame).copy()
         jacobian = pin.getFrameJacobian(robot.model, data, robot.tip_frame, pin.LOCAL_WORLD_ALIGNED)
-        if robot.n == 1:  # comes back 1-D
-            jacobian = jacobian.reshape(6, 1)
+        jacobian = jacobian.reshape(6, robot.n)  # of one joint alone it is 1-D
         points = [data.oMi[joint].translation for joint in self._joints]
         points.append(T_world_tip.translation)
         own_q = np.array(q, dtype=float)
@@ -138,7 +136,7 @@ class ConfigurationBatch:
     axes: Array
     origins: Array
     rotations: Array
-    prismatic: NDArray[np.bool_]
+    prismatic: Flags
     pitch_sense: float
 
     def __len__(self) -> int:
@@ -147,7 +145,7 @@ class ConfigurationBatch:
     def position_jacobian(self) -> Array:
         """(B, 3, n) of the tip's position, in world axes [m/rad]."""
         arm = self.tip_position[:, None, :] - self.origins
-        turning = _cross(self.axes, arm)
+        turning = np.cross(self.axes, arm)
         columns = np.where(self.prismatic[None, :, None], self.axes, turning)
         return np.swapaxes(columns, 1, 2)
 
@@ -219,15 +217,3 @@ class BatchKinematics:
             prismatic=self.robot.prismatic,
             pitch_sense=self._sense,
         )
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """The cross product over the last axis."""
-    return np.stack(
-        (
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ),
-        axis=-1,
-    )

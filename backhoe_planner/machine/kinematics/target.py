@@ -1,19 +1,16 @@
-"""Where the tip is to be: a position, and perhaps a pitch or an orientation; of one target or of many."""
+"""Where the tip is to be: a position, perhaps with a pitch or an orientation; one target or many."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
-
-Mask = NDArray[np.bool_]
 
 _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
@@ -25,7 +22,7 @@ class TipTarget:
     Attributes
     ----------
     position: (3,) [m], world.
-    pitch: (low, high) [rad], equal where one angle is asked; None where it is free.
+    pitch: (low, high) [rad], equal where one angle is asked for; None where it is free.
     rotation: (3, 3) R_world_tip; None where orientation is free.
     """
 
@@ -42,7 +39,7 @@ class TipTarget:
         return float(np.sign(off) * max(abs(off) - 0.5 * (high - low), 0.0))
 
     def error(self, at: Configuration) -> Vector:
-        """(m,) what is missing: target minus actual, position [m] then angles [rad].
+        """(m,) target minus actual at a configuration: position [m], then angles [rad].
 
         Rows: 3 of position; then 1 of pitch (0 inside the asked range) or 3 of the
         rotation vector, in world axes.
@@ -54,8 +51,16 @@ class TipTarget:
             rows.append(np.array([-self.pitch_excess(at.pitch)]))
         return np.concatenate(rows)
 
+    def turn_to(self, other: TipTarget) -> float:
+        """The angle between the orientations, or the middle pitches, of two targets [rad]; 0 where one has none."""
+        if self.rotation is not None and other.rotation is not None:
+            return float(np.linalg.norm(pin.log3(self.rotation.T @ other.rotation)))
+        if self.pitch is not None and other.pitch is not None:
+            return abs(wrap_angle(0.5 * sum(other.pitch) - 0.5 * sum(self.pitch)))
+        return 0.0
+
     def jacobian(self, at: Configuration) -> Matrix:
-        """(m, n) so that, to first order, jacobian @ dq reduces `error` by as much."""
+        """(m, n) of `error` at a configuration: to first order, a step dq reduces the error by jacobian @ dq."""
         if self.rotation is not None:
             return at.jacobian
         if self.pitch is not None:
@@ -63,7 +68,7 @@ class TipTarget:
         return at.jacobian[:3]
 
     def distances(self, at: Configuration) -> tuple[float, float]:
-        """(position error [m], angle error [rad])."""
+        """Position error [m] and angle error [rad] at a configuration, both 0 or more."""
         error = self.error(at)
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
@@ -75,72 +80,70 @@ class TargetBatch:
     Attributes
     ----------
     position: (B, 3) [m], world.
-    rotation: (B, 3, 3) R_world_tip; the identity where `turned` is false.
-    turned: (B,) whether the orientation is asked.
-    pitch_middle, pitch_half: (B,) the asked range of the pitch [rad].
-    pitched: (B,) whether a pitch is asked.
+    rotation: (B, 3, 3) R_world_tip; the identity where `has_rotation` is false.
+    has_rotation: (B,) whether an orientation is asked for.
+    pitch_middle, pitch_half: (B,) middle and half width of the asked range of the pitch [rad].
+    has_pitch: (B,) whether a pitch is asked for.
     """
 
     position: Array
     rotation: Array
-    turned: Mask
+    has_rotation: Flags
     pitch_middle: Array
     pitch_half: Array
-    pitched: Mask
+    has_pitch: Flags
 
     @classmethod
     def of(cls, targets: Sequence[TipTarget]) -> TargetBatch:
         """The same targets as one batch."""
         ranges = [target.pitch for target in targets]
-        turned = np.array([target.rotation is not None for target in targets], dtype=bool)
+        has_rotation = np.array([target.rotation is not None for target in targets], dtype=bool)
         return cls(
             position=np.array([target.position for target in targets]).reshape(-1, 3),
             rotation=np.array([np.eye(3) if t.rotation is None else t.rotation for t in targets]).reshape(-1, 3, 3),
-            turned=turned,
+            has_rotation=has_rotation,
             pitch_middle=np.array([0.0 if r is None else 0.5 * (r[0] + r[1]) for r in ranges]),
             pitch_half=np.array([0.0 if r is None else 0.5 * (r[1] - r[0]) for r in ranges]),
-            # where both are given the orientation says it all, as in `TipTarget`
-            pitched=np.array([r is not None for r in ranges], dtype=bool) & ~turned,
+            # where both are given, the orientation decides, as in `TipTarget`
+            has_pitch=np.array([r is not None for r in ranges], dtype=bool) & ~has_rotation,
         )
 
     def __len__(self) -> int:
         return len(self.position)
 
-    def take(self, rows: NDArray[np.intp] | Mask) -> TargetBatch:
+    def take(self, rows: Indices | Flags) -> TargetBatch:
         """The targets at `rows`."""
         return TargetBatch(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def at_pitch(self, pitch: Array) -> TargetBatch:
         """The same positions, each with exactly the `pitch` (B,) [rad]."""
-        return TargetBatch(
-            self.position, self.rotation, np.zeros(len(self), dtype=bool),
-            np.array(pitch), np.zeros(len(self)), np.ones(len(self), dtype=bool),
-        )  # fmt: skip
+        yes, no, zero = np.ones(len(self), dtype=bool), np.zeros(len(self), dtype=bool), np.zeros(len(self))
+        return replace(self, has_rotation=no, pitch_middle=np.array(pitch), pitch_half=zero, has_pitch=yes)
 
     def errors(self, at: ConfigurationBatch) -> Array:
-        """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not asked."""
+        """(B, 7) target minus actual: position [m], rotation vector [rad], pitch [rad]; 0 where not asked for."""
         found = np.zeros((len(self), 7))
         found[:, :3] = self.position - at.tip_position
-        if self.turned.any():
+        if self.has_rotation.any():
             turn = Rotation.from_matrix(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2))
-            found[:, 3:6] = np.where(self.turned[:, None], turn.as_rotvec(), 0.0)
-        if self.pitched.any():
+            found[:, 3:6] = np.where(self.has_rotation[:, None], turn.as_rotvec(), 0.0)
+        if self.has_pitch.any():
             off = wrap_angle(at.pitch() - self.pitch_middle)
             excess = np.sign(off) * np.maximum(np.abs(off) - self.pitch_half, 0.0)
-            found[:, 6] = np.where(self.pitched, -excess, 0.0)
+            found[:, 6] = np.where(self.has_pitch, -excess, 0.0)
         return found
 
     def jacobians(self, at: ConfigurationBatch) -> Array:
-        """(B, 7, n) of `errors`: to first order, jacobian @ dq reduces the error by as much."""
+        """(B, 7, n) of `errors`: to first order, a step dq reduces an error by jacobian @ dq."""
         found = np.zeros((len(self), 7, at.q.shape[1]))
         found[:, :3] = at.position_jacobian()
-        if self.turned.any():
-            found[:, 3:6] = np.where(self.turned[:, None, None], at.rotation_jacobian(), 0.0)
-        if self.pitched.any():
-            found[:, 6] = np.where(self.pitched[:, None], at.pitch_rows(), 0.0)
+        if self.has_rotation.any():
+            found[:, 3:6] = np.where(self.has_rotation[:, None, None], at.rotation_jacobian(), 0.0)
+        if self.has_pitch.any():
+            found[:, 6] = np.where(self.has_pitch[:, None], at.pitch_rows(), 0.0)
         return found
 
 
-def movable_rows(jacobian: Matrix) -> NDArray[np.bool_]:
-    """(..., m) which rows of a task's Jacobian (..., m, n) any joint can move at all; z on a planar arm is none."""
+def movable_rows(jacobian: Matrix) -> Flags:
+    """(..., m) which rows of a task's Jacobian (..., m, n) any joint can move; the z of a planar arm is not one."""
     return np.asarray(np.max(np.abs(jacobian), axis=-1) > _IMMOVABLE)

@@ -1,9 +1,9 @@
-"""Solids as sets of convex pieces that never miss a point of the solid.
+"""Solids as sets of convex pieces that contain every point of the solid.
 
-Distances between convex pieces are exact and cheap; a plain convex hull would
-close a bucket's cavity, and a plain convex decomposition may shave off a corner.
-`convex_cover` takes the decomposition (V-HACD, through trimesh's own dependency)
-and grows its pieces until every triangle of the mesh lies inside one of them.
+Distances between convex pieces are exact and cheap. A plain convex hull would close a
+bucket's cavity, and a plain convex decomposition may cut off a corner. So `convex_cover`
+takes a decomposition (by V-HACD) and grows its pieces until every triangle of the mesh lies
+inside one of them.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from backhoe_planner.machine.shape.shapes import hull, is_flat
 
 Cells = NDArray[np.int64]
 
-_RESOLUTION = 60_000  # voxels in which V-HACD looks at a mesh: cells of 2.5 % of a cube's edge
-_CORNERS = 48  # of one piece at most: distances take time by their corners
-_FURTHEST = 1e7  # m from the origin of a mesh: as far as map coordinates go
+_RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge
+_CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with them
+_FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
 
 
 def load_mesh(path: Path) -> trimesh.Trimesh:
-    """One triangle mesh from a file (STL, OBJ, PLY, DAE, ...), as its author placed it.
+    """One triangle mesh from a file (STL, OBJ, PLY, DAE, ...), with all its parts placed as in the file.
 
     Raises
     ------
@@ -57,17 +57,17 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
     Parameters
     ----------
     mesh: any triangle mesh, closed or not [m].
-    pieces: the most pieces the decomposition may use.
-    excess: a mesh whose convex hull has at most this times its volume is taken whole.
+    pieces: the greatest number of pieces in the decomposition.
+    excess: a mesh whose convex hull has at most so many times its volume becomes one piece, its hull.
 
     Returns
     -------
-    One (k, 3) array of hull vertices per piece, in the frame of the mesh; one piece a
-    little thicker than the mesh where that is flat.
+    One (k, 3) array of hull vertices per piece [m], in the frame of the mesh. A flat mesh
+    becomes one piece that is a little thicker.
 
     Raises
     ------
-    InputError: the mesh reaches further than any map.
+    InputError: the mesh reaches further than 1e7 m from its origin.
     """
     vertices = np.asarray(mesh.vertices, dtype=float)
     faces = np.asarray(mesh.faces)
@@ -92,7 +92,7 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
 
 
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[Matrix]:
-    """Add each triangle that sticks out to the piece that it sticks out of least."""
+    """Corners (k, 3) of each hull after it took in the `triangles` (m, 3, 3) that stick out of it least of all."""
     outside = np.stack(
         [np.max(triangles @ part.equations[:, :3].T + part.equations[:, 3], axis=(1, 2)) for part in hulls]
     )
@@ -106,7 +106,7 @@ def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[Ma
 
 
 def voxel_boxes(points: Matrix, resolution: float) -> list[tuple[Matrix, Matrix]]:
-    """Boxes that fill exactly the voxels in which a point lies.
+    """Boxes that together are exactly the voxels in which a point lies.
 
     Neighbouring voxels are merged into larger boxes, first along x, then y, then z.
 
@@ -127,7 +127,7 @@ def voxel_boxes(points: Matrix, resolution: float) -> list[tuple[Matrix, Matrix]
 
 
 def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells]:
-    """Boxes of cells (N, 3), with those that continue each other along an axis made one."""
+    """Boxes of cells (N, 3), after joining those that continue each other along an axis."""
     across = np.column_stack([values[:, i] for values in (corner, extent) for i in range(3) if i != axis])
     order = np.lexsort((corner[:, axis], *across.T))
     corner, extent, across = corner[order], extent[order], across[order]
@@ -140,17 +140,17 @@ def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells
 
 
 def terrain_columns(heights: Matrix, size: tuple[float, float], *, tolerance: float, depth: float) -> list[Matrix]:
-    """Convex columns under a height map, none of whose surface is left uncovered.
+    """Corners (k, 3) of convex columns that together fill the ground under a height map [m].
 
-    Blocks of cells are merged as long as the hull of their surface points rises at
-    most `tolerance` above the surface at any grid point.
+    Blocks of cells become one column where the hull of their surface points rises at most
+    `tolerance` above the surface at every grid point.
 
     Parameters
     ----------
     heights: (rows, columns) [m]; rows run along y, columns along x, both ascending,
         and the map is centred on the origin.
     size: extent in x and y [m].
-    tolerance: how much of the ground's roughness may be filled up [m].
+    tolerance: how deep a hollow may be filled up [m].
     depth: how far below the lowest point the columns reach [m].
     """
     rows, columns = heights.shape
@@ -170,12 +170,9 @@ def terrain_columns(heights: Matrix, size: tuple[float, float], *, tolerance: fl
             around = hull(np.vstack((top, base)))
             found.append(around.points[around.vertices])
             continue
-        if r1 - r0 >= c1 - c0:
-            middle = (r0 + r1) // 2
-            stack += [(r0, middle, c0, c1), (middle, r1, c0, c1)]
-        else:
-            middle = (c0 + c1) // 2
-            stack += [(r0, r1, c0, middle), (r0, r1, middle, c1)]
+        row, column = (r0 + r1) // 2, (c0 + c1) // 2
+        by_rows = r1 - r0 >= c1 - c0
+        stack += [(r0, row, c0, c1), (row, r1, c0, c1)] if by_rows else [(r0, r1, c0, column), (r0, r1, column, c1)]
     return found
 
 

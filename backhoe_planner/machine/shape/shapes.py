@@ -16,18 +16,18 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 
-_SIDES = 32  # of the prism around a cylinder: 1 / cos(pi / 32) is 0.49 % more than its radius
-_FLAT = 1e-6  # of the largest extent, and in metres: thinner is flat to what builds hulls
-_THICKNESS = 1e-3  # m given to what is flat
-_THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is more
-_FAR = 1e3  # largest extents from the origin: beyond, digits are missing in the shape
+_SIDES = 32  # of the prism around a cylinder: its corners are 1 / cos(pi / 32) = 1.0049 radii from the axis
+_FLAT = 1e-6  # m, or part of the largest extent where that is more: Qhull cannot build hulls of thinner points
+_THICKNESS = 1e-3  # m given to flat points; chosen, small beside any clearance
+_THICKNESS_OF_SIZE = 1e-5  # or this part of the largest extent, where that is more: ten times `_FLAT`
+_FAR = 1e3  # largest extents from the origin: beyond, too few digits are left for the shape
 _NONSENSE = -1e7  # m: no two shapes are this deep inside each other
-_CONTACT = 1e-9  # m: nearer to touching than this, coal's first answer is not believed
-_TOLERANCE = 1e-12  # m, of coal's iterations: gradients are compared with differences of 1e-6 rad
-_LOOSER = (1e-10, 1e-9, 1e-6)  # m, tried in turn where the first answer is in doubt
-_ITERATIONS = 256  # at most; twice coal's default, for that tolerance
+_CONTACT = 1e-9  # m: distances below this are measured again, see `measure_again`
+_TOLERANCE = 1e-12  # m, of coal's iterations: tests compare gradients with differences over 1e-6 rad
+_LOOSER = (1e-10, 1e-9, 1e-6)  # m, tolerances tried in turn where the first answer is in doubt
+_ITERATIONS = 256  # at most: twice coal's default, for that tolerance
 _Result = TypeVar("_Result", bound=Any)
 
 
@@ -46,20 +46,21 @@ class Piece:
 
     shape: coal.CollisionGeometry
     placement: pin.SE3
-    hull: Vector
+    hull: Matrix
     radius: float = 0.0
 
 
-def _piece(shape: coal.CollisionGeometry, placement: pin.SE3, points: Vector, radius: float = 0.0) -> Piece:
+def _piece(shape: coal.CollisionGeometry, placement: pin.SE3, points: Matrix, radius: float = 0.0) -> Piece:
+    """A piece bounded by balls of `radius` around `points` (k, 3) [m] in the shape's frame."""
     hull = points @ placement.rotation.T + placement.translation
     hull.setflags(write=False)
     return Piece(shape=shape, placement=placement, hull=hull, radius=radius)
 
 
 def box(size: Vector, placement: pin.SE3) -> Piece:
-    """A box of full edge lengths `size` (3,) [m], centred on its frame."""
-    signs = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    return _piece(coal.Box(*(float(edge) for edge in size)), placement, signs * np.asarray(size, dtype=float))
+    """A box with the edge lengths `size` (3,) [m] along its own axes, centred at `placement` T_body_box."""
+    half = 0.5 * np.asarray(size, dtype=float)
+    return _piece(coal.Box(*(float(edge) for edge in size)), placement, _box_corners(-half, half))
 
 
 def sphere(radius: float, placement: pin.SE3) -> Piece:
@@ -68,17 +69,17 @@ def sphere(radius: float, placement: pin.SE3) -> Piece:
 
 
 def capsule(radius: float, length: float, placement: pin.SE3) -> Piece:
-    """All points within `radius` of a segment of `length` along z, centred [m]."""
+    """All points within `radius` [m] of a segment of `length` [m] along z, centred at `placement` T_body_capsule."""
     ends = np.array([[0.0, 0.0, -length / 2.0], [0.0, 0.0, length / 2.0]])
     return _piece(coal.Capsule(float(radius), float(length)), placement, ends, float(radius))
 
 
 def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
-    """A cylinder of full `length` along z, centred [m].
+    """A cylinder of `radius` [m] and `length` [m] along z, centred at `placement` T_body_cylinder.
 
-    Measured as the regular prism of 32 sides around it, which is at most 0.49 % of
-    the radius larger: coal's iterations on a round rim stop short of the precision
-    that gradients need (and in penetration may not converge), on a polytope they end.
+    It is measured as the regular prism of 32 sides around it, which is larger by at most
+    0.49 % of the radius. On a round rim coal's iterations stop short of the precision that
+    gradients need, and in penetration they may not converge; on a polytope they end.
     """
     angle = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     around = radius / np.cos(np.pi / _SIDES)
@@ -87,8 +88,8 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
     return convex(np.vstack(ends), placement)
 
 
-def convex(points: Vector, placement: pin.SE3) -> Piece:
-    """The convex hull of (k, 3) points [m] in the piece's frame; of what is flat, see `thickened`."""
+def convex(points: Matrix, placement: pin.SE3) -> Piece:
+    """The convex hull of `points` (k, 3) [m] in the frame at `placement` T_body_hull; flat ones are thickened."""
     points = np.asarray(points, dtype=float)
     centre = points.mean(axis=0)
     if np.linalg.norm(centre) > _FAR * np.max(np.ptp(points, axis=0)):
@@ -103,21 +104,21 @@ def convex(points: Vector, placement: pin.SE3) -> Piece:
     inward = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), around.equations[:, :3]) < 0.0
     for a, b, c in numbers[np.where(inward[:, None], around.simplices[:, ::-1], around.simplices)].tolist():
         triangles.append(coal.Triangle(a, b, c))
-    # not by coal's own hull, which ends the process where Qhull has an error
+    # coal could build the hull itself, but ends the process where Qhull reports an error
     return _piece(coal.Convex(corners, triangles), placement, around.points)
 
 
-def is_flat(points: Vector) -> bool:
-    """Whether (k, 3) points [m] lie in one plane, line or point to within what a hull can be built of."""
+def is_flat(points: Matrix) -> bool:
+    """Whether `points` (k, 3) [m] lie so nearly in one plane, line or point that no hull can be built of them."""
     extents = np.ptp(points @ _axes(points).T, axis=0)
     return len(points) < 4 or bool(np.min(extents) < _FLAT * max(1.0, float(np.max(extents))))
 
 
-def thickened(points: Vector) -> Vector:
-    """Corners (k, 3) of the flat prism, or the thin box, around (k, 3) points that are flat [m].
+def thicken(points: Matrix) -> Matrix:
+    """(c, 3) corners of the flat prism, or of the thin box, around flat `points` (k, 3) [m].
 
-    It reaches half a millimetre beyond them across each direction in which they are flat,
-    or 5e-6 of the largest extent, where that is more.
+    In each direction in which the points are flat, it reaches half a millimetre beyond them to
+    either side, or 5e-6 of their largest extent, where that is more.
     """
     axes = _axes(points)
     along = points @ axes.T
@@ -134,32 +135,32 @@ def thickened(points: Vector) -> Vector:
     return prism @ axes
 
 
-def _axes(points: Vector) -> Vector:
-    """(3, 3) the principal axes of points, one in each row."""
+def _axes(points: Matrix) -> Matrix:
+    """(3, 3) the principal axes of points (k, 3), one in each row."""
     return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=len(points) < 3)[2])
 
 
-def _outline(points: Vector) -> Vector | None:
-    """The corners of the convex hull of (k, 2) points in order, None where it cannot be built."""
+def _outline(points: Matrix) -> Matrix | None:
+    """(c, 2) corners of the convex hull of points (k, 2) in order; None where it cannot be built."""
     try:
         return np.asarray(points[ConvexHull(points).vertices])
     except QhullError:
         return None
 
 
-def _box_corners(low: Vector, high: Vector) -> Vector:
+def _box_corners(low: Vector, high: Vector) -> Matrix:
     return np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
 
 
-def hull(points: Vector) -> ConvexHull:
-    """The convex hull of (k, 3) points [m], changed as little as Qhull needs to build one; of flat ones, thickened."""
+def hull(points: Matrix) -> ConvexHull:
+    """The convex hull of `points` (k, 3) [m]; flat ones are thickened, and those that Qhull rejects are rounded."""
     if is_flat(points):
-        points = thickened(points)
+        points = thicken(points)
     size = float(np.max(np.ptp(points, axis=0)))
     centre = points.mean(axis=0)
     for merged_within in (0.0, 1e-9 * size, 1e-7 * size):
         apart = points
-        if merged_within:  # points that nearly coincide are what it runs into
+        if merged_within:  # Qhull fails on points that nearly coincide
             apart = centre + merged_within * np.unique(np.round((points - centre) / merged_within), axis=0)
         with contextlib.suppress(QhullError):
             return ConvexHull(apart)
@@ -169,34 +170,34 @@ def hull(points: Vector) -> ConvexHull:
 
 
 def halfspace(point: Vector, normal: Vector) -> Piece:
-    """Solid where (x - point) . normal < 0; `normal` is a unit vector."""
+    """Solid where (x - point) . normal < 0: `point` (3,) [m] on its face, `normal` (3,) the unit vector out of it."""
     shape = coal.Halfspace(np.asarray(normal, dtype=float), float(np.dot(normal, point)))
     return Piece(shape=shape, placement=pin.SE3.Identity(), hull=np.zeros((0, 3)))
 
 
-def transform(rotation: Vector, translation: Vector) -> coal.Transform3s:
-    """T_world_shape as coal wants it, of rotation (3, 3) and translation (3,) [m]."""
+def transform(rotation: Matrix, translation: Vector) -> coal.Transform3s:
+    """T_world_shape for coal, of `rotation` (3, 3) and `translation` (3,) [m]."""
     return coal.Transform3s(rotation, translation)
 
 
 def prepare(request: coal.DistanceRequest) -> None:
-    """Have coal iterate until distances are right to 1e-12 m."""
+    """Set a `request` so that coal iterates until distances are right to 1e-12 m."""
     request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
     request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
 
 
 def in_doubt(distance: Any) -> Any:
-    """Whether coal's answer, one distance or an array [m], is to be measured again: touching, absurdly deep, or nan."""
+    """Whether to measure again what coal gave as a `distance` [m], a number or an array: 0, absurdly deep, or nan."""
     return (abs(distance) <= _CONTACT) | (distance <= _NONSENSE) | (distance != distance)
 
 
 def measure_again(request: coal.DistanceRequest, measure: Callable[[], _Result]) -> _Result:
     """The result of `measure`, which calls coal with `request`, at looser tolerances.
 
-    Where faces are flush to within the tolerance, coal's iterations can end early:
-    without a depth, saying minus infinity, or at a distance of 1e-12 m between
-    boxes that are half a metre inside each other. If a looser tolerance gives no
-    depth either, the shapes touch to within rounding, and the distance is 0.
+    Where faces are flush to within the tolerance, coal's iterations can end early: with a
+    depth of infinity, or with a distance of 1e-12 m between boxes that are half a metre
+    inside each other. If looser tolerances give no depth either, the shapes touch to within
+    rounding, and the distance is 0.
     """
     try:
         for tolerance in _LOOSER:

@@ -163,7 +163,7 @@ class PathLayers:
             return np.zeros(1)
         count = int(np.ceil(2.0 * np.pi / self._grid))
         values = -np.pi + 2.0 * np.pi * np.arange(count) / count
-        if not batch.pitched[row]:
+        if not batch.has_pitch[row]:
             return values
         middle, half = float(batch.pitch_middle[row]), float(batch.pitch_half[row])
         if half >= np.pi:

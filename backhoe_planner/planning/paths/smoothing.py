@@ -104,8 +104,8 @@ def _cost(weights: Vector, q: Matrix) -> float:
 def strict_targets(targets: TargetBatch) -> TargetBatch:
     """The targets without the pitch ranges: only what must be met exactly."""
     return TargetBatch(
-        targets.position, targets.rotation, targets.turned, targets.pitch_middle, targets.pitch_half,
-        targets.pitched & (targets.pitch_half < 1e-9),
+        targets.position, targets.rotation, targets.has_rotation, targets.pitch_middle, targets.pitch_half,
+        targets.has_pitch & (targets.pitch_half < 1e-9),
     )  # fmt: skip
 
 

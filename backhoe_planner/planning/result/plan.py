@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import InputError, PlanFileError, RobotError
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, load_robot, shipped
+from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, load_robot, shipped_folder
 from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
 from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import Metrics
@@ -221,7 +221,7 @@ def _source(robot: Robot, folder: Path | None) -> str:
     path = robot.urdf.path.resolve()
     if robot.urdf.source.startswith("example:"):
         return robot.urdf.source
-    return f"example:{path.stem}" if path.parent == shipped("models").resolve() else _relative(path, folder)
+    return f"example:{path.stem}" if path.parent == shipped_folder("models").resolve() else _relative(path, folder)
 
 
 def _locate(source: str, file: Path) -> str:
