@@ -27,7 +27,7 @@ from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
 from backhoe_planner.proof import segment_is_clear
-from backhoe_planner.site import Obstacle, Obstruction, Proximity, swept
+from backhoe_planner.site import Obstacle, Obstruction, Proximity, sweep
 
 _Reply = tuple[Outcome, str, float | None]  # how the motion goes on, in a word, and when the machine stands [s]
 
@@ -208,7 +208,7 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
 def _swept_world(known: World, since: float, horizon: float) -> World:
     """The world with standing obstacles, and with all the space that moving ones take up for `horizon` [s]."""
     obstacles = known.proximity.obstacles
-    return known.among([swept(o, since, since + horizon) if o.moves else _from_the_beginning(o) for o in obstacles])
+    return known.among([sweep(o, since, since + horizon) if o.moves else _from_the_beginning(o) for o in obstacles])
 
 
 def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:

@@ -7,7 +7,7 @@ from .obstacle_shapes import HalfSpace as HalfSpace
 from .obstacles import Obstacle as Obstacle
 from .obstacles import build_obstacle as build_obstacle
 from .obstacles import build_obstacles as build_obstacles
-from .obstacles import swept as swept
+from .obstacles import sweep as sweep
 from .obstruction import Obstruction as Obstruction
 from .proximity import Nearby as Nearby
 from .proximity import Proximity as Proximity

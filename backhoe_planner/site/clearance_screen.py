@@ -1,26 +1,24 @@
 """Which of many configurations keep every clearance.
 
-The links are covered by balls. For a whole batch of configurations it is computed at
-once how far each ball is from the box around each obstacle; only pairs for which that
-does not decide are measured, the most doubtful first, and the first that is too near
-ends it.
+Balls cover the links. Their distances from the boxes around the obstacles are computed at
+once for a whole batch of configurations. Only pairs for which these do not decide are
+measured, the most doubtful first, until one is too near.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, ConfigurationBatch, Piece
 from backhoe_planner.site.proximity import Proximity
 
-_PORTION = 2_000_000  # numbers in one array at most
-_MOST_BALLS = 8  # around one piece
+_PORTION = 2_000_000  # numbers in one array at most: 16 MB
+_MOST_BALLS = 8  # that cover one piece; chosen: more are tighter, and take longer
 
 
 class ClearanceScreen:
-    """Screens configurations for one set of distances, whose working memory it uses."""
+    """Screens configurations with one `Proximity`, whose working memory it uses."""
 
     def __init__(self, proximity: Proximity) -> None:
         self._proximity = proximity
@@ -33,7 +31,7 @@ class ClearanceScreen:
         self._joint = np.repeat(np.array([piece.joint for piece in robot.pieces], dtype=int), np.diff(self._first))
         self._boxes = [[_box(piece) for piece in obstacle.pieces] for obstacle in proximity.obstacles]
 
-    def keeps(self, q: Matrix, *, time: float = 0.0, spare: float = 0.0) -> NDArray[np.bool_]:
+    def keeps(self, q: Matrix, *, time: float = 0.0, spare: float = 0.0) -> Flags:
         """(N,) whether each of `q` (N, n) keeps every clearance and `spare` [m] at `time` [s]."""
         proximity = self._proximity
         least = proximity.clearance + spare
@@ -51,7 +49,7 @@ class ClearanceScreen:
         return found
 
     def lower_bounds(self, q: Matrix, *, time: float = 0.0) -> Matrix:
-        """(N, P) bounds below all distances [m] at q (N, n), `time` [s]; infinite before an obstacle appears."""
+        """(N, P) lower bounds of all distances [m] at q (N, n), `time` [s]; infinite before an obstacle appears."""
         proximity = self._proximity
         centres = self._ball_centres(self._kinematics.at(q))
         found = np.full((len(q), len(proximity.pairs)), -np.inf)
@@ -77,7 +75,7 @@ class ClearanceScreen:
         return found
 
     def _off_box(self, centres: Array, owner: int, part: int, time: float) -> Matrix:
-        """(N, S) signed distance of every ball's centre from the box around one piece of an obstacle."""
+        """(N, S) signed distance of every ball's centre from the box around one piece of an obstacle [m]."""
         box = self._boxes[owner][part]
         shift = self._proximity.obstacle_offset(owner, time)
         if box is None:  # a half-space
@@ -91,7 +89,7 @@ class ClearanceScreen:
         return np.asarray(outside + np.minimum(np.max(off, axis=2), 0.0) - radius)
 
     def _ball_centres(self, at: ConfigurationBatch) -> Array:
-        """(N, S, 3) [m], world."""
+        """(N, S, 3) centres of all balls [m], world."""
         fixed = self._joint == 0
         joint = np.maximum(self._joint - 1, 0)
         moved = np.einsum("bsij,sj->bsi", at.rotations[:, joint], self._centres) + at.origins[:, joint]
@@ -112,7 +110,10 @@ def _balls(piece: Piece) -> tuple[Matrix, float]:
 
 
 def _box(piece: Piece) -> tuple[Matrix, Vector, Vector, float] | None:
-    """The box in the piece's own axes around its hull: R, middle (3,), half edges (3,) [m], and what it bulges by."""
+    """The box around a piece's hull in its own axes: R (3, 3), middle (3,), half edges (3,), and radius [m].
+
+    None for a half-space.
+    """
     if not len(piece.hull):
         return None
     R = piece.placement.rotation

@@ -1,4 +1,4 @@
-"""What a scene leaves of the machine's limits."""
+"""The machine's limits within one scene."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from backhoe_planner.site.scene_file import Scene, SwingSector
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
-    """The machine's limits with the scene's velocity scale, accelerations and swing sectors.
+    """The machine's limits after the scene's velocity scale, accelerations and swing sectors.
 
     Raises
     ------
     SceneError: a swing sector leaves the first joint no room, or the first joint slides.
     """
     own = robot.limits
-    acceleration = np.array(own.acceleration)
-    for index, name in enumerate(robot.joint_names):
-        acceleration[index] = scene.limits.acceleration.get(name, acceleration[index])
+    given = scene.limits.acceleration
+    pairs = zip(robot.joint_names, own.acceleration.tolist(), strict=True)
+    acceleration = np.array([given.get(name, value) for name, value in pairs])
     lower, upper = own.lower.copy(), own.upper.copy()
     for index, zone in enumerate(scene.zones):
         if not isinstance(zone, SwingSector):
@@ -44,7 +44,7 @@ def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
 
 
 def within_sectors(robot: Robot, scene: Scene) -> Robot:
-    """The machine with its first joint's range cut down to the scene's swing sectors; itself where there is none."""
+    """The machine with its first joint limited to the scene's swing sectors; itself where there is none."""
     if not any(isinstance(zone, SwingSector) for zone in scene.zones):
         return robot
     limits = scaled_limits(robot, scene)

@@ -30,14 +30,14 @@ from backhoe_planner.site.quantities import (
 )
 from backhoe_planner.site.survey_files import read_heights, read_points
 
-_TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up: what a bucket's teeth leave behind
+_TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up; chosen, about what a bucket's teeth leave behind
 _TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep
-_FLATTEST = 1e-5  # of the radius: a flatter cylinder's prism is flat to what builds hulls
+_FLATTEST = 1e-5  # of the radius: no hull can be built of a flatter prism
 _ONE_POINT = 1e-9  # m: a shorter axis has no direction
 
 
 class ObstacleRecord(Record):
-    """What every obstacle has."""
+    """The keys that every obstacle has."""
 
     name: Annotated[str, Field(min_length=1)]
     """Unique; appears in reports and in the viewer."""

@@ -21,7 +21,7 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import obstacle_shapes
 from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
 
-_MOST_PIECES = 20_000  # of one obstacle: with the 20 pieces of a machine they make 400,000 pairs
+_MOST_PIECES = 20_000  # of one obstacle; chosen: with the 20 pieces of a machine that is 400,000 pairs
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Obstacle:
 
     @property
     def slow(self) -> float:
-        """Within this distance beyond the clearance the servo goes slower [m]."""
+        """The distance beyond the clearance within which the servo goes slower [m]."""
         return 0.0 if self.zone is None else self.zone.slow_distance - self.zone.stop
 
     @property
@@ -61,11 +61,11 @@ class Obstacle:
 
 
 def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
-    """Every obstacle of a scene, then every zone that is solid, checked against the machine's link names.
+    """Every obstacle of a scene, then every zone that is solid; `links` are checked against the machine.
 
     Raises
     ------
-    SceneError: a file is missing, empty or malformed, or `links` names no link.
+    SceneError: a file is missing, empty or malformed, or an entry of `links` is no link.
     """
     built = []
     solids: list[tuple[str, obstacle_shapes.ObstacleSpec, ZoneSpec | None]]
@@ -73,29 +73,33 @@ def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
     for index, zone in enumerate(scene.zones):
         if not isinstance(zone, SwingSector):
             solids.append((f"zones[{index}] ({zone.name})", zone.solid(), zone))
-    for key, spec, record in solids:
+    for key, spec, of_zone in solids:
         for link in spec.links or ():
             if link not in robot.all_link_names:
                 raise SceneError.unknown_name(
                     "the machine has no such link", link, names=robot.link_names, file=scene.file, key=f"{key}.links"
                 )
         try:
-            found = build_obstacle(spec, folder=scene.folder, clearance=scene.clearance)
-            built.append(found if record is None else replace(found, zone=record))
-        except SceneError:
-            raise
+            built.append(build_obstacle(spec, folder=scene.folder, clearance=scene.clearance, zone=of_zone))
         except InputError as error:
             raise SceneError(str(error), file=scene.file, key=f"{key}.file") from error
     return tuple(built)
 
 
-def build_obstacle(spec: obstacle_shapes.ObstacleSpec, *, folder: Path, clearance: float) -> Obstacle:
-    """One obstacle.
+def build_obstacle(
+    spec: obstacle_shapes.ObstacleSpec, *, folder: Path, clearance: float, zone: ZoneSpec | None = None
+) -> Obstacle:
+    """One obstacle, from its record.
 
     Parameters
     ----------
     folder: where its file is looked for.
     clearance: for an obstacle that has none of its own [m].
+    zone: of which it is the solid, if of any.
+
+    Raises
+    ------
+    InputError: its file is missing, empty or malformed, or it has too many pieces.
     """
     pieces = spec.pieces(folder)
     if len(pieces) > _MOST_PIECES:
@@ -116,30 +120,32 @@ def build_obstacle(spec: obstacle_shapes.ObstacleSpec, *, folder: Path, clearanc
         appears_at=spec.appears_at,
         velocity=velocity,
         spec=spec,
+        zone=zone,
     )
 
 
-def swept(obstacle: Obstacle, start: float, end: float) -> Obstacle:
-    """All the space that an obstacle takes up from time `start` to `end` [s], standing still.
+def sweep(obstacle: Obstacle, start: float, end: float) -> Obstacle:
+    """An obstacle at rest that contains all the space `obstacle` takes up from time `start` to `end` [s].
 
-    What bulges is taken a little larger: the hull of a ball's circumscribed octahedra.
+    Round pieces become a little larger: a ball counts as the octahedron around it.
     """
     ways = [obstacle.velocity * max(moment - obstacle.appears_at, 0.0) for moment in (start, end)]
     return replace(
         obstacle,
-        pieces=tuple(_swept_piece(piece, *ways) for piece in obstacle.pieces),
+        pieces=tuple(_sweep_piece(piece, *ways) for piece in obstacle.pieces),
         appears_at=0.0,
         velocity=np.zeros(3),
     )
 
 
-def _swept_piece(piece: shapes.Piece, start: Vector, end: Vector) -> shapes.Piece:
+def _sweep_piece(piece: shapes.Piece, start: Vector, end: Vector) -> shapes.Piece:
+    """A convex piece that contains `piece` on its way from offset `start` to `end` (3,) [m]."""
     if not len(piece.hull):  # a half-space: the further of the two holds both
         normal = np.asarray(piece.shape.n)
         further = end if float((end - start) @ normal) > 0.0 else start
         return replace(piece, placement=pin.SE3(piece.placement.rotation, piece.placement.translation + further))
-    around = (
-        piece.radius * np.sqrt(3.0) * np.vstack((np.eye(3), -np.eye(3))) if piece.radius > 0.0 else np.zeros((1, 3))
-    )
+    around = np.zeros((1, 3))
+    if piece.radius > 0.0:
+        around = piece.radius * np.sqrt(3.0) * np.vstack((np.eye(3), -np.eye(3)))
     points = (piece.hull[:, None, :] + around[None, :, :]).reshape(-1, 3)
     return shapes.convex(np.vstack((points + start, points + end)), pin.SE3.Identity())

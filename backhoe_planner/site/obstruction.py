@@ -24,7 +24,7 @@ class Obstruction:
         gives the proven lower bound.
     margin: `distance` minus the clearance that must be kept [m]; of a joint, `distance`.
     time: when [s]; 0 where nothing moves.
-    path_from, path_to: the part of the path that it is about [m]; None where it is about none.
+    path_from, path_to: the part of the path that it concerns [m]; None where it concerns none.
     """
 
     kind: ObstructionKind

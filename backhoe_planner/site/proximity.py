@@ -1,17 +1,16 @@
-"""Signed distances, critical points and their gradients, for all that may touch.
+"""Signed distances, critical points and their gradients, of all pairs that may touch.
 
-Every pair (piece of a link, piece of an obstacle), and every pair of the machine's own
-pieces that may meet, has one row. The gradient of the signed distance is
+Every pair of a piece of a link and a piece of an obstacle has one row, and so has every pair
+of the machine's own pieces that may meet. The gradient of the signed distance is
 
     dd/dq = n . (J_2 - J_1)
 
-with coal's own normal n (from the link to the obstacle, inside too) and the Jacobians
-J_1, J_2 of the two witness points. A normal made from the witness points would flip
-its sign inside.
+with coal's own normal n (from the link to the obstacle, also inside) and the Jacobians
+J_1, J_2 of the two witness points. A normal made from the witness points would change its
+sign inside.
 
-Broad phase: a pair that was d apart is at least d - sum_j |dq_j| r_j apart after the
-joints moved by dq, so pairs that are still provably out of reach
-are not measured again.
+Broad phase: a pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints
+moved by dq, so pairs that are provably still out of reach are not measured again.
 """
 
 from __future__ import annotations
@@ -22,15 +21,12 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import Robot, geometry_model, self_pairs, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -59,7 +55,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Nearby:
-    """Pairs within the asked distance, one row each, in the order of the pairs.
+    """The pairs within a distance, one row each, in the order of `Proximity.pairs`.
 
     Attributes
     ----------
@@ -81,29 +77,36 @@ class Nearby:
     point_obstacle: Matrix
     gradient: Matrix
     drift: Vector
-    moves: NDArray[np.bool_]
+    moves: Flags
 
     def __len__(self) -> int:
         return len(self.pair)
 
-    def only(self, rows: NDArray[np.bool_]) -> Nearby:
+    def only(self, rows: Flags) -> Nearby:
         """The rows for which `rows` (K,) is true."""
         return Nearby(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 class Proximity:
-    """All distances between one machine, itself, and a set of obstacles.
+    """All distances between one machine and a set of obstacles, and between its own parts.
 
     It owns its working memory: do not share one between threads.
 
+    Parameters
+    ----------
+    robot, obstacles: the machine and what stands around it.
+    self_collision: whether the machine's own parts are measured, too.
+
     Attributes
     ----------
-    pairs: what is measured; indices into it appear in the results.
+    pairs: the P pairs that are measured; results hold indices into them.
     clearance: (P,) of every pair [m].
-    travel: (P, n) r of every pair: |dq| @ travel bounds how much the distance changes.
+    travel: (P, n) r of every pair: travel @ |dq| bounds how much the distance changes.
     speed: (P,) of the obstacle [m/s].
     owner: (P,) index of the obstacle, -1 for the machine itself.
-    second: (P,) index of the other body's piece: of the obstacle's, or of the machine's own.
+    second: (P,) index of the other body's piece, in the obstacle's pieces or in the machine's.
+    appears_at: (P,) when the obstacle appears [s]; minus infinity for the machine itself.
+    measured: how many distances `at` has measured so far.
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle] = (), *, self_collision: bool = True) -> None:
@@ -111,13 +114,10 @@ class Proximity:
         self.obstacles = tuple(obstacles)
         self._model = geometry_model(robot)
         self._data = robot.model.createData()
-        radii = travel_bounds(robot)
         pairs: list[Pair] = []
-        travel: list[Vector] = []
-        owner: list[int] = []  # index of the obstacle, -1 for the machine itself
-        other: list[int] = []  # joint of the second body
+        owner: list[int] = []
+        second: list[int] = []
         self._first_geometry: list[int] = []  # of each obstacle
-        second: list[int] = []  # part of the obstacle, or the machine's other piece
         for index, obstacle in enumerate(self.obstacles):
             self._first_geometry.append(int(self._model.ngeoms))
             for part, piece in enumerate(obstacle.pieces):
@@ -129,31 +129,28 @@ class Proximity:
                         continue
                     self._model.addCollisionPair(pin.CollisionPair(row, geometry))
                     pairs.append(Pair(link_piece.link, "obstacle", obstacle.name, row, obstacle.clearance))
-                    travel.append(radii[row])
                     owner.append(index)
-                    other.append(0)
                     second.append(part)
         for a, b in self_pairs(robot) if self_collision else ():
             # the one further out is the link, the other what it must not touch
             outer, inner = (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
             self._model.addCollisionPair(pin.CollisionPair(outer, inner))
             pairs.append(Pair(robot.pieces[outer].link, "machine", robot.pieces[inner].link, outer, 0.0))
-            shared = robot.support[robot.pieces[inner].joint] > 0.0
-            travel.append(np.where(shared, 0.0, radii[outer]))
             owner.append(-1)
-            other.append(robot.pieces[inner].joint)
             second.append(inner)
-        self.pairs = tuple(pairs)
-        count = len(pairs)
-        self.travel = np.array(travel).reshape(count, robot.n)
+        self.pairs, self.second = tuple(pairs), tuple(second)
         self.clearance = np.array([pair.clearance for pair in pairs])
         self.owner = np.array(owner, dtype=int)
-        self.second = tuple(second)
-        self._other_joint = np.array(other, dtype=int)
-        joint_of = np.array([robot.pieces[pair.piece].joint for pair in pairs], dtype=int)
-        self._moves = robot.support[joint_of] > 0.0
-        self._minus_mask_link = -robot.support[joint_of]
+        first = np.array([pair.piece for pair in pairs], dtype=int)
+        joint_of = np.array([own.joint for own in robot.pieces], dtype=int)
+        self._other_joint = np.array(
+            [0 if index >= 0 else joint_of[inner] for index, inner in zip(owner, second, strict=True)], dtype=int
+        )
+        self._moves = robot.support[joint_of[first]] > 0.0
+        self._minus_mask_link = -robot.support[joint_of[first]]
         self._mask_other = robot.support[self._other_joint]
+        # joints that move both bodies do not change their distance
+        self.travel = np.where(self._mask_other > 0.0, 0.0, travel_bounds(robot)[first])
         velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
         self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
         self.speed = np.linalg.norm(self._velocity, axis=1)
@@ -164,9 +161,9 @@ class Proximity:
         self._geometry = self._model.createData()
         for request in self._geometry.distanceRequests:
             shapes.prepare(request)
-        self._time = 0.0
-        self._bound = np.full(count, -np.inf)
-        self._q_bound = np.zeros(robot.n)
+        self._time = 0.0  # for which obstacles are placed
+        # from the last measurement: lower bounds of all distances, and where and when they were found
+        self._bound, self._q_bound, self._bound_time = np.full(len(pairs), -np.inf), np.zeros(robot.n), 0.0
         self.measured = 0
 
     @property
@@ -175,7 +172,7 @@ class Proximity:
         return self._model, self._geometry
 
     def at(self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf) -> Nearby:
-        """Everything near at configuration `q` (n,) and `time` [s].
+        """The pairs that are near at configuration `q` (n,) and `time` [s].
 
         Obstacles that have not appeared by `time` are left out.
 
@@ -210,20 +207,18 @@ class Proximity:
         return bool(self._bound_time == time and (self._q_bound == q).all())
 
     def stays_clear(self, q: Vector, *, time: float = 0.0) -> bool:
-        """Whether every clearance provably holds on the way to `q` without measuring anew.
+        """Whether the last measurement proves that every clearance holds on the straight way from there to `q`.
 
-        The way begins where something was measured last. False says nothing.
+        False says nothing. The way ends at `time` [s].
         """
         return bool((self._lower(q, time) >= self.clearance).all())
 
     def _lower(self, q: Vector, time: float) -> Vector:
-        """(P,) what is known of each distance from the last measurement alone [m]."""
+        """(P,) lower bounds of the distances from the last measurement alone [m]."""
         lower = self._bound - self.travel @ np.abs(q - self._q_bound)
         if self._moving:
             lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
         return np.asarray(lower)
-
-    _bound_time = 0.0
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
         """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears."""
@@ -245,13 +240,13 @@ class Proximity:
         distance = float(distances[index])
         return self.pairs[index].at(distance, time=time) if np.isfinite(distance) else None
 
-    def lower_bounds(self, q: Vector, *, time: float, floor: Vector) -> tuple[Vector, NDArray[np.bool_]]:
+    def lower_bounds(self, q: Vector, *, time: float, floor: Vector) -> tuple[Vector, Flags]:
         """Signed distances, measured only where they may be below `floor`.
 
         Parameters
         ----------
         q: (n,) joint positions [rad or m]; time: of the site [s].
-        floor: (P,) above which a lower bound is good enough [m].
+        floor: (P,) a lower bound above this is good enough [m].
 
         Returns
         -------
@@ -272,12 +267,12 @@ class Proximity:
         return float(self._measure(pair).min_distance)
 
     def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
-        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], of obstacles to come too."""
+        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear."""
         self._place(q, time)
         return np.array([self._measure(index).min_distance for index in pairs.tolist()])
 
     def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
-        """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; the first that is not ends it."""
+        """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; stops at the first less."""
         if not len(pairs):
             return True
         self._place(q, time)
@@ -313,7 +308,7 @@ class Proximity:
         pin.updateGeometryPlacements(self.robot.model, self._data, self._model, self._geometry)
 
     def _rows(self, found: list[int], results: list[Any]) -> Nearby:
-        # a handful of rows: floats in a list cost less than arrays row by row
+        # for a handful of rows, one list of floats costs less than several arrays per row
         flat: list[float] = []
         for result in results:
             nx, ny, nz = result.normal.tolist()
@@ -339,4 +334,5 @@ class Proximity:
 
 
 def _age(time: float, appears_at: Vector) -> Vector:
+    """(P,) how long obstacles have been there at `time` [s]."""
     return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)

@@ -1,4 +1,4 @@
-"""Numbers as a scene file may hold them, and orientations made of them."""
+"""The numbers that a scene file may hold, and orientations made of them."""
 
 from __future__ import annotations
 
@@ -7,22 +7,25 @@ from typing import Annotated
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from pydantic import Field
 
+from backhoe_planner.arrays import Matrix
+
+LARGEST = 1e5  # m, kg, s, ...: no site is larger, and products of a few such numbers are finite
 # strict: neither true nor "0.3" is a number
-LARGEST = 1e5  # m, kg, s, ...: no site is larger, and products of a few such numbers are still finite
 Finite = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_nan=False)]
-_SMALLEST = 1e-6  # m: distances are measured to 1e-9 m; a thinner body is rounding to them
+_SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is too near to that
 Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 PitchRange = tuple[Finite, Finite]
 AnyLength = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 
-_ROUNDING = 1e-14  # a length this near 1 is 1: what was normalised once stays as it is
+_ROUNDING = 1e-14  # a length this near 1 is 1, so that what was normalised once stays as it is
+_UNIT_WITHIN = 1e-3  # a quaternion is given to three decimals or more; further off it is a mistake
+_NO_LENGTH = 1e-12  # of a normal, in any unit: shorter is 0 but for rounding
 
 
 def unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
@@ -30,7 +33,7 @@ def unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
     if quaternion is None:
         return None
     norm = math.hypot(*quaternion)
-    if abs(norm - 1.0) > 1e-3:
+    if abs(norm - 1.0) > _UNIT_WITHIN:
         raise ValueError(f"a quaternion [w, x, y, z] has length 1, this one {norm:.4g}")
     if abs(norm - 1.0) < _ROUNDING:
         return quaternion
@@ -38,8 +41,8 @@ def unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
     return (w, x, y, z)
 
 
-def rotation_matrix(rpy: Vector3 | None, quaternion: Quaternion | None) -> NDArray[np.float64] | None:
-    """(3, 3) of roll, pitch, yaw [rad] or of a unit quaternion [w, x, y, z]; None of neither."""
+def rotation_matrix(rpy: Vector3 | None, quaternion: Quaternion | None) -> Matrix | None:
+    """(3, 3) of `rpy`, roll, pitch and yaw [rad], or of a unit `quaternion` [w, x, y, z]; None where both are None."""
     if quaternion is not None:
         w, x, y, z = quaternion
         return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
@@ -51,7 +54,7 @@ def rotation_matrix(rpy: Vector3 | None, quaternion: Quaternion | None) -> NDArr
 def direction(vector: Vector3) -> Vector3:
     """A vector of any length but 0, brought to length 1; ValueError where it is shorter than 1e-12."""
     norm = math.hypot(*vector)
-    if norm < 1e-12:
+    if norm < _NO_LENGTH:
         raise ValueError("a normal of length 0 has no direction")
     if abs(norm - 1.0) < _ROUNDING:
         return vector

@@ -1,13 +1,14 @@
 """The scene file: what the machine is to do, and what stands around it.
 
-The models below are the schema; `scene_schema` prints it, `load_scene` checks a file
-against it. What exists as a `Scene` is valid in itself; whether it fits a machine is
-checked when the two meet.
+The records below are the schema; `scene_schema` gives it as JSON Schema, `load_scene` checks
+a file against it. A `Scene` is valid in itself; `motion.build_problem` checks whether it fits
+a machine.
 """
 
 from __future__ import annotations
 
 import csv
+import io
 import math
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
@@ -15,18 +16,15 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, field_validator, model_validator
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.files.records import Record, describe, exactly_one, explain
+from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
-from backhoe_planner.machine import shipped_folder
-from backhoe_planner.site.obstacle_shapes import (
-    Box,
-    HalfSpace,
-    ObstacleSpec,
-)
+from backhoe_planner.machine import TipTarget, shipped_folder
+from backhoe_planner.site.obstacle_shapes import Box, HalfSpace, ObstacleSpec
 from backhoe_planner.site.quantities import (
     AnyLength,
     Finite,
@@ -40,6 +38,10 @@ from backhoe_planner.site.quantities import (
     rotation_matrix,
     unit_quaternion,
 )
+
+_SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
+_ONE_POINT = 1e-6  # m: two points of a wall nearer to each other give it no direction; chosen
+_AT_ORIGIN = 1e-3  # m: a wall nearer to the origin runs through the machine; chosen
 
 
 class Pose(Record):
@@ -75,9 +77,14 @@ class Pose(Record):
         return self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
 
     @property
-    def rotation(self) -> NDArray[np.float64] | None:
+    def rotation(self) -> Matrix | None:
         """(3, 3) R_world_tip, or None where free."""
         return rotation_matrix(self.rpy, self.quaternion)
+
+    @property
+    def target(self) -> TipTarget:
+        """The pose as a target of the tip."""
+        return TipTarget(position=np.array(self.position), pitch=self.pitch_range, rotation=self.rotation)
 
 
 class Goal(Pose):
@@ -117,7 +124,7 @@ class PathTask(Record):
 
     @model_validator(mode="after")
     def _some_length(self) -> PathTask:
-        if self.speed is not None and self.speed < 1e-4:
+        if self.speed is not None and self.speed < _SLOWEST:
             raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
         if self.waypoints is not None:
             if len(self.waypoints) < 2:
@@ -184,7 +191,7 @@ class _SolidZone(_Zone):
 
     @abstractmethod
     def solid(self) -> HalfSpace | Box:
-        """What the zone forbids, as an obstacle whose clearance is the stop distance."""
+        """The space that the zone forbids, as an obstacle whose clearance is the stop distance."""
 
     def _beyond(self, point: Vector3, normal: Vector3) -> HalfSpace:
         return HalfSpace(
@@ -250,9 +257,9 @@ class Wall(_SolidZone):
         if self.start is not None and self.end is not None:
             (ax, ay), (bx, by) = self.start, self.end
             length = math.hypot(bx - ax, by - ay)
-            if length < 1e-6:
+            if length < _ONE_POINT:
                 raise ValueError("from and to are one point")
-            if abs(ax * (by - ay) - ay * (bx - ax)) / length < 1e-3:
+            if abs(ax * (by - ay) - ay * (bx - ax)) / length < _AT_ORIGIN:
                 raise ValueError(
                     "a wall through the origin, where the machine stands, has no side of the machine: "
                     "give point and normal"
@@ -471,7 +478,11 @@ def scene_from_dict(
     ----------
     content: keys and values as in a scene file.
     folder: where files that the scene names are looked for.
-    file, lines: for messages, the file it came from and the line of every key.
+    file, lines: for messages: the file it came from, and the line of every key.
+
+    Raises
+    ------
+    SceneError: names the key's path, what was found, and what is allowed.
     """
     try:
         scene = Scene.model_validate(content)
@@ -509,70 +520,55 @@ _OBSTACLE: TypeAdapter[Any] = TypeAdapter(ObstacleSpec)
 
 # --- the path file ------------------------------------------------------------
 
+_POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
+_COLUMNS = (*_POSITION, "pitch", *_QUATERNION)
+
 
 def _read_path_file(path: Path) -> Iterator[Waypoint]:
-    quaternion = ("qw", "qx", "qy", "qz")
-    for number, row in read_csv_table(path, required=("x", "y", "z"), optional=("pitch", *quaternion)):
-        orientation: dict[str, Any] = {}
-        if "pitch" in row:
-            orientation["pitch"] = row["pitch"]
-        if any(key in row for key in quaternion):
-            missing = [key for key in quaternion if key not in row]
-            if missing:
-                raise SceneError(f"a column is missing: {', '.join(missing)}", file=path, key="header")
-            orientation["quaternion"] = tuple(row[key] for key in quaternion)
-        try:
-            yield Waypoint(position=(row["x"], row["y"], row["z"]), **orientation)
-        except ValidationError as error:
-            raise SceneError(describe(error.errors()[0]), file=path, key=f"line {number}") from None
-
-
-def read_csv_table(
-    path: Path, *, required: tuple[str, ...], optional: tuple[str, ...]
-) -> list[tuple[int, dict[str, float]]]:
-    """(line number, values by column) of every row of a CSV with a header.
+    """The waypoints of a CSV with a header.
 
     Raises
     ------
-    SceneError: no such file, no header, unknown column, a cell that is not a finite
-        number, fewer than two rows.
+    SceneError: no such file, no header, an unknown or a missing column, a cell that is not a
+        finite number, a row that is no waypoint, fewer than two rows.
     """
+    text = read_text(path, what="path", error=SceneError)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = [(number, row) for number, row in enumerate(csv.reader(stream), start=1) if any(map(str.strip, row))]
-    except FileNotFoundError:
-        raise SceneError("no such path file", file=path) from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = [(f"line {number}", row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1)]
+    except csv.Error as error:
         raise SceneError(f"cannot be read: {error}", file=path) from error
-    if not rows:
-        raise SceneError("the path file is empty", file=path)
-    header = [cell.strip() for cell in rows[0][1]]
-    allowed = (*required, *optional)
+    (_, header), *rows = [(line, [cell.strip() for cell in row]) for line, row in rows if any(map(str.strip, row))]
     for column in header:
-        if column not in allowed:
-            raise SceneError("unknown column", file=path, key="header", found=column, allowed=", ".join(allowed))
-    for column in required:
-        if column not in header:
-            raise SceneError("a column is missing", file=path, key="header", found=",".join(header), allowed=column)
-    twice = [column for column in allowed if header.count(column) > 1]
+        if column not in _COLUMNS:
+            raise SceneError.unknown_name("unknown column", column, names=_COLUMNS, file=path, key="header")
+    turned = any(column in header for column in _QUATERNION)
+    missing = [column for column in (*_POSITION, *(_QUATERNION if turned else ())) if column not in header]
+    if missing:
+        raise SceneError(f"a column is missing: {', '.join(missing)}", file=path, key="header", found=",".join(header))
+    twice = [column for column in _COLUMNS if header.count(column) > 1]
     if twice:
         raise SceneError("a column stands twice", file=path, key="header", found=", ".join(twice))
-    table = []
-    for number, row in rows[1:]:
+    if len(rows) < 2:
+        raise SceneError("a path needs at least 2 waypoints", file=path, found=str(len(rows)))
+    for line, row in rows:
         if len(row) != len(header):
-            raise SceneError(f"has {len(row)} cells, the header {len(header)}", file=path, key=f"line {number}")
-        values = {}
-        for column, cell in zip(header, row, strict=True):
-            try:
-                value = float(cell)
-            except ValueError:
-                raise SceneError(
-                    "is not a number", file=path, key=f"line {number}, {column}", found=repr(cell)
-                ) from None
-            if not math.isfinite(value):
-                raise SceneError("is not finite", file=path, key=f"line {number}, {column}", found=cell)
-            values[column] = value
-        table.append((number, values))
-    if len(table) < 2:
-        raise SceneError("a path needs at least 2 waypoints", file=path, found=f"{len(table)}")
-    return table
+            raise SceneError(f"has {len(row)} cells, the header {len(header)}", file=path, key=line)
+        values = {column: _number(cell, path, f"{line}, {column}") for column, cell in zip(header, row, strict=True)}
+        quaternion = tuple(values[key] for key in _QUATERNION) if turned else None
+        position = tuple(values[key] for key in _POSITION)
+        try:
+            yield Waypoint.model_validate(
+                {"position": position, "pitch": values.get("pitch"), "quaternion": quaternion}
+            )
+        except ValidationError as error:
+            raise SceneError(describe(error.errors()[0]), file=path, key=line) from None
+
+
+def _number(cell: str, path: Path, key: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        raise SceneError("is not a number", file=path, key=key, found=repr(cell)) from None
+    if not math.isfinite(value):
+        raise SceneError("is not finite", file=path, key=key, found=cell)
+    return value

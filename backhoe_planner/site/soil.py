@@ -12,12 +12,12 @@ soil and on the blade, and alpha the rake (0 a blade lying flat, pi/2 upright),
     N_a = (1 - cot alpha cot(beta + phi)) / D
 
 (A. R. Reece, The fundamental equation of earth-moving mechanics, Proc. IMechE 179, 1964;
-E. McKyes, Soil Cutting and Tillage, 1985.) The soil fails where it resists least: beta
-makes F smallest. F lies at the angle delta to the blade's normal; adhesion c_a w d / sin
-alpha acts along the blade besides.
+E. McKyes, Soil Cutting and Tillage, 1985.) The soil fails where it resists least: beta is
+the angle that makes F smallest. F lies at the angle delta to the blade's normal; in addition
+adhesion c_a w d / sin alpha acts along the blade.
 
-The equation is for a blade drawn level through level ground at any slow speed. What lies
-in the bucket, its side plates and the ground's slope are left out.
+The equation holds for a blade drawn level through level ground, slowly. The soil in the
+bucket, its side plates and the ground's slope are left out.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from backhoe_planner.machine import GRAVITY, BatchKinematics, ConfigurationBatch
 from backhoe_planner.site.scene_file import Soil
 
 LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
-_FLATTEST = np.radians(10.0)  # a flatter blade only slides
-_CREEP = 0.01  # m/s: below, the force fades, so that it is continuous where the motion turns round
-_SHALLOWEST = 1e-9  # m: at depth 0 the terms per depth have no value; the force is 0 there
+_FLATTEST = np.radians(10.0)  # rad of rake; chosen: a flatter blade slides rather than cuts
+_CREEP = 0.01  # m/s; chosen: the force fades below it, so that it is continuous where the motion turns round
+_SHALLOWEST = 1e-9  # m, in place of 0: at depth 0 the terms per depth have no value, and the force is 0
+_STEEPEST = 0.9  # part of the rakes at which a wedge can slide up the blade; chosen, since F grows without bound at 1
 
 
 def blade_force(depth: Array, rake: Array, soil: Soil, *, width: float) -> Array:
@@ -40,9 +41,10 @@ def blade_force(depth: Array, rake: Array, soil: Soil, *, width: float) -> Array
 
     Parameters
     ----------
-    depth: of the blade's edge below the ground [m]. rake: alpha [rad]; any shapes that
-        broadcast. Between 10 degrees and upright: beyond, a body of soil stands before
-        the blade, and the nearest of these is taken.
+    depth: of the blade's edge below the ground [m].
+    rake: alpha [rad]; its shape broadcasts with that of `depth`. It is brought between 10
+        degrees and upright: in front of a blade beyond these a body of soil stands still.
+    soil: what is cut.
     width: w [m].
     """
     depth, alpha = np.broadcast_arrays(np.maximum(depth, 0.0), _usable(rake, soil))
@@ -50,9 +52,11 @@ def blade_force(depth: Array, rake: Array, soil: Soil, *, width: float) -> Array
 
 
 def failure_angle(depth: Array, rake: Array, soil: Soil) -> Array:
-    """The angle beta of the plane of failure [rad] that makes F smallest; arguments as of `blade_force`.
+    """The angle beta of the plane of failure [rad] that makes F smallest.
 
-    Of `depth` [m], `rake` [rad] and `soil`, of any shapes that broadcast.
+    Parameters
+    ----------
+    depth, rake, soil: as of `blade_force`.
 
     As a function of x = 2 beta, F is a quotient of two expressions n0 + n1 cos x +
     n2 sin x, so that dF/dx = 0 reads P sin x + Q cos x + R = 0.
@@ -88,14 +92,15 @@ def soil_force(
 ) -> Array:
     """(..., 3) the force of the soil on the teeth [N], world.
 
-    It acts while the teeth are below the ground and the blade's face moves level into the
-    soil, never drives the motion (F . v <= 0), and is continuous in all arguments.
+    It acts while the teeth are below the ground and the blade's face moves into the soil. It
+    never drives the motion (F . v <= 0), and is continuous in all arguments.
 
     Parameters
     ----------
     tip_position, tip_velocity: (..., 3) [m], [m/s], world.
     pitch: (...) of the line bucket pin to tip [rad].
-    forward: (..., 3) level unit vector out along the arm, world.
+    forward: (..., 3) horizontal unit vector outward along the arm, world.
+    soil: in which the blade moves.
     width: of the blade [m].
     """
     velocity, forward = np.asarray(tip_velocity, dtype=float), np.asarray(forward, dtype=float)
@@ -118,7 +123,12 @@ def soil_force(
 
 
 class SoilReaction:
-    """The soil's force on one machine's teeth.
+    """The soil's force on the teeth of one machine.
+
+    Parameters
+    ----------
+    robot: the machine, with a bucket as its last link.
+    soil: in which its tip moves.
 
     Raises
     ------
@@ -128,13 +138,14 @@ class SoilReaction:
 
     def __init__(self, robot: Robot, soil: Soil) -> None:
         if not robot.has_pitch:
-            raise InputError("soil acts on a bucket, whose last joint's axis stays level", key="soil", found=robot.name)
+            problem = "soil acts on a bucket: the axis of the last joint must stay horizontal"
+            raise InputError(problem, key="soil", found=robot.name)
         self._soil = soil
         self._width = bucket_width(robot) if soil.width is None else soil.width
         self._kinematics = BatchKinematics(robot)
 
     def force(self, q: Array, v: Array) -> Array:
-        """(..., 3) on the tip [N], world, at q, v (..., n)."""
+        """(..., 3) the force on the tip [N], world, at q, v (..., n)."""
         return self._over(q, v)[0]
 
     def torques(self, q: Array, v: Array) -> Array:
@@ -169,23 +180,18 @@ class SoilReaction:
 
 
 def bucket_width(robot: Robot) -> float:
-    """How wide the collision shape beyond the last joint is along that joint's axis [m].
+    """The width of the collision shape beyond the last joint, along that joint's axis [m].
 
     Raises
     ------
     InputError: there is no such shape.
     """
     axis = robot.joint_axes[-1]
-    ends = [
-        float(np.max(sign * (piece.piece.hull @ axis)) + piece.piece.radius)
-        for sign in (1.0, -1.0)
-        for piece in robot.pieces
-        if piece.joint == robot.n
-    ]
-    if not ends:
+    pieces = [piece.piece for piece in robot.pieces if piece.joint == robot.n]
+    if not pieces:
         raise InputError("the bucket has no collision shape to measure", key="soil.width", allowed="a width in metres")
-    half = len(ends) // 2
-    return max(ends[:half]) + max(ends[half:])
+    right, left = (max(float(np.max(sign * (p.hull @ axis))) + p.radius for p in pieces) for sign in (1.0, -1.0))
+    return right + left
 
 
 def _resistance(beta: Array, depth: Array, alpha: Array, soil: Soil) -> Array:
@@ -201,7 +207,7 @@ def _resistance(beta: Array, depth: Array, alpha: Array, soil: Soil) -> Array:
 
 
 def _per_depth(depth: Array, soil: Soil) -> tuple[Array, float, float]:
-    """Weight and load, cohesion, adhesion, per depth and width [Pa]."""
+    """Weight with surcharge, cohesion and adhesion, each per depth and width [Pa]."""
     return 0.5 * soil.density * GRAVITY * depth + soil.surcharge, soil.cohesion, soil.adhesion
 
 
@@ -210,7 +216,7 @@ def _tool_friction(soil: Soil) -> float:
 
 
 def _usable(rake: Array, soil: Soil) -> Array:
-    """The rake within which a wedge can slide up the blade."""
+    """The rake [rad], brought to where a wedge can slide up the blade."""
     room = np.pi - soil.friction - _tool_friction(soil)
-    steepest = min(0.5 * np.pi, 0.9 * room)
+    steepest = min(0.5 * np.pi, _STEEPEST * room)
     return np.clip(rake, min(_FLATTEST, 0.5 * steepest), steepest)

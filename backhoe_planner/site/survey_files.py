@@ -1,4 +1,4 @@
-"""Files of a survey: heights on a grid, and points of a scan."""
+"""Files of a survey: heights on a grid, and the points of a scan."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
+from backhoe_planner.files.text_file import read_text
 
 
-def read_heights(path: Path) -> Vector:
+def read_heights(path: Path) -> Matrix:
     """(rows, columns) heights [m] from a CSV without header.
 
     Raises
     ------
     InputError: missing, empty, ragged, fewer than 2 x 2, or not finite.
     """
-    text = _read_text(path)
+    text = read_text(path, what="height map")
     rows = [line.replace(";", ",").split(",") for line in text.splitlines() if line.strip()]
     try:
         values = [[float(cell) for cell in (row if row[-1].strip() else row[:-1])] for row in rows]
@@ -35,7 +36,7 @@ def read_heights(path: Path) -> Vector:
     return heights
 
 
-def read_points(path: Path) -> Vector:
+def read_points(path: Path) -> Matrix:
     """(n, 3) points [m] from a PLY, or from text with x, y, z in the first columns.
 
     Raises
@@ -43,7 +44,7 @@ def read_points(path: Path) -> Vector:
     InputError: missing, empty, or without finite points.
     """
     if not path.is_file():
-        raise InputError("no such file", file=path)
+        raise InputError("no such point cloud file", file=path)
     if path.suffix.lower() in (".ply", ".obj", ".stl"):
         try:
             loaded = trimesh.load(path, process=False)
@@ -59,9 +60,9 @@ def read_points(path: Path) -> Vector:
     return points
 
 
-def _points_from_text(path: Path) -> Vector:
+def _points_from_text(path: Path) -> Matrix:
     rows = []
-    for number, line in enumerate(_read_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path, what="point cloud").splitlines(), start=1):
         cells = line.replace(",", " ").split()
         if not cells or cells[0].startswith("#"):
             continue
@@ -74,15 +75,3 @@ def _points_from_text(path: Path) -> Vector:
         if len(rows[-1]) < 3:
             raise InputError("has fewer than three numbers", file=path, key=f"line {number}", found=line.strip())
     return np.array(rows, dtype=float).reshape(-1, 3)
-
-
-def _read_text(path: Path) -> str:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise InputError("no such file", file=path) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read: {error}", file=path) from error
-    if not text.strip():
-        raise InputError("the file is empty", file=path)
-    return text

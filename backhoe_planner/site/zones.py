@@ -1,8 +1,8 @@
 """Zones: how near to them the machine came, and how much slower it must go there.
 
-A zone has three distances, stop <= slow <= warn. At `stop` it is an obstacle (its
-clearance) or a joint limit (a swing sector); between `slow` and `stop` the servo scales
-the speed down; within `warn` it is only reported.
+A zone has three distances, stop <= slow <= warn. `stop` is the clearance of an obstacle, or
+for a swing sector the distance of a joint limit. Between `slow` and `stop` the servo goes
+slower; within `warn` the visit is only reported.
 """
 
 from __future__ import annotations
@@ -25,17 +25,23 @@ Level = Literal["warn", "slow", "stop"]
 
 _Key = tuple[str, Level]
 
-_SLOWEST = 0.15  # part of the speed that is left at the stop distance, so that one can leave
-_KEPT_WITHIN = 1.2e-4  # m or rad: who stands at the stop distance is not beyond it
-_LEFT_AT = 0.01  # m or rad beyond a distance at which the visit is over
-_MOST_MOMENTS = 10_000
-_SAMPLED_EVERY = 0.02  # s: a link at 1 m/s moves by 2 cm meanwhile
+_SLOWEST = 0.15  # part of the speed that is left at the stop distance, so that one can leave; chosen
+# m or rad: a machine at its stop distance is not beyond it; a little more than `proof.clearances.KEPT_WITHIN`
+_KEPT_WITHIN = 1.2e-4
+_LEFT_AT = 0.01  # m or rad: so far outside a distance a visit is over; chosen, above what a machine trembles
+_MOST_MOMENTS = 10_000  # of one motion; chosen, 200 s at the period below
+_SAMPLED_EVERY = 0.02  # s between moments: a link at 1 m/s moves by 2 cm
 
 
 def pace(margin: float, room: float) -> float:
-    """Part of the wished speed at `margin` beyond the stop distance, slowing down within `room` [m or rad].
+    """The part of the wished speed that is allowed near a zone, 0.15 to 1.
 
-    1 from `room` on, falling as a cosine to 0.15 at 0.
+    It is 1 from `room` on, and falls as a cosine to 0.15 at the stop distance.
+
+    Parameters
+    ----------
+    margin: distance to the stop distance [m or rad].
+    room: the margin below which the speed falls [m or rad].
     """
     if margin >= room:
         return 1.0
@@ -49,12 +55,12 @@ class Transgression:
 
     Attributes
     ----------
-    zone, kind: its name, and what it is.
+    zone, kind: name and kind of the zone.
     level: which of its distances was passed.
-    link: that was deepest; of a swing sector the joint.
+    link: the link that was deepest; of a swing sector the joint.
     begin, end: of the visit [s].
     time: when it was deepest [s].
-    depth: how far beyond that distance [m], of a swing sector [rad].
+    depth: how far beyond the distance [m], of a swing sector [rad].
     """
 
     zone: str
@@ -116,7 +122,7 @@ class ZoneLog:
 
     @property
     def transgressions(self) -> tuple[Transgression, ...]:
-        """Every visit so far, those that go on too, by when they began."""
+        """Every visit so far, also those that are not over, in the order in which they began."""
         return tuple(sorted([*self._over, *self._visits.values()], key=lambda visit: visit.begin))
 
     def note(self, time: float, q: object) -> dict[str, Level]:
@@ -129,7 +135,7 @@ class ZoneLog:
 
         Returns
         -------
-        Of every zone that is not kept away from, the innermost distance that is passed.
+        For every zone that the machine is too near to, the innermost distance that is passed.
 
         Raises
         ------
@@ -149,7 +155,7 @@ class ZoneLog:
                     visit = Transgression(zone.name, zone.kind, level, link, time, time, time, depth)
                 elif visit is not None and depth > visit.depth:
                     visit = replace(visit, link=link, end=time, time=time, depth=depth)
-                elif visit is not None and depth <= -_LEFT_AT:  # nearer than that it is no new visit for every tremble
+                elif visit is not None and depth <= -_LEFT_AT:
                     self._over.append(visit)
                     visit = None
                 if visit is not None:
@@ -177,19 +183,17 @@ class ZoneLog:
 
 
 def _limits(zone: ZoneSpec) -> list[tuple[Level, float]]:
-    """The zone's distances from the outermost; of equal ones only the innermost."""
-    found: list[tuple[Level, float]] = []
-    if zone.warn_distance > zone.slow_distance:
-        found.append(("warn", zone.warn_distance))
-    if zone.slow_distance > zone.stop:
-        found.append(("slow", zone.slow_distance))
-    return [*found, ("stop", zone.stop)]
+    """The zone's distances from the outermost to the innermost; of equal ones only the innermost."""
+    by_distance: dict[float, Level]
+    by_distance = {zone.warn_distance: "warn", zone.slow_distance: "slow", zone.stop: "stop"}
+    return [(level, distance) for distance, level in by_distance.items()]
 
 
 def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgression, ...]:
-    """Every visit of a whole motion to the scene's zones, looked at every 0.02 s or more often.
+    """Every visit of a whole motion to the scene's zones.
 
-    Of a motion of more than 200 s at 10,000 moments at least.
+    The motion is looked at every 0.02 s, or at 10,000 even moments where it is longer than
+    200 s; and at its own samples, unless these are more than twice as many.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.site import ClearanceScreen, build_obstacles, swept
+from backhoe_planner.site import ClearanceScreen, build_obstacles, sweep
 
 TASK = {"path": {"waypoints": [{"position": [1.0, 0.0, 0.0]}, {"position": [1.0, 0.1, 0.0]}]}}
 OBSTACLES: list[dict[str, Any]] = [
@@ -48,7 +48,7 @@ def test_the_space_that_is_swept_holds_the_obstacle_at_every_moment(backhoe: bp.
     scene = bp.scene_from_dict({"version": 1, "task": TASK, "obstacles": [moving]})
     [obstacle] = build_obstacles(scene, backhoe)
     over_time = bp.Proximity(backhoe, [obstacle], self_collision=False)
-    still = bp.Proximity(backhoe, [swept(obstacle, 2.0, 5.0)], self_collision=False)
+    still = bp.Proximity(backhoe, [sweep(obstacle, 2.0, 5.0)], self_collision=False)
     rng = np.random.default_rng(2)
     for _ in range(30):
         q = backhoe.random_q(rng)

@@ -39,10 +39,10 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
     "mesh garbage": ("mesh", "a.stl", b"no triangles in here", {}, "triangles|can be read"),
     "mesh without triangles": ("mesh", "a.stl", BLOCK, {}, "triangles|can be read"),
     "mesh of an unknown kind": ("mesh", "a.dwgx", b"x", {}, "can be read"),
-    "heights missing": ("heightmap", "a.csv", None, {"size": [1, 1]}, "no such file"),
+    "heights missing": ("heightmap", "a.csv", None, {"size": [1, 1]}, "no such height map file"),
     "heights empty": ("heightmap", "a.csv", b"", {"size": [1, 1]}, "empty"),
     "heights blank": ("heightmap", "a.csv", b" \n", {"size": [1, 1]}, "empty"),
-    "heights not text": ("heightmap", "a.csv", b"\xff\xfe\x81", {"size": [1, 1]}, "cannot be read"),
+    "heights not text": ("heightmap", "a.csv", b"\xff\xfe\x81", {"size": [1, 1]}, "is not UTF-8 text"),
     "heights in words": ("heightmap", "a.csv", b"x,y\n1,2\n", {"size": [1, 1]}, "table of numbers.*'x'"),
     "heights ragged": ("heightmap", "a.csv", b"1,2,3\n4,5\n", {"size": [1, 1]}, r"different lengths; found \[2, 3\]"),
     "heights with a hole": ("heightmap", "a.csv", b"1,,3\n4,5,\n", {"size": [1, 1]}, "table of numbers"),
@@ -56,7 +56,7 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
     ),
     "height NaN": ("heightmap", "a.csv", b"1,nan\n2,3\n", {"size": [1, 1]}, "not finite"),
     "height infinite": ("heightmap", "a.csv", b"1,inf\n2,3\n", {"size": [1, 1]}, "not finite"),
-    "points missing": ("pointcloud", "a.ply", None, {"resolution": 0.1}, "no such file"),
+    "points missing": ("pointcloud", "a.ply", None, {"resolution": 0.1}, "no such point cloud file"),
     "points empty": ("pointcloud", "a.ply", b"", {"resolution": 0.1}, "empty|can be read|no points"),
     "points garbage": ("pointcloud", "a.ply", b"ply?\nnot really\n", {"resolution": 0.1}, "can be read"),
     "points text empty": ("pointcloud", "a.xyz", b"", {"resolution": 0.1}, "empty"),
@@ -245,7 +245,7 @@ def test_record_carries_what_the_scene_says(planar4: Robot, tmp_path: Path) -> N
 
 
 def test_errors_of_readers_are_input_errors(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="no such height map file"):
         read_heights(tmp_path / "nowhere.csv")
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="no such point cloud file"):
         read_points(tmp_path / "nowhere.xyz")

@@ -518,7 +518,7 @@ BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
     "short row": ("x,y,z\n1,2,3\n4,5\n", ["line 3", "2 cells", "header 3"]),
     "not a unit quaternion": ("x,y,z,qw,qx,qy,qz\n1,2,3,1,0,0,0\n4,5,6,1,1,0,0\n", ["line 3", "length 1"]),
     "all in one point": ("x,y,z\n1,2,3\n1,2,3\n", ["all lie in one point"]),
-    "not text": (b"\xff\xfe\x00x", ["cannot be read"]),
+    "not text": (b"\xff\xfe\x00x", ["is not UTF-8 text"]),
 }
 
 
