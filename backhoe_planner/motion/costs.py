@@ -1,28 +1,27 @@
-"""What a motion costs: step by step along a bucket path, and finished, over its samples.
+"""What a motion costs: step by step along a bucket path, and as a whole, over its samples.
 
-For a step from joints q_a to q_b over the arc length h the tip is taken to move at an
-even speed u, slower only where a joint or a rod cannot follow:
+On a step from joints q_a to q_b over the arc length h the tip is assumed to move at a
+constant speed u, slower only where a joint or a rod cannot follow:
 
     dt = max(h / u, |dq_j| / v_j)        dq = q_b - q_a
 
-u is the scene's speed, or where it gives none a nominal one. The classes of `objectives`
-say what a step costs. The sums are the trapezoidal rule for what `trajectory_costs`
-reports of a finished plan, without torques of inertia. `work` and `hydraulic` do not
-depend on u.
+u is the scene's speed, or a nominal one where it gives none. The classes of `objectives`
+define the cost of a step. The sums approximate what `trajectory_costs` reports of a finished
+plan by the trapezoidal rule, without torques of inertia. `work` and `hydraulic` do not depend
+on u.
 
-All costs come in one unit, that of the turning of a joint [rad], so that they can be
-weighed against the turning of the joints on a detour.
+All costs are in one unit, that of the turning of a joint [rad], so that they can be weighed
+against the turning of the joints on a detour.
 
-Objectives that do not hold every motion back by themselves get more terms in the search,
-which are not part of their reported value: where loads drive the joints, work is 0
-whatever they do. The terms are
+Some objectives do not hold every motion back: where loads drive the joints, work is 0 however
+they move. In the search these get further terms, which are not part of their reported value:
 
     a small part of |dq|^2 / dt,
     a price on the time that is lost where a joint cannot follow u, and where rates
     change, max_j |v_j' - v_j| / a_j from step to step,
     and the objective's own overhead.
 
-`time` counts the time that is lost and nothing else.
+`time` counts only the time that is lost.
 """
 
 from __future__ import annotations
@@ -44,11 +43,12 @@ from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import SoilReaction
 
-WIDEST_STEP = 0.7  # rad or m that one joint may move in a step
-_SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added: enough to choose between motions that cost nothing
-_TYPICAL = 64  # seeded postures over which loads are averaged
-_SHORTEST = 1e-9  # s: a step takes no less, so that rates stay finite
+WIDEST_STEP = 0.7  # rad or m that one joint may move in a step; chosen, 40 degrees
+_SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added; chosen: decides between motions that cost nothing
+_TYPICAL = 64  # seeded postures over which loads are averaged; chosen
+_SHORTEST = 1e-9  # s: a step takes no less, so that rates are finite
 _UNLIMITED = 1e6  # rad/s and rad/s^2, in place of infinity
+_STILL = 1e-6  # m between neighbours on a path: where it is less, the tip stands
 
 
 class PathCost:
@@ -56,13 +56,14 @@ class PathCost:
 
     Parameters
     ----------
+    problem: machine, scene and path.
     name: of the objective, by default the scene's.
 
     Attributes
     ----------
-    objective: by which it counts.
-    speed: u, the tip's [m/s]; infinite for `time` where the scene gives none.
-    per_radian: of the objective for 1 rad of cost, such as the J of work.
+    objective: by which the cost is counted.
+    speed: u, the tip's speed [m/s]; infinite for `time` where the scene gives none.
+    per_radian: value of the objective that counts as 1 rad of cost, such as the J of work.
 
     Raises
     ------
@@ -96,7 +97,7 @@ class PathCost:
     # --- what it costs ----------------------------------------------------------------
 
     def step_costs(self, a: Array, b: Array, span: float) -> Array:
-        """(A, B) of the steps from each of a (A, n) to each of b (B, n) over `span` of the path [m], in rad.
+        """(A, B) cost of the steps from each of a (A, n) to each of b (B, n) over `span` of the path [m], in rad.
 
         Infinite where a joint would move by more than `WIDEST_STEP`.
         """
@@ -112,11 +113,11 @@ class PathCost:
         return np.where(widest > WIDEST_STEP, np.inf, cost)
 
     def of_steps(self, stations: Array, q: Array) -> float:
-        """The steps of a resolved stretch, q (K, n) at `stations` (K,) [m], in rad."""
+        """Cost of the steps through q (K, n) at `stations` (K,) [m], in rad."""
         return self._sum(stations, q, as_reported=False)
 
     def of_run(self, stations: Array, q: Array) -> float:
-        """The same from rest to rest, with what the changes of the joints' rates take, in rad."""
+        """Cost of a run from rest to rest through q (K, n) at `stations` (K,) [m], with changes of rates, in rad."""
         cost = self.of_steps(stations, q)
         if len(q) < 3 or not self.counts_rate_changes:
             return cost
@@ -130,7 +131,7 @@ class PathCost:
         return self._time_price > 0.0
 
     def value(self, stations: Array, q: Array) -> float:
-        """The steps in the objective's own unit, without what the search adds."""
+        """Value of the steps through q (K, n) at `stations` (K,) [m], in the objective's unit, as reported."""
         return self.per_radian * self._sum(stations, q, as_reported=True)
 
     def _sum(self, stations: Array, q: Array, *, as_reported: bool) -> float:
@@ -145,17 +146,15 @@ class PathCost:
         return found
 
     def between(self, a: Nodes, b: Nodes, span: Array, *, as_reported: bool = False) -> Array:
-        """(...) of the steps from a to b over `span` (...) [m], all broadcast, in rad.
+        """(...) cost of the steps from a to b over `span` (...) [m], all broadcast, in rad.
 
-        With `as_reported`, without what the search adds.
+        With `as_reported`, without the terms that the search adds.
         """
         shape = np.broadcast_shapes(a.q.shape[:-1], b.q.shape[:-1])
-        dq = [b.q[..., j] - a.q[..., j] for j in range(a.q.shape[-1])]
+        dq, dt = self._joint_steps(a.q, b.q, span)
         squared = np.zeros(shape)
-        dt = np.zeros(shape) if np.isinf(self.speed) else np.broadcast_to(span / self.speed, shape).copy()
-        for joint, change in enumerate(dq):
+        for change in dq:
             squared += change * change
-            np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
         dt = np.maximum(self.objective.duration(dt, a, b, self._machine), _SHORTEST)
         step = Step(a, b, dq, squared, dt)
         if as_reported or not self._smoothing > 0.0:
@@ -170,19 +169,26 @@ class PathCost:
     # --- changes of rates ----------------------------------------------------------------
 
     def rates(self, a: Array, b: Array, span: Array) -> Array:
-        """(n, ...) of the joints on the steps from a to b (..., n) over `span` (...) [m], in seconds of
-        their acceleration limits: how long each takes to gather its rate.
+        """(n, ...) rates of the joints on the steps from a to b (..., n) over `span` (...) [m].
+
+        In seconds of their acceleration limits: how long each takes to reach its rate from rest.
         """
+        dq, dt = self._joint_steps(a, b, span)
+        dt = np.maximum(dt, _SHORTEST)
+        return np.array([change / (dt * limit) for change, limit in zip(dq, self._acceleration, strict=True)])
+
+    def _joint_steps(self, a: Array, b: Array, span: Array) -> tuple[list[Array], Array]:
+        """How far each joint goes from a to b (..., n), as n of (...) [rad or m], and (...) the time it takes [s]."""
         dq = [b[..., joint] - a[..., joint] for joint in range(a.shape[-1])]
-        dt = np.full(dq[0].shape, _SHORTEST)
+        dt = np.zeros(dq[0].shape)
         if np.isfinite(self.speed):
             np.maximum(dt, span / self.speed, out=dt)
         for joint, change in enumerate(dq):
             np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
-        return np.array([change / (dt * limit) for change, limit in zip(dq, self._acceleration, strict=True)])
+        return dq, dt
 
     def rate_changes(self, before: Array, after: Array) -> Array:
-        """(...) the time that a change of `rates` (n, ...) from step to step takes, in rad."""
+        """(...) cost of the time in which `rates` change from `before` to `after` (n, ...), in rad."""
         longest = np.zeros(np.broadcast_shapes(before.shape[1:], after.shape[1:]))
         for one, other in zip(before, after, strict=True):
             change = other - one
@@ -193,21 +199,21 @@ class PathCost:
     # --- how the tip moves --------------------------------------------------------------
 
     def _tip_velocity(self, q: Array) -> Array:
-        """(K - 1, 3) between neighbours of q (K, n) at the speed u [m/s]; still where the tip stands."""
+        """(K - 1, 3) the tip's velocity between neighbours of q (K, n) at the speed u [m/s]; 0 where it stands."""
         change = np.diff(self._kinematics.at(q).tip_position, axis=0)
         length = np.linalg.norm(change, axis=-1, keepdims=True)
         speed = self.speed if np.isfinite(self.speed) else 1.0
-        return np.asarray(speed * np.where(length > 1e-6, change / np.maximum(length, 1e-6), 0.0))
+        return np.asarray(speed * np.where(length > _STILL, change / np.maximum(length, _STILL), 0.0))
 
     def tip_velocities(self, q: Array) -> TipVelocities:
-        """Before and after each of q (K, n), (K, 3) [m/s]; None without soil, where they do not matter."""
+        """(K, 3), (K, 3) the tip's velocity before and after each of q (K, n) [m/s]; None without soil."""
         if self._machine.soil is None:
             return None, None
         velocity = self._tip_velocity(q)
         return np.vstack((velocity[:1], velocity)), np.vstack((velocity, velocity[-1:]))
 
     def _typical(self, problem: Problem, asked: float | None) -> tuple[float, Usual]:
-        """A tip speed [m/s] and what is usual for this machine, `asked`: the tip's speed [m/s]."""
+        """A nominal tip speed [m/s], and what is usual for this machine at the speed that is `asked` [m/s]."""
         rng = np.random.default_rng(0)
         q = np.array([problem.robot.random_q(rng) for _ in range(_TYPICAL)])
         J = self._kinematics.at(q).position_jacobian()
@@ -233,9 +239,9 @@ def trajectory_energy(problem: Problem, trajectory: Trajectory) -> MotionEnergy:
 
 
 def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, float]:
-    """What a motion costs by each objective that the machine has, by their names, in their units.
+    """What a motion costs by each objective that suits the machine, by name, in its unit.
 
-    By full inverse dynamics, with the payload, and the soil where the scene has one.
+    By full inverse dynamics, with payload and soil.
     """
     energy = trajectory_energy(problem, trajectory)
     return {

@@ -1,7 +1,7 @@
-"""What can be made small: one class per objective, and the list of them all.
+"""What a plan can minimise: one class per objective, and the list of them all.
 
-A new objective is a new class here, an entry in `OBJECTIVES`, and its name in the scene
-file's schema (`Scene.objective`), which stands below this room and cannot look it up.
+A new objective is a new class here, an entry in `OBJECTIVES`, and a name in the scene file's
+schema (`Scene.objective`), which stands below this room and cannot look it up.
 
 On a step from joints q_a to q_b, dq = q_b - q_a, in the time dt. Torques tau and rod
 forces are those that hold the machine still against gravity, payload and soil, the mean
@@ -29,7 +29,7 @@ from backhoe_planner.site import SoilReaction
 TipVelocities = tuple[Array | None, Array | None]
 Parts = TypeVar("Parts", bound="Nodes")
 
-_MARGIN_PRESSURE = 2e6  # Pa by which a load-sensing pump exceeds the highest load; 15 to 25 bar are usual
+_MARGIN_PRESSURE = 2e6  # Pa by which a load-sensing pump's pressure exceeds the highest load; 15 to 25 bar are usual
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,19 @@ class LoadedMachine:
     hydraulics: Hydraulics | None
 
     def holding_torques(self, q: Array, tip: TipVelocities) -> tuple[Array, Array]:
-        """Two (B, n): torques that hold the machine still at q (B, n), before and after [N m or N]."""
+        """(B, n), (B, n) torques that hold the machine still at q (B, n), before and after [N m or N]."""
         held = self.dynamics.gravity_torques(q)
         before, after = (held if self.soil is None or v is None else held - self.soil.torques_at(q, v) for v in tip)
         return before, after
 
     def rods(self, a: _Rods, b: _Rods) -> Iterator[tuple[Array, Array]]:
-        """Of each cylinder on the steps from a to b: how far it goes [m], and the area that takes oil [m^2]."""
+        """For each cylinder, on the steps from a to b: how far it moves [m], and the area that takes oil [m^2]."""
         for c, cylinder in enumerate(() if self.hydraulics is None else self.hydraulics.cylinders):
             change = b.lengths[..., c] - a.lengths[..., c]
             yield change, np.where(change > 0.0, cylinder.cap_area, cylinder.annulus_area)
 
     def oil(self, a: _Rods, b: _Rods) -> Array:
-        """(...) that all cylinders take on the steps from a to b [m^3]."""
+        """(...) oil that all cylinders take on the steps from a to b [m^3]."""
         return sum((area * np.abs(change) for change, area in self.rods(a, b)), np.zeros(1))
 
 
@@ -106,10 +106,8 @@ class _Masses(Nodes):
 
 @dataclass(frozen=True, eq=False)
 class _Torques(Nodes):
-    before: (
-        Array  # (..., n) that hold the machine still [N m or N], with the soil as it acts on the step that ends here
-    )
-    after: Array  # and on the one that begins here
+    before: Array  # (..., n) hold the machine still [N m or N] against the soil on the step that ends here
+    after: Array  # the same on the step that begins here
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,16 +140,16 @@ class Step(Generic[Parts]):
 
 
 class Objective(ABC, Generic[Parts]):
-    """What one objective is: its cost of a step, and of a finished motion.
+    """An objective: what a step and a finished motion cost by it.
 
     Attributes
     ----------
     name, unit: of its value.
     needs_hydraulics: whether it is defined only for a machine with a hydraulic description.
-    is_time: it is the duration itself.
-    is_quadratic: it grows with the squared rates, and so holds every motion back by itself.
-    time_share: where it does not, what a second costs that is lost: this part of the usual
-        load at the usual rate.
+    is_time: whether it is the duration itself.
+    is_quadratic: whether it grows with the squared rates, and so holds every motion back.
+    time_share: for one that is not quadratic, the price of a lost second, as a part of the
+        usual load at the usual rate.
     """
 
     name: ClassVar[str]
@@ -187,11 +185,11 @@ class Objective(ABC, Generic[Parts]):
         """The cost of a finished motion, in `unit`, by full inverse dynamics."""
 
     def duration(self, dt: Array, a: Parts, b: Parts, machine: LoadedMachine) -> Array:
-        """(...) of the steps from a to b [s], which take `dt` by the tip and the joints."""
+        """(...) duration of the steps from a to b [s], of which tip and joints need `dt` (...) [s]."""
         return dt
 
     def overhead(self, step: Step[Parts], machine: LoadedMachine, per_radian: float) -> Array | float:
-        """(...) what the search counts beside it so that joints do not go to and fro [rad]."""
+        """(...) what the search adds so that joints do not go to and fro [rad]."""
         return 0.0
 
 
@@ -241,7 +239,7 @@ class _OfTorques(Objective[_Torques]):
 
 
 class Effort(_OfTorques):
-    """|tau|^2 dt: the integral of tau . tau, what an electric motor heats with."""
+    """|tau|^2 dt: the integral of tau . tau, to which the heat in electric motors is proportional."""
 
     name, unit = "effort", "N^2 m^2 s"
 
@@ -257,7 +255,7 @@ class Effort(_OfTorques):
 
 
 class Work(_OfTorques):
-    """sum_i max(tau_i dq_i, 0): the integral of the power that joints put in; nothing is given back."""
+    """sum_i max(tau_i dq_i, 0): the integral of the power that joints deliver; none is recovered."""
 
     name, unit = "work", "J"
 
@@ -275,12 +273,12 @@ class Work(_OfTorques):
 
 
 class Hydraulic(Objective[_Forces]):
-    """max_c p_c sum_c A_c |dl_c|: what a load-sensing pump puts in, the highest pressure times all flow.
+    """max_c p_c sum_c A_c |dl_c|: the work of a load-sensing pump, the highest pressure times all flow.
 
-    The pressure is that of the rods that move, so that two rods one after the other cost
-    less than both at once. What the changes between them take is not in it: alone, it has
-    the joints go to and fro. So a lost second costs as much as the usual load, and the
-    margin by which the pump's pressure is above the highest load counts on all of the oil.
+    Only rods that move count, so two rods cost less one after the other than both at once.
+    Changing between them costs nothing here: alone, this objective would have the joints go
+    to and fro. So in the search a lost second costs as much as the usual load, and all oil
+    costs the margin by which the pump's pressure exceeds the highest load.
     """
 
     name, unit, needs_hydraulics, time_share = "hydraulic", "J", True, 1.0
@@ -300,7 +298,7 @@ class Hydraulic(Objective[_Forces]):
         highest = np.zeros_like(step.dt)
         for c, (change, area) in enumerate(machine.rods(step.a, step.b)):
             force = 0.5 * (step.a.after[..., c] + step.b.before[..., c])
-            # against its load a rod pushes where it extends, and pulls where it retracts
+            # a rod works against its load where it pushes and extends, or pulls and retracts
             np.maximum(highest, np.where(force * change > 0.0, np.abs(force) / area, 0.0), out=highest)
         return np.asarray(highest * machine.oil(step.a, step.b))
 
@@ -313,7 +311,7 @@ class Hydraulic(Objective[_Forces]):
 
 
 class Time(Objective[_Rods]):
-    """dt, which the flow of valves and pump can make longer."""
+    """dt, which valves and pump may prolong."""
 
     name, unit, is_time, time_share = "time", "s", True, 1.0
 

@@ -1,10 +1,9 @@
-"""Paths: the specified one of the tip, straight from waypoint to waypoint; one of the joints, with round corners.
+"""Paths: one of the tip, straight from waypoint to waypoint; one of the joints, with round corners.
 
-At a corner the joints' way leaves the leg at a distance d before it and joins the next leg
-at d behind it, on the parabola that has both legs as tangents, so that it can be run
-through without stopping. With the length s along the legs as the parameter, dq/ds turns
-linearly from the one leg's direction to the other's: the way is C1, and d2q/ds2 is
-piecewise constant.
+At a corner the joints' way leaves the leg at a distance d before the corner and joins the next
+leg at d behind it, on the parabola that has both legs as tangents. So the corner needs no
+stop. With the length s along the legs as the parameter, dq/ds turns linearly from one leg's
+direction to the other's: the way is C1, and d2q/ds2 is piecewise constant.
 """
 
 from __future__ import annotations
@@ -19,24 +18,30 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import TipTarget, wrap_angle
 from backhoe_planner.site import Waypoint
 
-_TURN_LENGTH = 0.5  # m per rad: how long a leg counts on which the tip only turns
-_JOINT_TURN_LENGTH = 0.1  # m that a radian of the joints counts as, so that a motion goes on where the tip stands
+_TURN_LENGTH = 0.5  # m per rad that a leg counts on which the tip only turns; chosen
+_JOINT_TURN_LENGTH = 0.1  # m per rad of the joints, so that a motion goes on where the tip stands; chosen
+_NO_LENGTH = 1e-9  # m: on a shorter leg the tip only turns
+_BESIDE = 1e-6  # m before and behind a waypoint, where the direction of travel is taken
 
 
 def step_lengths(stations: Vector, q: Matrix, *, least: float) -> Vector:
-    """(K-1,) what the steps along a path count [m]: the way of the tip, and some for the turning of the joints.
+    """(K-1,) lengths of the steps along a path [m]: the tip's way, and 0.1 m for each radian of the joints.
 
     Parameters
     ----------
-    stations: (K,) arc lengths of the samples [m]; q: (K, n) joints there.
-    least: what a step counts at least [m].
+    stations: (K,) arc lengths of the samples [m]; q: (K, n) joints there [rad or m].
+    least: length of the shortest step [m].
     """
     turn = np.linalg.norm(np.diff(q, axis=0), axis=1)
     return np.asarray(np.maximum(np.diff(stations) + _JOINT_TURN_LENGTH * turn, least))
 
 
 class TipPath:
-    """A path that is evaluated by arc length.
+    """A path of the tip, evaluated by arc length.
+
+    Parameters
+    ----------
+    waypoints: W of them, at least two.
 
     Attributes
     ----------
@@ -47,8 +52,7 @@ class TipPath:
     def __init__(self, waypoints: Sequence[Waypoint]) -> None:
         self.waypoints = tuple(waypoints)
         self.points = np.array([waypoint.position for waypoint in self.waypoints], dtype=float)
-        self._rotations = [waypoint.rotation for waypoint in self.waypoints]
-        self._pitches = [waypoint.pitch_range for waypoint in self.waypoints]
+        self._targets = [waypoint.target for waypoint in self.waypoints]
         lengths = [self._leg_length(leg) for leg in range(len(self.waypoints) - 1)]
         self.stations = np.concatenate(([0.0], np.cumsum(lengths)))
 
@@ -60,7 +64,7 @@ class TipPath:
     @property
     def asks_orientation(self) -> bool:
         """Whether any waypoint asks for a pitch or an orientation."""
-        return any(r is not None for r in self._rotations) or any(p is not None for p in self._pitches)
+        return any(target.rotation is not None or target.pitch is not None for target in self._targets)
 
     def __call__(self, s: float, order: int = 0) -> Vector:
         """(3,) position [m] (order 0) or direction of travel (order 1) at arc length `s` [m]."""
@@ -72,23 +76,25 @@ class TipPath:
         return np.asarray(step / length if length > 0.0 else step)
 
     def target(self, s: float) -> TipTarget:
-        """All that is asked of the tip at arc length `s` [m].
+        """The target of the tip at arc length `s` [m].
 
-        Between a waypoint with a pitch and one without, the range opens until any
-        pitch is allowed.
+        Between a waypoint with a pitch and one without, the range widens until any pitch is
+        allowed.
         """
         leg, part = self._locate(s)
         position = (1.0 - part) * self.points[leg] + part * self.points[leg + 1]
-        before, after = self._rotations[leg], self._rotations[leg + 1]
+        before, after = self._targets[leg].rotation, self._targets[leg + 1].rotation
         rotation = before if before is not None else after
         if before is not None and after is not None:
             rotation = before @ pin.exp3(part * pin.log3(before.T @ after))
         return TipTarget(position=position, pitch=self._pitch(leg, part), rotation=rotation)
 
     def nearest(self, point: Vector, *, low: float = 0.0, high: float | None = None) -> tuple[float, float]:
-        """(arc length [m], distance [m]) of the path's point nearest to `point` (3,).
+        """Arc length [m] of the path's point nearest to `point` (3,) [m], and its distance [m].
 
-        Only the part from arc length `low` to `high` is looked at.
+        Parameters
+        ----------
+        low, high: the part of the path that is searched, by arc length [m]; by default all.
         """
         high = self.length if high is None else high
         best = (low, float(np.linalg.norm(point - self(low))))
@@ -109,18 +115,13 @@ class TipPath:
 
     def turn(self, a: float, b: float) -> float:
         """How far the asked orientation turns from arc length `a` to `b` [rad]; 0 where none is asked."""
-        before, after = self.target(a), self.target(b)
-        if before.rotation is not None and after.rotation is not None:
-            return float(np.linalg.norm(pin.log3(before.rotation.T @ after.rotation)))
-        if before.pitch is not None and after.pitch is not None:
-            return abs(wrap_angle(0.5 * sum(after.pitch) - 0.5 * sum(before.pitch)))
-        return 0.0
+        return self.target(a).turn_to(self.target(b))
 
     def corners(self, angle: float) -> Vector:
-        """(C,) arc lengths at which the path bends by more than `angle` [rad], [m]."""
+        """(C,) arc lengths [m] at which the path bends by more than `angle` [rad]."""
         found = []
         for mark in self.stations[1:-1].tolist():
-            before, after = self(mark - 1e-6, 1), self(mark + 1e-6, 1)
+            before, after = self(mark - _BESIDE, 1), self(mark + _BESIDE, 1)
             size = float(np.linalg.norm(before) * np.linalg.norm(after))
             if size < 1e-12 or float(before @ after) / size < np.cos(angle):
                 found.append(mark)
@@ -134,26 +135,13 @@ class TipPath:
 
     def _leg_length(self, leg: int) -> float:
         length = float(np.linalg.norm(self.points[leg + 1] - self.points[leg]))
-        if length > 1e-9:
-            return length
-        before, after = self._rotations[leg], self._rotations[leg + 1]
-        turn = 0.0
-        if before is not None and after is not None:
-            turn = float(np.linalg.norm(pin.log3(before.T @ after)))
-        low, high = self._pitches[leg], self._pitches[leg + 1]
-        if low is not None and high is not None:
-            turn = abs(wrap_angle(0.5 * sum(high) - 0.5 * sum(low)))
-        return _TURN_LENGTH * turn
+        return length if length > _NO_LENGTH else _TURN_LENGTH * self._targets[leg].turn_to(self._targets[leg + 1])
 
     def _pitch(self, leg: int, part: float) -> tuple[float, float] | None:
-        before, after = self._pitches[leg], self._pitches[leg + 1]
-        if before is None and after is None:
-            return None
+        before, after = self._targets[leg].pitch, self._targets[leg + 1].pitch
         if before is None or after is None:
-            asked = before if before is not None else after
-            assert asked is not None
-            opened = part if before is not None else 1.0 - part
-            if opened >= 1.0:
+            asked, opened = (before, part) if before is not None else (after, 1.0 - part)
+            if asked is None or opened >= 1.0:
                 return None
             middle, half = 0.5 * (asked[0] + asked[1]), 0.5 * (asked[1] - asked[0])
             half += opened * max(np.pi - half, 0.0)
@@ -170,10 +158,10 @@ class SmoothWay:
 
     Attributes
     ----------
-    corners: (K, n) where the legs meet; the way itself passes by those that are cut.
+    corners: (K, n) where the legs meet; the way passes by those that are cut.
     stations: (K,) length along the legs up to each corner [s of joint time].
-    cuts: (K,) d of each corner, 0 at the ends and where the way goes into the corner
-        and must stop there.
+    cuts: (K,) d of each corner; 0 at the ends and at corners that are not cut, where a motion
+        must stop.
     """
 
     corners: Matrix
@@ -186,17 +174,17 @@ class SmoothWay:
 
     @property
     def length(self) -> float:
-        """Of the legs, the end of s."""
+        """Length of the legs, where s ends."""
         return float(self.stations[-1])
 
     @property
     def knots(self) -> Vector:
-        """Where a leg or a corner piece begins or ends, increasing, from 0 to the length."""
+        """Every s at which a leg or a round corner begins or ends, increasing, from 0 to the length."""
         return np.unique(np.concatenate((self.stations - self.cuts, self.stations + self.cuts)))
 
     @property
     def stops(self) -> Vector:
-        """Where a motion along the way must be at rest: the ends and the corners not cut."""
+        """Every s at which a motion along the way must be at rest: the ends, and corners that are not cut."""
         return np.array(self.stations[self.cuts == 0.0])
 
     def __call__(self, s: float | Vector, order: int = 0) -> Matrix:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-
-import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import JointLimits, Robot, TipTarget
 from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
-from backhoe_planner.site import Gains, Goal, Obstacle, Pose, Scene, build_obstacles, scaled_limits, within_sectors
+from backhoe_planner.site import Gains, Obstacle, Pose, Scene, build_obstacles, scaled_limits, within_sectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +19,9 @@ class Problem:
 
     Attributes
     ----------
-    robot: the machine, moved at the scene's tip.
+    robot: the machine, with the scene's tip.
     scene: as it was given.
-    limits: the machine's, with what the scene takes off them.
+    limits: the machine's limits within the scene.
     obstacles: the site, as convex pieces.
     start_q: (n,) where the joints stand; None where the start is given by the tip, or
         left to the planner.
@@ -47,13 +46,12 @@ class Problem:
 
 
 def build_problem(robot: Robot, scene: Scene) -> Problem:
-    """Check a scene against a machine, and build what stands in it.
+    """Check a scene against a machine, and build the obstacles, targets and path in it.
 
     Raises
     ------
-    SceneError: a joint or link that the machine does not have, a pitch or an
-        orientation that it cannot have, soil or an objective for which it lacks something,
-        a file of the scene that cannot be used.
+    SceneError: the machine has no such joint or link, or lacks what a pitch, soil or the
+        objective needs; a file of the scene cannot be used.
     RobotError: the scene's tip is not a link of the machine.
     """
     robot = within_sectors(robot.with_tip(scene.tip), scene)
@@ -62,7 +60,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         _check_joint_names(robot, scene, "gains.s_k", scene.gains.s_k)
     if scene.soil is not None and not robot.has_pitch:
         raise SceneError(
-            "soil acts on a bucket, whose last joint's axis stays level; this arm has none",
+            "soil acts on a bucket: the axis of the last joint must stay horizontal",
             file=scene.file,
             key="soil",
             found=robot.name,
@@ -75,8 +73,8 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         waypoints = scene.waypoints()
         for index, waypoint in enumerate(waypoints):
             _target(robot, scene, waypoint, f"task.path.waypoints[{index}]")
-        different = [b for a, b in zip((None, *waypoints), waypoints, strict=False) if a != b]
-        path = TipPath(different if len(different) > 1 else waypoints)  # one that stands twice adds nothing
+        different = [waypoint for waypoint, _ in itertools.groupby(waypoints)]
+        path = TipPath(different if len(different) > 1 else waypoints)  # a waypoint that is repeated adds nothing
     return Problem(
         robot, scene, limits=scaled_limits(robot, scene), obstacles=build_obstacles(scene, robot),
         start_q=start_q, start_target=start_target, goal=goal, path=path,
@@ -84,7 +82,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
 
 
 def hand_set_gains(problem: Problem) -> Gains | None:
-    """The gains that the scene sets by hand; None where it leaves them to the criterion."""
+    """The gains that the scene sets by hand; None for ``auto``, where the law's own weights hold."""
     gains = problem.scene.gains
     return None if gains == "auto" else gains
 
@@ -110,8 +108,8 @@ def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]
     return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints"), None
 
 
-def _target(robot: Robot, scene: Scene, pose: Pose | Goal, key: str) -> TipTarget:
-    target = TipTarget(position=np.array(pose.position), pitch=pose.pitch_range, rotation=pose.rotation)
+def _target(robot: Robot, scene: Scene, pose: Pose, key: str) -> TipTarget:
+    target = pose.target
     if target.pitch is not None and not robot.has_pitch:
         raise SceneError(
             "pitch is not defined for this arm: the axis of its last joint does not stay horizontal",

@@ -1,8 +1,8 @@
 """How well the tip keeps to its task, from the samples of a motion alone.
 
-Between two samples the tip leaves the straight line between its two positions by at
-most 1/8 (sum_j |dq_j|) (sum_j |dq_j| r_j): its acceleration under constant joint rates
-is at most that product. This sagitta is added to what the samples show.
+Between two samples the tip leaves the straight line between its two positions by at most
+1/8 (sum_j |dq_j|) (sum_j |dq_j| r_j), because its acceleration under constant joint rates is
+at most that product. This sagitta is added to the errors at the samples.
 """
 
 from __future__ import annotations
@@ -11,19 +11,18 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine import Kinematics, TipTarget
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import Obstruction
 
-GOAL_TOLERANCE = 1e-3  # m
-ANGLE_TOLERANCE = 1e-2  # rad
-_BEGINNING = 0.1  # of the path: while less is done, the tip may still be approaching
-_BESIDE = 10.0  # tolerances from where a detour begins or ends, in which the tip swings out or in
-_LOOK_AHEAD = 0.5  # m of path in which the tip is looked for while it follows
+GOAL_TOLERANCE = 1e-3  # m at which a goal is reached; chosen, far below what a machine's control can do
+ANGLE_TOLERANCE = 1e-2  # rad at which an asked angle is reached; chosen, half a degree
+_BEGINNING = 0.1  # part of the path; chosen: while less is done, the tip may still be approaching
+_BESIDE = 10.0  # tolerances before and behind an end of a detour in which the tip swings out or in; chosen
+_LOOK_AHEAD = 0.5  # m of path within which the tip is sought while it follows; chosen
 
 
 @dataclass(frozen=True)
@@ -32,11 +31,11 @@ class Detour:
 
     Attributes
     ----------
-    time_from, time_to: when [s].
+    time_from, time_to: when it begins and ends [s].
     path_from, path_to: where the tip leaves the path and where it rejoins it [m].
-    length: way of the tip in between [m].
+    length: of the tip's way in between [m].
     max_deviation: largest distance from the path [m].
-    obstruction: what it goes round, where a planner says so; a certificate does not know.
+    obstruction: what the detour goes around, where a planner knows it; a certificate does not.
     """
 
     time_from: float
@@ -50,15 +49,15 @@ class Detour:
 
 @dataclass(frozen=True)
 class Tracking:
-    """What the tip made of its task.
+    """How well the tip kept to its task.
 
     Attributes
     ----------
-    done: goal reached, or path followed to its end.
-    shortfall: in words, what is missing where not done.
-    max_error, mean_error: of the tip's position [m]: at the goal, or over the followed
-        parts of the path with what may happen between the samples.
-    max_angle_error: [rad]
+    done: whether the goal was reached, or the path followed to its end.
+    shortfall: in words, what is missing; empty where done.
+    max_error, mean_error: of the tip's position [m]: at the goal, or over the followed parts
+        of the path, where the greatest includes the bound for what lies between samples.
+    max_angle_error: at the goal, or the greatest on the followed parts [rad].
     path_length: of the specified path [m]; 0 for a goal.
     followed: part of it that was followed [m].
     approach_time: when the tip first is on the path [s].
@@ -81,7 +80,13 @@ class Tracking:
 
 
 def track_goal(goal: TipTarget, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
-    """How close the last sample is to `goal`."""
+    """How close the tip is to `goal` at the last sample.
+
+    Parameters
+    ----------
+    goal: where the tip is to arrive.
+    trajectory, kinematics: the motion, and the machine that makes it.
+    """
     position, angle = goal.distances(kinematics.at(trajectory.q[-1]))
     missing = []
     if position > GOAL_TOLERANCE:
@@ -94,10 +99,12 @@ def track_goal(goal: TipTarget, trajectory: Trajectory, kinematics: Kinematics) 
 def track_path(
     path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics, reach: Vector
 ) -> Tracking:
-    """How the samples keep to `path`, with a bound for what lies between them.
+    """How the tip keeps to `path` at the samples, with a bound for what lies between them.
 
     Parameters
     ----------
+    path: what the tip is to follow.
+    trajectory, kinematics: the motion, and the machine that makes it.
     tolerance: within which the tip counts as on the path [m].
     reach: (n,) bound on the tip's travel per joint, as by `tip_travel_bound`.
     """
@@ -146,9 +153,9 @@ def track_path(
 
 
 def _max_speed(
-    on: NDArray[np.bool_],
+    on: Flags,
     station: Vector,
-    tips: NDArray[np.float64],
+    tips: Matrix,
     trajectory: Trajectory,
     kinematics: Kinematics,
     edges: Vector,
@@ -173,10 +180,11 @@ def _max_speed(
 
 
 def progress(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:
-    """Arc length up to which a motion has followed a path [m]; None where it has not begun to.
+    """Arc length up to which a motion has followed `path` [m]; None where it has not begun to.
 
     Parameters
     ----------
+    trajectory, kinematics: the motion, and the machine that makes it.
     tolerance: within which the tip counts as on the path [m].
     """
     station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
@@ -190,7 +198,7 @@ def progress(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics
 
 def _follow(
     path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics
-) -> tuple[Vector, Vector, Vector, NDArray[np.float64]]:
+) -> tuple[Vector, Vector, Vector, Matrix]:
     """Per sample: arc length, distance from the path, angle error, and tip position."""
     count = len(trajectory)
     station, error, angle, tips = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3))
@@ -218,9 +226,9 @@ def _follow(
 
 
 def _beginning(path: TipPath, tolerance: float) -> float:
-    """Arc length up to which a tip at the path's first point counts as only now beginning [m].
+    """Arc length up to which a tip at the path's first point still counts as beginning [m].
 
-    Where the path itself comes back to its first point that is less.
+    It is shorter where the path itself comes back to its first point.
     """
     usual = _BEGINNING * path.length
     raster = np.arange(0.0, 2.0 * usual, max(tolerance, 1e-3, usual / 5000.0))
@@ -230,7 +238,7 @@ def _beginning(path: TipPath, tolerance: float) -> float:
     return min(usual, 0.5 * float(raster[back[0]])) if len(back) else usual
 
 
-def _cut_corners(path: TipPath, station: Vector, tips: NDArray[np.float64]) -> Vector:
+def _cut_corners(path: TipPath, station: Vector, tips: Matrix) -> Vector:
     """(T - 1,) how far the chord from sample to sample passes from the path's corners [m]."""
     found = np.zeros(len(station) - 1)
     for mark, corner in zip(path.stations[1:-1], path.points[1:-1], strict=True):
@@ -242,18 +250,16 @@ def _cut_corners(path: TipPath, station: Vector, tips: NDArray[np.float64]) -> V
     return found
 
 
-def _close_gaps(on: NDArray[np.bool_], first: int, last: int, station: Vector, shortest: float) -> None:
-    """Touching the path for less than `shortest` [m] between two detours is one detour."""
+def _close_gaps(on: Flags, first: int, last: int, station: Vector, shortest: float) -> None:
+    """Join two detours between which the tip is on the path for less than `shortest` [m]."""
     edges = np.flatnonzero(np.diff(on[first : last + 1].astype(int))) + first + 1
     for start, end in pairwise([first, *edges.tolist(), last + 1]):
         if on[start] and start > first and end <= last and station[end - 1] - station[start] < shortest:
             on[start:end] = False
 
 
-def _detours(
-    on: NDArray[np.bool_], station: Vector, error: Vector, tips: NDArray[np.float64], time: Vector, tolerance: float
-) -> list[Detour]:
-    """Where the tip is off the path, and where it skips a part: gets on along the path by more than it moves."""
+def _detours(on: Flags, station: Vector, error: Vector, tips: Matrix, time: Vector, tolerance: float) -> list[Detour]:
+    """The detours: where the tip is off the path, and where it advances along the path by more than it moves."""
     way = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     skips = np.diff(station) > 1.5 * way + 4.0 * tolerance
     return [

@@ -11,22 +11,20 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import JointLimits
 
-SAMPLE_PERIOD = 0.02  # s between the samples of a planned motion
-# rad or m of a joint between two moments at which limits are looked at: the greatest flow of
-# a rod is met to within 0.1 %
-_LONG = 0.025
-_MOST = 200_000  # moments of one motion, so that one of very few samples ends in seconds
+SAMPLE_PERIOD = 0.02  # s between the samples of a planned motion; chosen
+_LONG = 0.025  # rad or m of a joint between two moments at which limits are checked: finds peaks of flow within 0.1 %
+_MOST = 200_000  # moments of one motion; chosen, so that checking a very long one takes seconds
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """M moments of a motion, in order: its samples, and more inside its long segments.
+    """M moments of a motion, in order: its samples, and further ones inside its long segments.
 
     Attributes
     ----------
     time: (M,) [s].
     q, v, a: (M, n); inside a segment v is constant and a is 0.
-    segment: (M,) index of the segment that begins or goes on there; of the last sample, its own.
+    segment: (M,) index of the segment that begins or goes on there; for the last sample, the sample's own index.
     """
 
     time: Vector
@@ -84,7 +82,7 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """From the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0])
 
     def __len__(self) -> int:
@@ -102,10 +100,14 @@ class Trajectory:
         return np.asarray(np.diff(self.q, axis=0) / np.diff(self.time)[:, None])
 
     def moments(self, *, longest: float = _LONG) -> Moments:
-        """The samples, and as many moments between them that no joint goes further unseen than `longest` [rad or m].
+        """The samples, and further moments between them where these are far apart.
 
-        What a limit requires must not depend on how few samples there are. Most planned
-        motions have no segment that long.
+        So the use of a limit does not depend on how few samples there are. Most planned
+        motions need no further moments.
+
+        Parameters
+        ----------
+        longest: the most that a joint moves from one moment to the next [rad or m].
         """
         steps = np.max(np.abs(np.diff(self.q, axis=0)), axis=1, initial=0.0)
         parts = np.ceil(steps / longest)
@@ -139,8 +141,12 @@ class Trajectory:
 
 
 def chord_sagitta(limits: JointLimits) -> Vector:
-    """(n,) how far a motion can be from the straight line between two of its samples.
+    """(n,) the most that a motion can be off the straight line between two of its samples [rad or m].
 
-    a T^2 / 8 for an acceleration of a held over the period T; on a straight leg it is 0.
+    a T^2 / 8 for an acceleration a held over the period T; on a straight leg it is 0.
+
+    Parameters
+    ----------
+    limits: of which the accelerations count.
     """
     return np.asarray(limits.acceleration * SAMPLE_PERIOD**2 / 8.0)

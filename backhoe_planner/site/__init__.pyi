@@ -13,7 +13,6 @@ from .proximity import Nearby as Nearby
 from .proximity import Proximity as Proximity
 from .quantities import Finite as Finite
 from .scene_file import Gains as Gains
-from .scene_file import Goal as Goal
 from .scene_file import Pose as Pose
 from .scene_file import Scene as Scene
 from .scene_file import Soil as Soil

@@ -1,1 +1,1 @@
-"""When a motion is where, as fast as the limits allow."""
+"""The timing of motions: as fast as the limits allow."""

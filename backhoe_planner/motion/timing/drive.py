@@ -1,4 +1,4 @@
-"""What moves the joints of a machine, how much of it there is, and how much of every limit a motion uses.
+"""The drive of a machine, its limits, and how much of every limit a motion uses.
 
 Torques follow from inverse dynamics with payload and soil; they are bounded by the
 joints' effort and, with hydraulics, by the relief pressure. Speeds are bounded by the
@@ -18,20 +18,20 @@ from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Moments, Trajectory
 from backhoe_planner.site import Soil, SoilReaction
 
-_BRISK = 1.0  # rad/s or m/s of the fastest joint, at which the soil's force is fully there
-_MOST = 1e6  # a limit exceeded by more counts as this, so that no ratio is infinite
+_BRISK = 1.0  # rad/s or m/s of the fastest joint; chosen: fast enough for the soil's full force
+_MOST = 1e6  # ratio to a limit: greater ones count as this, so that none is infinite
 
 
 @dataclass(frozen=True, eq=False)
 class DriveUse:
-    """How much of what drives the machine a motion uses, at K moments; 1 at the limit.
+    """How much of the limits of its drive a motion uses, at K moments; ratios are 1 at the limit.
 
     Attributes
     ----------
     torque: (K, n) the torques [N m or N].
-    effort: (K, n) torque over what the joint has that way.
-    rod_speed: (K, n) of each joint's cylinders over what valves and pump allow that way.
-    flow, power: (K,) of all cylinders over what pump and engine give.
+    effort: (K, n) torque over the greatest torque of the joint in that direction.
+    rod_speed: (K, n) speed of each joint over what valves and pump allow in that direction.
+    flow, power: (K,) of all cylinders over that of pump and engine.
     """
 
     torque: Array
@@ -47,7 +47,9 @@ class DriveUse:
 
 
 class Drive:
-    """The drive of one machine with its load; own working memory.
+    """The drive of one machine with its load.
+
+    It owns its working memory: do not share one between threads.
 
     Parameters
     ----------
@@ -97,39 +99,42 @@ class Drive:
         return np.zeros(np.shape(q)) if self._soil is None else -self._soil.torques(q, v)
 
     def soil_torques_towards(self, q: Array, direction: Array) -> Array:
-        """(K, n) the same for a brisk motion in a `direction` (K, n), dq/ds; slower, they are a part of it."""
+        """(K, n) torques against the soil of a fast motion at q in `direction` dq/ds (K, n) [N m or N].
+
+        Those of a slower motion are a part of them.
+        """
         if self._soil is None:
             return np.zeros(np.shape(q))
         return self.soil_torques(q, direction * (_BRISK / np.maximum(np.max(np.abs(direction)), 1e-12)))
 
     def rod_speed_use(self, q: Array, v: Array) -> Array:
-        """(..., n) speed over what valves and pump allow each joint alone, at q, v (..., n)."""
+        """(..., n) speed of each joint over what valves and pump allow it alone, at q, v (..., n)."""
         if self.hydraulics is None:
             return np.zeros(np.shape(q))
         limits = self.hydraulics.velocity_limits(q)
         return np.asarray(np.abs(v) / np.where(v > 0.0, limits.positive, limits.negative))
 
     def flow_use(self, q: Array, v: Array) -> Array:
-        """(...) flow over what the pump delivers."""
+        """(...) flow over the pump's, at q, v (..., n)."""
         if self.hydraulics is None:
             return np.zeros(np.shape(q)[:-1])
         return np.asarray(self.hydraulics.total_flow(q, v) / self.hydraulics.pump_flow)
 
     def effort_use(self, q: Array, torque: Array) -> Array:
-        """(..., n) torque over what each joint has that way."""
+        """(..., n) `torque` (..., n) [N m or N] over the greatest of each joint in that direction, at q (..., n)."""
         limits = self.torque_limits(q)
         there = np.where(torque > 0.0, limits.positive, limits.negative)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(np.where(torque == 0.0, 0.0, np.minimum(np.abs(torque) / there, _MOST)))
 
     def power_use(self, q: Array, v: Array, torque: Array) -> Array:
-        """(...) power in the oil over what the engine puts in."""
+        """(...) power in the oil over the engine's, at q, v (..., n) with `torque` (..., n) [N m or N]."""
         if self.hydraulics is None:
             return np.zeros(np.shape(q)[:-1])
         return np.asarray(self.hydraulics.power(q, v, torque) / self.hydraulics.power_limit)
 
     def use(self, q: Array, v: Array, a: Array) -> DriveUse:
-        """What a motion uses at q, v, a (K, n)."""
+        """The use of the drive by a motion at q, v, a (K, n)."""
         torque = self.rigid_torques(q, v, a) + self.soil_torques(q, v)
         return DriveUse(
             torque=torque,
@@ -140,7 +145,7 @@ class Drive:
         )
 
     def use_along(self, moments: Moments) -> DriveUse:
-        """What a sampled motion uses; speeds and flow are also looked at halfway from moment to moment."""
+        """The use of the drive at `moments`; speeds and flow are also looked at halfway between them."""
         use = self.use(moments.q, moments.v, moments.a)
         if len(moments.time) < 2:
             return use
@@ -169,7 +174,7 @@ class LimitUsage:
 
     Attributes
     ----------
-    moments: the samples, and more inside long segments.
+    moments: the samples, and further ones inside long segments.
     limits: L kinds with the joint that each belongs to: ``velocity``, ``acceleration``, ``torque`` and
         ``rod speed`` of every joint; ``pump flow``, ``engine power`` and ``tip speed``, with no joint.
     ratio: (M, L) 1 at the limit.
@@ -191,18 +196,21 @@ class LimitUsage:
 
     @property
     def greatest(self) -> Array:
-        """(M,) how much of that limit is used."""
+        """(M,) ratio of the limit that is used most."""
         return np.asarray(np.max(self.ratio, axis=1))
 
     def worst(self, *kinds: str) -> tuple[int, int]:
-        """The moment and the limit, of these kinds, where most is used; there must be one."""
+        """Indices of the moment and of the limit where most is used, among limits of these `kinds`.
+
+        There must be one of them.
+        """
         columns = [index for index, (kind, _) in enumerate(self.limits) if kind in kinds]
         row, column = np.unravel_index(int(np.argmax(self.ratio[:, columns])), (len(self.ratio), len(columns)))
         return int(row), columns[int(column)]
 
 
 def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = True) -> LimitUsage:
-    """What a motion uses of the limits of joints, drive and tip speed.
+    """How much of the limits of joints, drive and tip speed a motion uses.
 
     Velocities are those of the faster of the two segments beside a sample, accelerations
     and torques those of `Trajectory.accelerations`. The tip's speed counts where the tip is
@@ -210,7 +218,7 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
 
     Parameters
     ----------
-    tip_speed: whether it counts at all.
+    tip_speed: whether to look at the tip's speed.
     """
     joints, moments = problem.robot.joint_names, trajectory.moments()
     velocity = np.zeros_like(trajectory.q)

@@ -25,27 +25,29 @@ from backhoe_planner.machine import Hydraulics, JointLimits
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.time_optimal import Rows, TimeLaw, fastest
 
-_SPARE = 0.9998  # of every limit: what the sampling of the motion may add
-_WITHIN = 5e-4  # over a limit that is allowed between the points of the grid
-_CORRECTIONS = 5  # runs, each slower where the one before was over a limit
-_POWER_PASSES = 8
-_POWER_SETTLED = 1e-3  # change of the duration; it converges quadratically
+_SPARE = 0.9998  # part of every limit to be used; chosen: the samples of the motion may use a little more
+_WITHIN = 5e-4  # part of a limit that may be exceeded between the points of the grid; chosen
+_CORRECTIONS = 5  # runs at most, each slower where the one before exceeded a limit; chosen
+_MOST_CORRECTED = 1.2  # factor by which one correction lowers a limit at most; chosen
+_POWER_PASSES = 8  # tangents at most, each at the speed of the run before; chosen
+_POWER_SETTLED = 1e-3  # part of the duration: the next change is far smaller, since the passes converge quadratically
+_POWER_HALVINGS = 60  # of the range of x: more than a float's digits
 _UP_TO = 1.45  # times the speed at which a load takes all power; a tangent there leaves 1.5 / 1.45 of it at rest
 _NO_CAP = 1e6  # of x, in place of infinity
-_LEAST_ROOM = 0.02  # of a load that cannot be held: room that is left to time the path all the same
-_MOST_DRIVING = 6  # joints whose every combination may drive: 63 rows
+_LEAST_ROOM = 0.02  # part of a load that cannot be held: room that it gets, so that the path can be timed; chosen
+_MOST_DRIVING = 6  # joints of which every combination may drive: 2^6 - 1 = 63 rows
 
 
 @dataclass(frozen=True, eq=False)
 class PathShape:
-    """A path on a grid, continuous with its slope; the bend may jump at the points.
+    """A path on a grid. The path and its slope are continuous; the bend may jump at the points.
 
     Attributes
     ----------
-    grid: (N + 1,) increasing places s.
+    grid: (N + 1,) increasing values of s.
     q: (N + 1, n) joints there; slope: (N + 1, n) dq/ds.
     bend_after: (N, n) d2q/ds2 at the begin of each interval; bend_before: (N, n) at its end.
-    tip_slope: (N + 1,) how far the tip goes per s [m], None where its speed is not limited.
+    tip_slope: (N + 1,) how far the tip moves per unit of s [m]; None where its speed is not limited.
     """
 
     grid: Array
@@ -71,8 +73,11 @@ def time_path(
 
     Parameters
     ----------
-    tip_speed: at most [m/s], with `tip_slope`.
-    most: greatest ds/dt.
+    shape: the path.
+    limits: of the joints.
+    drive: what moves the joints; None for no limits but those of the joints.
+    tip_speed: the greatest speed of the tip [m/s]; it needs `tip_slope`.
+    most: the greatest ds/dt.
     rests: see `fastest`.
 
     Returns
@@ -91,7 +96,7 @@ def time_path(
             break
         # slower where it is over, and beside it
         wide = np.maximum(over, np.maximum(np.append(over[1:], 0.0), np.append(0.0, over[:-1])))
-        part = part / np.where(wide > 1.0 + _WITHIN, np.minimum(wide, 1.2) * (1.0 + 0.2 * _WITHIN), 1.0)
+        part = part / np.where(wide > 1.0 + _WITHIN, np.minimum(wide, _MOST_CORRECTED) * (1.0 + 0.2 * _WITHIN), 1.0)
     return law
 
 
@@ -168,7 +173,7 @@ class _Loads:
     # --- speed --------------------------------------------------------------------
 
     def _caps(self, part: Array, tip_speed: float | None, most: float) -> Array:
-        """(N + 1,) the greatest x by what bounds speed alone."""
+        """(N + 1,) the greatest x within the limits on speed and flow."""
         shape = self._shape
         use = np.max(np.abs(shape.slope) / self._limits.velocity, axis=1)
         if self._drive is not None:
@@ -183,7 +188,7 @@ class _Loads:
     # --- acceleration and torque --------------------------------------------------
 
     def _rows(self, part: Array, end: int) -> Rows:
-        """Of acceleration and torque at the begin (0) or end (1) of every interval."""
+        """The rows of acceleration and torque at the begin (0) or end (1) of every interval."""
         shape = self._shape
         here = slice(end, len(shape.grid) - 1 + end)
         slope = shape.slope[here]
@@ -208,7 +213,7 @@ class _Loads:
 
 
 class _Power:
-    """The engine's power along a path, of the joints that cylinders move; of the busiest, if there are very many."""
+    """The engine's power along a path, over the joints that cylinders move, of which at most the six that move most."""
 
     def __init__(
         self, hydraulics: Hydraulics, shape: PathShape, inertia: Array, turning: tuple[Array, Array], loads: list[Array]
@@ -222,7 +227,7 @@ class _Power:
         self._loads = [load[:, driving] for load in loads]
 
     def use(self, law: TimeLaw) -> Array:
-        """(2, N) power over the engine's, at both ends of every interval."""
+        """(2, N) the power of a run over the engine's, at both ends of every interval."""
         found = []
         for end, turning in enumerate(self._turning):
             here = slice(end, len(law.grid) - 1 + end)
@@ -235,14 +240,14 @@ class _Power:
         return np.array(found)
 
     def ceilings(self) -> tuple[Array, Array]:
-        """(N + 1,) the x at which the engine can only just keep the speed up; and that beyond
-        which a tangent would leave nothing for the load at rest.
+        """(N + 1,) the greatest x that the engine can sustain; and (N + 1,) the x beyond which a tangent
+        would leave nothing for the load at rest.
         """
         slope, turning = self._slope, np.vstack((self._turning[0], self._turning[1][-1:]))
         even, rest = np.full(len(slope), _NO_CAP), np.full(len(slope), _NO_CAP)
         for load in self._loads:
             low, high = np.zeros(len(slope)), np.full(len(slope), _NO_CAP)
-            for _ in range(60):
+            for _ in range(_POWER_HALVINGS):
                 x = 0.5 * (low + high)
                 power = np.sum(np.maximum(slope * (turning * x[:, None] + load), 0.0), axis=1) * np.sqrt(x)
                 low, high = np.where(power <= self._limit, x, low), np.where(power <= self._limit, high, x)
@@ -253,7 +258,7 @@ class _Power:
         return np.minimum(even, _NO_CAP), np.minimum(rest, _NO_CAP)
 
     def rows(self, part: Array, reference: Array, end: int) -> Rows:
-        """At the begin (0) or end (1) of every interval."""
+        """The rows of power with tangents at `reference` (N + 1,), at the begin (0) or end (1) of every interval."""
         here = slice(end, len(self._slope) - 1 + end)
         slope, r = self._slope[here], reference[here, None]
         sets = np.array(list(product((0.0, 1.0), repeat=slope.shape[1])))[1:].T  # (joints, sets)

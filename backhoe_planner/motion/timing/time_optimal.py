@@ -1,4 +1,4 @@
-"""The fastest run along a path, in the plane of place s and squared speed x = (ds/dt)^2.
+"""The fastest run along a path, in the plane of path parameter s and squared speed x = (ds/dt)^2.
 
 With u = d2s/dt2, every limit on velocity bounds x, and every limit on acceleration or
 torque is a row  alpha u + beta x <= gamma.  A backward pass over the grid finds the
@@ -7,11 +7,11 @@ greatest u that stays below it (H. Pham and Q.-C. Pham, A new approach to time-o
 path parameterization based on reachability analysis, IEEE T-RO 34, 2018). Between two
 points of the grid u is constant and x linear in s; rows hold at both ends of it.
 
-toppra solves the same rows to the same result (durations within 5e-7 of these on the six
+toppra solves the same rows with the same result (durations within 5e-7 of these on the six
 runs of four scenes, 300 to 1,100 points with 16 or 24 rows each), but takes 2.3 times as
-long (1.2 s instead of 0.5 s), wants every limit as a constraint class of its own, brings
-matplotlib, and says that there is no run by None and a log line. So it checks this file
-in the tests and is not needed to plan.
+long (1.2 s instead of 0.5 s), needs a constraint class for every limit, requires matplotlib,
+and reports by None and a log line that there is no run. So it checks this file in the tests
+and is not needed to plan.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array
 
-_STEPS = 60  # of Newton's method on a concave piecewise linear function, which ends by itself
-_ROUNDING = 1e-10  # relative: rows and room below this are rounding
+_STEPS = 60  # of Newton's method at most; on a concave piecewise linear function it ends by itself
+_ROUNDING = 1e-10  # relative: coefficients and room below this are rounding
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """alpha u + beta x <= gamma, R rows at one end of each of N intervals; all (N, R)."""
+    """alpha u + beta x <= gamma: R rows at one end of each of N intervals; all arrays (N, R)."""
 
     alpha: Array
     beta: Array
@@ -37,21 +37,18 @@ class Rows:
 
     @classmethod
     def stacked(cls, parts: list[Rows]) -> Rows:
-        """All rows of several."""
-        return cls(
-            np.hstack([part.alpha for part in parts]),
-            np.hstack([part.beta for part in parts]),
-            np.hstack([part.gamma for part in parts]),
-        )
+        """The rows of all `parts`."""
+        return cls(*(np.hstack([getattr(part, name) for part in parts]) for name in ("alpha", "beta", "gamma")))
 
 
 @dataclass(frozen=True, eq=False)
 class TimeLaw:
-    """Where on a path to be when.
+    """A run along a path: the path parameter over time.
 
     Attributes
     ----------
-    grid: (N + 1,) places s; x: (N + 1,) squared speed there [1/s^2 times that of s].
+    grid: (N + 1,) values of s, in any unit.
+    x: (N + 1,) squared speed there [1/s^2 times the square of that unit].
     time: (N + 1,) when each is reached [s].
     """
 
@@ -61,7 +58,7 @@ class TimeLaw:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """From the begin to the end of the grid [s]."""
         return float(self.time[-1])
 
     @property
@@ -69,13 +66,12 @@ class TimeLaw:
         """(N,) d2s/dt2 on each interval."""
         return np.asarray(0.5 * np.diff(self.x) / np.diff(self.grid))
 
-    def at(self, time: Array) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-        """s, ds/dt, d2s/dt2 and the interval at each `time` [s], all of its shape."""
+    def at(self, time: Array) -> Array:
+        """The path parameter s at each `time` [s], of its shape."""
         interval = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.grid) - 2)
         since = np.clip(time - self.time[interval], 0.0, None)
-        u, speed = self.u[interval], np.sqrt(self.x[interval])
-        s = self.grid[interval] + since * (speed + 0.5 * since * u)
-        return np.clip(s, self.grid[0], self.grid[-1]), np.maximum(speed + u * since, 0.0), u, interval
+        s = self.grid[interval] + since * (np.sqrt(self.x[interval]) + 0.5 * since * self.u[interval])
+        return np.clip(s, self.grid[0], self.grid[-1])
 
 
 def fastest(grid: Array, caps: Array, before: Rows, after: Rows, *, rests: bool = True) -> TimeLaw | None:
@@ -83,9 +79,10 @@ def fastest(grid: Array, caps: Array, before: Rows, after: Rows, *, rests: bool 
 
     Parameters
     ----------
-    grid: (N + 1,) increasing; caps: (N + 1,) greatest x, finite.
+    grid: (N + 1,) increasing values of s.
+    caps: (N + 1,) the greatest x there, finite.
     before, after: rows at the begin and at the end of each of the N intervals.
-    rests: whether the run is at rest at both ends; else as fast there as it may.
+    rests: whether the run is at rest at both ends; if not, it is as fast there as the limits allow.
 
     Returns
     -------

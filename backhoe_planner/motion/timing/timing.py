@@ -1,8 +1,8 @@
-"""Joint positions along a path made into a motion from rest to rest, as fast as the limits allow.
+"""From joint positions along a path to a motion from rest to rest, as fast as the limits allow.
 
-The speed along a smooth curve through the samples is time-optimal, see `path_limits`. The
-samples of the motion are checked, and slowed by as much as they exceed a limit: of the joints
-by one factor, of the drive where they do (`retime`).
+The speed along a smooth curve through the positions is time-optimal, see `path_limits`. The
+samples of the motion are checked. Where they exceed a limit of the joints, the whole motion
+is slowed by one factor; where they exceed one of the drive, it is slowed there (`retime`).
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
-_MANY = 5000  # samples of one motion, 100 s at the usual period; a slower one is thinned out
-_MOST = 1_000_000  # samples before it is
-_LEAST_STEP = 2.5e-3  # rad or m of a joint from sample to sample in a thinned motion: a tenth of `Trajectory.moments`
-_LEAST_TIP_STEP = 5e-4  # m of the tip, a tenth of the usual tolerance
-_SPARE = 0.999  # of every limit: what sampling may add to a ramp
-_SAME_PLACE = 1e-9  # of a way's length: corners nearer than this are one but for rounding
-_PER_PIECE = 12  # intervals on every leg and corner of a way
-_PER_WAY = 300  # intervals on a way between two stops, at least about; `path_limits` corrects what lies between
-_LEAST_GRID = 1000  # intervals on a path between two stops
-_HALVINGS = 6  # of the first and the last interval, where a slow machine is at full speed soon
+_MANY = 5000  # samples, 100 s at the usual period; chosen: a longer motion is thinned out
+_MOST = 1_000_000  # samples of a motion before it is thinned out; chosen, 80 MB for ten joints
+_LEAST_STEP = 2.5e-3  # rad or m of a joint between samples of a thinned motion: a tenth of `Trajectory.moments`
+_LEAST_TIP_STEP = 5e-4  # m of the tip: a tenth of the usual tolerance
+_SPARE = 0.999  # part of every limit that a ramp uses; chosen: its samples may use a little more
+_SAME_PLACE = 1e-9  # part of a way's length: corners nearer to each other are one but for rounding
+_PER_PIECE = 12  # intervals on every leg and corner of a way; chosen, as are the next two
+_PER_WAY = 300  # intervals on a way between two stops, about; `path_limits` corrects what lies between
+_LEAST_GRID = 1000  # intervals on a path, about
+_HALVINGS = 6  # of the first and last interval, within which a slow machine may reach its full speed; chosen
 
-DRIVE_TOLERANCE = 0.01  # over a limit of the drive that a sampled motion may be: its accelerations are differences
+# part of a limit of the drive that a sampled motion may exceed: its accelerations are differences of velocities
+DRIVE_TOLERANCE = 0.01
 _ENOUGH = 0.5 * DRIVE_TOLERANCE
-_ROUNDING = 1e-7  # of a limit of the joints
-_SLOWEST = 50.0  # times slower than it was, beyond which a motion stays as it is
+_ROUNDING = 1e-7  # part of a limit of the joints
+_SLOWEST = 50.0  # factor; chosen: a motion that even this does not help stays as it is
 
 
 def time_along(
@@ -54,12 +55,14 @@ def time_along(
 
     Parameters
     ----------
-    stations: (K,) arc lengths of the tip [m], not decreasing: it may stand while the
-        joints turn; q: (K, n) joints there.
-    speed: of the tip along the path at most [m/s], None for no such limit.
+    stations: (K,) arc lengths of the tip [m], not decreasing: the tip may stand while the
+        joints turn.
+    q: (K, n) joints there [rad or m].
+    limits: of the joints.
+    speed: the greatest speed of the tip along the path [m/s]; None for no such limit.
     period: between the samples of the result [s].
-    drive: what moves the joints, None for no limits but those of the joints.
-    intervals: at whose ends limits are looked at, at least about.
+    drive: what moves the joints; None for no limits but those of the joints.
+    intervals: about how many, at least, have their ends checked for limits.
     """
     if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
         return Trajectory.from_steps(np.zeros(1), q[:1])
@@ -75,19 +78,19 @@ def time_along(
     if law is None:
         time, samples = _ramp(along, q, limits)
         return retime(Trajectory.from_steps(time, samples), limits, drive=drive)
-    time, samples = _thinned(
+    time, samples = _thin_out(
         _samples(law.duration, period),
-        lambda moments: np.asarray(curve(law.at(moments)[0])),
+        lambda moments: np.asarray(curve(law.at(moments))),
         np.append(np.full(q.shape[1], _LEAST_STEP), _LEAST_TIP_STEP),
     )
     samples = samples[:, :-1]
     samples[0], samples[-1] = q[0], q[-1]
     # a spline may swing a little beyond a limit at which its samples stand
-    return _kept(Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper)), limits, drive)
+    return _slow_to_limits(Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper)), limits, drive)
 
 
 def _refined(along: Vector, count: int) -> Vector:
-    """The samples' places, with about `count` intervals between them as even as may be."""
+    """The values in `along`, and further ones between them: about `count` intervals, nearly equal."""
     steps = np.diff(along)
     parts = np.maximum(np.ceil(count * steps / (along[-1] - along[0]) - 1e-9).astype(int), 1)
     pieces = [np.linspace(a, b, k, endpoint=False) for a, b, k in zip(along[:-1], along[1:], parts, strict=True)]
@@ -95,14 +98,14 @@ def _refined(along: Vector, count: int) -> Vector:
 
 
 def _denser_at_ends(grid: Vector) -> Vector:
-    """The same places and more of them towards both ends."""
+    """The values in `grid`, and further ones in its first and last interval, denser towards the ends."""
     halves = 0.5 ** np.arange(_HALVINGS, 0, -1)
     first, last = grid[1] - grid[0], grid[-1] - grid[-2]
     return np.concatenate((grid[:1], grid[0] + first * halves, grid[1:-1], grid[-1] - last * halves[::-1], grid[-1:]))
 
 
-def _kept(trajectory: Trajectory, limits: JointLimits, drive: Drive | None) -> Trajectory:
-    """The motion, slowed where its samples are over a limit."""
+def _slow_to_limits(trajectory: Trajectory, limits: JointLimits, drive: Drive | None) -> Trajectory:
+    """The motion, slowed where its samples exceed a limit."""
     over = _over(trajectory, limits)
     if over > 1.0:
         trajectory = Trajectory.from_steps(trajectory.time * (over * (1.0 + 1e-9)), trajectory.q)
@@ -110,9 +113,9 @@ def _kept(trajectory: Trajectory, limits: JointLimits, drive: Drive | None) -> T
 
 
 def time_polyline(q: Matrix, limits: JointLimits) -> Trajectory:
-    """A motion straight from sample to sample of `q` (K, n), one smooth ramp slowed to fit.
+    """A motion straight from sample to sample of `q` (K, n), in one smooth ramp that keeps the `limits`.
 
-    It keeps to the samples whatever their shape, and is far from time-optimal.
+    It passes through all samples, however they lie, and is far from time-optimal.
     """
     way = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(q, axis=0)), axis=1))))
     if way[-1] < 1e-12:
@@ -130,7 +133,7 @@ def _ramp(stations: Vector, q: Matrix, limits: JointLimits) -> tuple[Vector, Mat
 
 
 def _over(trajectory: Trajectory, limits: JointLimits) -> float:
-    """By how much time must be stretched so that every limit of the joints is kept."""
+    """The factor by which time must be stretched so that every limit of the joints is kept."""
     velocity = float(np.max(np.abs(trajectory.segment_velocities()) / limits.velocity))
     acceleration = float(np.max(np.abs(trajectory.accelerations()) / limits.acceleration))
     return max(velocity, float(np.sqrt(acceleration)))
@@ -148,7 +151,8 @@ def time_way(way: SmoothWay, limits: JointLimits, *, drive: Drive | None = None)
 
     Parameters
     ----------
-    drive: what moves the joints, None for no limits but those of the joints.
+    way, limits: where the joints go, and their limits.
+    drive: what moves the joints; None for no limits but those of the joints.
     """
     if way.length == 0.0:
         return Trajectory.from_steps(np.zeros(1), way.corners[:1])
@@ -160,7 +164,7 @@ def time_way(way: SmoothWay, limits: JointLimits, *, drive: Drive | None = None)
             samples.append(q[1:])
     time, q = np.concatenate(times), np.vstack(samples)
     q[-1] = way.corners[-1]
-    return _kept(Trajectory.from_steps(time, q), limits, drive)
+    return _slow_to_limits(Trajectory.from_steps(time, q), limits, drive)
 
 
 def _parts(
@@ -176,7 +180,7 @@ def _parts(
 
 
 def _straight(q_a: Vector, q_b: Vector, limits: JointLimits) -> tuple[Vector, Matrix]:
-    """Speeding up, even speed, slowing down: the fastest straight motion from rest to rest."""
+    """The fastest straight motion from rest to rest: speeding up, constant speed, slowing down."""
     dq = np.abs(q_b - q_a)
     moving = dq > 0.0
     rate = _SPARE * float(np.min(limits.velocity[moving] / dq[moving]))
@@ -195,13 +199,14 @@ def _samples(duration: float, period: float) -> Vector:
     return np.linspace(0.0, duration, min(max(int(np.ceil(duration / period)) + 1, 3), _MOST))
 
 
-def _thinned(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector) -> tuple[Vector, Matrix]:
-    """Samples (T,), (T, m) of a motion; of a very slow one only those at which something has moved.
+def _thin_out(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector) -> tuple[Vector, Matrix]:
+    """Samples (T,), (T, m) of a motion; of one with very many, only those at which something has moved.
 
     Parameters
     ----------
-    place: (K, m) the coordinates at (K,) times.
-    least_step: (m,) of each of them between two samples of a slow motion.
+    time: (K,) of all samples [s].
+    place: gives the coordinates (K, m) at (K,) times.
+    least_step: (m,) how far some coordinate moves from sample to sample of a slow motion.
     """
     samples = place(time)
     if len(time) <= _MANY:
@@ -214,7 +219,7 @@ def _thinned(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector
 def _along_smooth(
     way: SmoothWay, begin: float, end: float, limits: JointLimits, drive: Drive | None
 ) -> tuple[Vector, Matrix] | None:
-    """The fastest motion between two stops, round corners between or none; None where there is no time law."""
+    """The fastest motion between two stops, through the round corners between them; None where there is no time law."""
     knots = way.knots
     apart = _SAME_PLACE * way.length  # where corners share a leg, they may end in one place but for rounding
     knots = knots[(knots > begin + apart) & (knots < end - apart)]
@@ -231,9 +236,9 @@ def _along_smooth(
     law = time_path(PathShape(places, way(places), slope, bend, bend), limits, drive=drive)
     if law is None:
         return None
-    time, q = _thinned(
+    time, q = _thin_out(
         _samples(law.duration, SAMPLE_PERIOD),
-        lambda moments: way(np.clip(law.at(moments)[0], begin, end)),
+        lambda moments: way(np.clip(law.at(moments), begin, end)),
         np.full(way.corners.shape[1], _LEAST_STEP),
     )
     q[0], q[-1] = way(begin), way(end)
@@ -244,9 +249,9 @@ def _along_smooth(
 
 
 def retime(trajectory: Trajectory, limits: JointLimits, *, drive: Drive | None) -> Trajectory:
-    """The motion, slower where its torques, speeds, flow or power are more than the machine has.
+    """The motion, slower where its torques, speeds, flow or power exceed those of the `drive`.
 
-    Only the times of the samples change, so that every distance to what stands still is the same.
+    Only the times of the samples change, so all distances from obstacles at rest stay the same.
     Where a static load cannot be held, torques are not limited: slowing down does not reduce them.
     """
     if drive is None or not drive.limited or len(trajectory) < 3 or _drive_use(trajectory, drive) <= 1.0 + _ENOUGH:
@@ -275,10 +280,10 @@ def _drive_use(trajectory: Trajectory, drive: Drive) -> float:
 
 
 def _locally(trajectory: Trajectory, limits: JointLimits, drive: Drive, part: float) -> Trajectory | None:
-    """Slower where it must be, never faster; None where no such run is found.
+    """The motion, slower where it must be and never faster; None where no such run is found.
 
-    The place on the way is the time it had, so that velocity and acceleration of the
-    samples are its slope and bend.
+    The path parameter is the old time, so that velocity and acceleration of the samples are
+    the slope and the bend.
     """
     v, a = trajectory.v.copy(), trajectory.accelerations()
     segment = trajectory.segment_velocities()
@@ -292,7 +297,7 @@ def _locally(trajectory: Trajectory, limits: JointLimits, drive: Drive, part: fl
 
 
 def _stretched(trajectory: Trajectory, drive: Drive) -> Trajectory:
-    """All of it slower by one factor; as it was where even the slowest would be too much."""
+    """The whole motion slower by one factor; unchanged where even a factor of 50 does not help."""
 
     def slower(factor: float) -> Trajectory:
         return Trajectory.from_steps(trajectory.time * factor, trajectory.q)
