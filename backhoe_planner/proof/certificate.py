@@ -1,6 +1,6 @@
-"""The certificate: a proof about a whole continuous motion, made after the fact.
+"""The certificate: a proof about a whole continuous motion.
 
-It rests on nothing but the URDF, the scene and the samples: not on how the motion was found.
+It rests only on the URDF, the scene and the samples, not on how the motion was found.
 """
 
 from __future__ import annotations
@@ -15,6 +15,10 @@ from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
 from backhoe_planner.site import Obstruction, Proximity, Scene
 
+_STARTS_AT = 1e-5  # m and rad: rounding of what inverse kinematics finds is below
+_STARTS_AT_JOINTS = 1e-9  # rad or m: rounding in a plan file is below
+_SAME_VELOCITY = 1e-6  # relative, and rad/s or m/s: velocities nearer than this are the same
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -22,7 +26,6 @@ class Certificate:
 
     Attributes
     ----------
-    min_clearance: the tightest, by margin; None where nothing can be touched.
     clearances: for every obstacle that comes near, and for the machine itself, the tightest
         spot of the whole motion, with the proven lower bound of its distance and when it was
         found; tightest margin first.
@@ -31,11 +34,10 @@ class Certificate:
     hydraulics: use of rod speeds, pump flow and engine power; None for a machine without
         a hydraulic description.
     tracking: how the tip keeps to its task.
-    tip_speed: use of the asked speed; None where none is asked.
-    problems: what is not as it must be, in words; empty where verified.
+    tip_speed: use of the asked speed; None where none is asked for.
+    problems: everything that is not as it must be, in words; empty where verified.
     """
 
-    min_clearance: Obstruction | None
     clearances: tuple[Obstruction, ...]
     position: LimitUse
     velocity: LimitUse
@@ -47,13 +49,18 @@ class Certificate:
     problems: tuple[str, ...]
 
     @property
+    def min_clearance(self) -> Obstruction | None:
+        """The tightest spot, by margin; None where nothing can be touched."""
+        return self.clearances[0] if self.clearances else None
+
+    @property
     def verified(self) -> bool:
         """Whether every clearance and limit holds and the task is done."""
         return not self.problems
 
     @property
     def safe(self) -> bool:
-        """Whether every clearance and limit holds, be the task done or not."""
+        """Whether every clearance and limit holds, whether or not the task is done."""
         tightest = self.min_clearance
         return (tightest is None or tightest.margin >= -KEPT_WITHIN) and self.limits_kept
 
@@ -72,7 +79,12 @@ class Certificate:
 
 
 def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
-    """Prove what holds over the whole of a motion.
+    """Prove what holds over a whole motion.
+
+    Parameters
+    ----------
+    robot, scene: the machine and its task; they need not have been checked against each other.
+    trajectory: the motion.
 
     Raises
     ------
@@ -83,7 +95,7 @@ def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
 
 
 def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
-    """The same, where machine and scene have already been brought together."""
+    """Prove what holds over a whole motion, for a problem that is already built; see `certify`."""
     problem.robot.check_q(trajectory.q[0], what="trajectory.q")
     clearances = find_clearances(Proximity(problem.robot, problem.obstacles), trajectory)
     position = position_use(problem, trajectory)
@@ -107,19 +119,20 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     problems += _task_problems(problem, trajectory, tracking, kinematics)
     problems += [use.describe() for use in (effort, hydraulics, tip_speed) if use is not None and not use.kept]
     return Certificate(
-        tightest, clearances, position=position, velocity=velocity, acceleration=acceleration, effort=effort,
+        clearances, position=position, velocity=velocity, acceleration=acceleration, effort=effort,
         hydraulics=hydraulics, tracking=tracking, tip_speed=tip_speed, problems=tuple(problems),
     )  # fmt: skip
 
 
 def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking, kinematics: Kinematics) -> list[str]:
-    """What is wrong with where the motion begins, what it follows, and what it says of itself."""
-    found = []
-    if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(trajectory.q[0]))) > 1e-5:
+    """What is wrong with the start of the motion, its velocities, and how it keeps to its task."""
+    found, q = [], trajectory.q[0]
+    if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(q))) > _STARTS_AT:
         found.append("the motion does not begin at the asked start")
-    if not np.allclose(trajectory.v, Trajectory.from_steps(trajectory.time, trajectory.q).v, rtol=1e-6, atol=1e-6):
+    own = Trajectory.from_steps(trajectory.time, trajectory.q).v
+    if not np.allclose(trajectory.v, own, rtol=_SAME_VELOCITY, atol=_SAME_VELOCITY):
         found.append("the velocities at the samples are not those of the motion")
-    if problem.start_q is not None and np.max(np.abs(trajectory.q[0] - problem.start_q)) > 1e-9:
+    if problem.start_q is not None and np.max(np.abs(q - problem.start_q)) > _STARTS_AT_JOINTS:
         found.append("the motion does not begin at the asked start")
     path = problem.scene.task.path
     if not tracking.done:

@@ -1,10 +1,10 @@
-"""What is proven of distances between samples: whether one segment is clear, and the least over a whole motion.
+"""Proven distances between samples: whether one segment is clear, and the least distances of a whole motion.
 
 On a segment from q_a to q_b, joints moving linearly, no point of a link moves further than
 B = sum_j |dq_j| r_j relative to an obstacle (its own travel added), so the distance
 anywhere between is at least (d_a + d_b - B) / 2. Where that bound does not decide, the
-segment is halved: over a whole motion always the one with the lowest bound, until none can
-lie below what was measured, to within `RESOLUTION` (or 2 % of the margin, where that is
+segment is halved; over a whole motion, always the segment with the lowest bound, until no
+bound is below what was measured, to within `RESOLUTION` (or 2 % of the margin, where that is
 more). The result is never above the true distance.
 """
 
@@ -14,26 +14,32 @@ import heapq
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.site import Obstruction, Proximity
 
-RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance
-_RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more
+RESOLUTION = 1e-4  # m: how far a proven bound may lie below the true least distance; chosen, a tenth of a millimetre
+_RESOLUTION_OF_MARGIN = 0.02  # or this part of the margin, where that is more; chosen
 KEPT_WITHIN = RESOLUTION + 1e-5  # m: a motion at exactly its clearance counts as keeping it
-_EFFORT = 200_000  # measurements per obstacle at most, so that a motion along a wall at its clearance ends
-_EFFORT_REFUTED = 2_000  # where the motion is already known not to keep its clearance
+_EFFORT = (
+    200_000  # measurements per obstacle; chosen, so that the search ends on a motion along a wall at its clearance
+)
+_EFFORT_REFUTED = 2_000  # the same where the motion is already known not to keep its clearance; chosen
 TOUCH = 0.5 * RESOLUTION  # m: a path at exactly its clearance is clear to within this
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`
-_NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported
+_NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
 
 
 def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstruction, ...]:
-    """For every obstacle that comes near, and the machine itself, its tightest spot; tightest margin first.
+    """The tightest spot of every obstacle that comes near, and of the machine with itself; tightest margin first.
 
     The distances are proven lower bounds.
+
+    Parameters
+    ----------
+    proximity: of the machine and the obstacles.
+    trajectory: the motion.
     """
     if not proximity.pairs:
         return ()
@@ -61,7 +67,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
 
 
 def _to_prove(least: Any) -> Any:
-    """The margins that are to be proven where `least` are the least that were measured [m]."""
+    """The margins to be proven where `least` are the least margins that were measured [m]."""
     return least - np.maximum(RESOLUTION, _RESOLUTION_OF_MARGIN * least)
 
 
@@ -73,7 +79,7 @@ class _Search:
     least: the least margin that was measured [m].
     """
 
-    def __init__(self, proximity: Proximity, time: Vector, q: NDArray[np.float64]) -> None:
+    def __init__(self, proximity: Proximity, time: Vector, q: Matrix) -> None:
         self._proximity, self._time, self._q = proximity, time, q
         self.least = _NEVER
         self._where = (0.0, 0)  # moment and pair of the least margin
@@ -91,10 +97,10 @@ class _Search:
         heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0))
 
     def finish(self) -> Obstruction | None:
-        """Halve the lowest until nothing can lie below what is to be proven.
+        """Halve the segment with the lowest bound until no bound is below what is to be proven.
 
-        A motion that is refuted anyway, or too long for the effort, is left with the
-        lower bound that was reached.
+        Where the motion is refuted anyway, or the effort is used up, the result is the lower
+        bound that was reached. None for an obstacle that never comes near.
         """
         tie = len(self._open)
         while self._open and self._open[0][0] < _to_prove(self.least):
@@ -114,8 +120,8 @@ class _Search:
         if self._open:
             proven = min(proven, self._open[0][0])
         moment, index = self._where
-        pair_record = self._proximity.pairs[index]
-        return pair_record.at(proven + pair_record.clearance, time=moment)
+        tightest = self._proximity.pairs[index]
+        return tightest.at(proven + tightest.clearance, time=moment)
 
     def _travel(self, segment: int, pair: int) -> float:
         """How much the distance of a pair can change on a segment [m]."""
@@ -132,7 +138,7 @@ class _Search:
         return margin
 
 
-def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vector, NDArray[np.float64]]:
+def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vector, Matrix]:
     """Samples of the motion, and one more at every moment at which an obstacle appears."""
     moments = {float(t) for t in proximity.appears_at if trajectory.time[0] < t < trajectory.time[-1]}
     time = np.unique(np.concatenate((trajectory.time, sorted(moments))))
@@ -149,10 +155,11 @@ def segment_is_clear(
 
     Parameters
     ----------
-    q_a, q_b: (n,) its ends; the joints move linearly between them.
-    time, dt: when it begins, and how long it takes [s].
+    proximity: of the machine and the obstacles.
+    q_a, q_b: (n,) the ends of the segment; the joints move linearly between them.
+    time, dt: when the segment begins, and how long it takes [s].
     depth: how often it may be halved.
-    spare: to be kept beyond every clearance [m]; less than 0 allows as much less.
+    spare: distance to be kept in addition to every clearance [m]; negative to allow less.
     """
     if spare <= 0.0 and proximity.is_at(q_a, time=time) and proximity.stays_clear(q_b, time=time + dt):
         return True
@@ -177,5 +184,8 @@ def segment_is_clear(
 
 
 def path_segment_is_clear(proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0) -> bool:
-    """The same for a segment along a bucket path, which may run at exactly its clearance: to within `TOUCH`."""
+    """Whether every clearance provably holds, to within `TOUCH`, on a segment along a bucket path.
+
+    Such a path may run at exactly its clearance. Parameters are those of `segment_is_clear`.
+    """
     return segment_is_clear(proximity, q_a, q_b, time=time, depth=_TOUCHING_DEPTH, spare=-TOUCH)

@@ -1,4 +1,4 @@
-"""The limits of the machine over a whole motion: how much of each is used where most is used."""
+"""How much of each limit of the machine a whole motion uses at most."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
 
-_ROUNDING = 1e-6  # of a limit
-# of the asked speed: a motion is timed along the arc of the path, from which the tip may be off by its tolerance
+_ROUNDING = 1e-6  # part of a limit
+# part of the asked speed; chosen: a motion is timed along the path, from which the tip may be off by its tolerance
 _TIP_SPEED_WITHIN = 0.03
 _WITHIN = {"position": _ROUNDING, "velocity": _ROUNDING, "acceleration": _ROUNDING, "tip speed": _TIP_SPEED_WITHIN}
 
@@ -18,19 +18,19 @@ _WITHIN = {"position": _ROUNDING, "velocity": _ROUNDING, "acceleration": _ROUNDI
 class LimitUse:
     """How much of a limit a motion uses, where it uses most.
 
-    Torques belong to a smooth motion through the samples, whose accelerations are known to
-    the second order of the time between them: of what drives the machine 1 % more is
-    allowed, of the tip's speed 3 %, of joint limits nothing.
+    Limits of the drive may be exceeded by 1 %, because torques depend on accelerations, which
+    the samples give only to second order in the time between them; the tip's speed by 3 %;
+    joint limits not at all.
 
     Attributes
     ----------
     kind: ``position``, ``velocity``, ``acceleration``, ``torque``, ``rod speed``,
         ``pump flow``, ``engine power`` or ``tip speed``.
     joint: name of the joint; empty for the last three.
-    ratio: 1 at the limit. For position: 1 plus the excess [rad or m] where outside.
+    ratio: use over limit. For position, 1 plus the excess [rad or m] where outside.
     time: when [s].
-    needed, available: in `unit`; `available` is 0 where nothing limits.
-    at_rest: of a torque, what of `ratio` it takes to stand there; 0 for all else.
+    needed, available: use and limit, in `unit`; `available` is 0 where there is no limit.
+    at_rest: for a torque, the part of `ratio` that holding still takes; 0 for other kinds.
     """
 
     kind: str
@@ -48,7 +48,7 @@ class LimitUse:
         return self.ratio <= 1.0 + _WITHIN.get(self.kind, DRIVE_TOLERANCE)
 
     def describe(self) -> str:
-        """A limit that does not hold, in a sentence."""
+        """The sentence that says that the limit does not hold."""
         when, much = f"at {self.time:.2f} s", describe_ratio(self.ratio)
         if self.kind == "position":
             return f"{self.joint} exceeds its position limit {when} ({self.ratio - 1.0:.3g} {self.unit} outside)"
@@ -67,14 +67,14 @@ class LimitUse:
 
 
 def describe_ratio(ratio: float) -> str:
-    """How much of a limit: ``149 % of``, ``12 times``, ``more than 1000 times``."""
+    """A `ratio` to a limit in words: ``149 % of``, ``12 times``, ``more than 1000 times``."""
     if ratio < 10.0:
         return f"{100.0 * ratio:.{2 if ratio < 1.1 else 0}f} % of"
     return f"{ratio:.0f} times" if ratio < 1000.0 else "more than 1000 times"
 
 
 def position_use(problem: Problem, trajectory: Trajectory) -> LimitUse:
-    """Use of the joints' ranges; exact, for between samples the joints move linearly."""
+    """Use of the joints' ranges; exact, because joints move linearly between samples."""
     lower, upper = problem.limits.lower, problem.limits.upper
     with np.errstate(invalid="ignore"):  # continuous joints have infinite limits
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
@@ -93,7 +93,7 @@ def position_use(problem: Problem, trajectory: Trajectory) -> LimitUse:
 def machine_uses(
     problem: Problem, trajectory: Trajectory
 ) -> tuple[LimitUse, LimitUse, LimitUse | None, LimitUse | None]:
-    """Use of velocities, accelerations, torques, and what drives the rods, whichever the machine limits."""
+    """Use of velocities, accelerations, torques, and hydraulics; None for what the machine does not limit."""
     usage = limit_usage(problem, trajectory, tip_speed=False)
     kinds = {kind for kind, _ in usage.limits}
     return (
@@ -105,7 +105,7 @@ def machine_uses(
 
 
 def tip_speed_use(problem: Problem, tracking: Tracking) -> LimitUse | None:
-    """Use of the tip's speed on the followed parts of a path; None where the scene limits none."""
+    """Use of the tip's speed on the followed parts of a path; None where the scene does not limit it."""
     path = problem.scene.task.path
     if path is None or path.speed is None:
         return None
@@ -114,7 +114,7 @@ def tip_speed_use(problem: Problem, tracking: Tracking) -> LimitUse | None:
 
 
 def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:
-    """Of limits of these kinds, the one that is used most."""
+    """The limit of these kinds that is used most."""
     row, column = usage.worst(*kinds)
     (kind, joint), ratio, moments = usage.limits[column], float(usage.ratio[row, column]), usage.moments
     time, q, v = float(moments.time[row]), moments.q[row : row + 1], moments.v[row : row + 1]
@@ -144,5 +144,5 @@ def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:
 
 
 def _finite(value: float) -> float:
-    """Without a limit, 0: nothing of it is used."""
+    """A limit, or 0 where there is none (infinity)."""
     return float(value) if np.isfinite(value) else 0.0
