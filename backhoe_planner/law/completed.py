@@ -1,4 +1,4 @@
-"""The completed law: equation (12) with terms that stay bounded and gains that need no hand.
+"""The completed law: equation (12) with terms that stay bounded and gains that need no tuning.
 
     v = J_e^+ xdot_e + H,    H = argmin over the null space of
           sum_i w_i (g_i (v_e + H) - c_i)^2          obstacles
@@ -6,19 +6,19 @@
         + sum_k s_k |J_k (v_e + H) - xdot_k|^2       links to be turned
         + eps |H|^2
 
-One scalar row g_i per critical point (the gradient of its distance) instead of its
-three velocities, and one problem for all terms instead of a sum of pseudo-inverses:
-where the null space cannot serve a row, eps lets it fade out instead of blowing up.
+Each critical point has one scalar row g_i (the gradient of its distance) instead of its
+three velocities, and one problem holds all terms instead of a sum of pseudo-inverses: where
+the null space cannot serve a row, eps lets it fade out instead of growing without bound.
 The weights are the criterion for the gains that the paper leaves open:
 
 - w_i is 0 at the influence distance and 1 at the unity distance, a cosine between
   (Maciejewski and Klein 1985), so that no row enters or leaves with a jump;
 - c_i is a push away within the unity distance, ((d_u / d)^2 - 1) times nominal;
 - h_j grows from 0 to 1 as joint j nears a limit towards which it is moving. This is
-  what D = -1 in (15) is for. As printed, D = -1 asks for the opposite of the predicted
-  turn of the whole link, and where the prediction errs it drives the joint on: over
-  random postures near a limit that was so in one to three of ten. The joint's own rate
-  cannot err.
+  the purpose of D = -1 in (15). As printed, D = -1 asks for the opposite of the predicted
+  turn of the whole link, and where the prediction is wrong it drives the joint on: over
+  random postures near a limit that happened in one to three of ten. The joint's own rate
+  cannot be wrong.
 - s_k, with D = +1, is 0 unless the scene sets it: over seeded random scenes it made no
   measurable difference to how often the law arrives.
 """
@@ -38,23 +38,23 @@ from backhoe_planner.law.null_space import TaskInverse, resolve, resolve_on_null
 from backhoe_planner.machine import Configuration, Robot
 from backhoe_planner.site import Gains, Nearby
 
-_EPSILON = 2e-2  # (m/rad)^2: rows weaker than its root fade out
-_LARGEST_PUSH = 3.0  # times nominal
-_NEAREST_PUSH = math.sqrt(1.0 + _LARGEST_PUSH)
-_UNDAMPED = 0.08  # singular values above this are never damped, see `resolve`
-_NEAR_LIMIT = 0.15  # of a joint's range: within this it counts as near its limit
+_EPSILON = 2e-2  # (m/rad)^2; chosen: rows weaker than its root, 0.14 m/rad, fade out
+_LARGEST_PUSH = 3.0  # times nominal; chosen
+_NEAREST_PUSH = math.sqrt(1.0 + _LARGEST_PUSH)  # unity distance over the distance at which the push is largest
+_NEAR_LIMIT = 0.15  # part of a joint's range; chosen: within this it counts as near its limit
+_STANDING = 1e-9  # rad/s or m/s: a slower joint moves towards no limit
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What the law asks for, before the shield.
+    """The joint velocity that the law asks for, before the shield.
 
     Attributes
     ----------
-    v: (n,) joint velocity.
-    primary: (n,) J_e^+ xdot_e.
+    v: (n,) joint velocity [rad/s or m/s].
+    primary: (n,) J_e^+ xdot_e, times s_e.
     null: (n,) H, the obstacle and directionality terms; J_e @ null is 0.
-    task: the tip Jacobian taken apart.
+    task: inverse and projector of the tip's Jacobian.
     """
 
     v: Vector
@@ -64,7 +64,7 @@ class Wish:
 
 
 class CriticalRows(NamedTuple):
-    """One row per critical point: what the law takes of a `Nearby`.
+    """One row per critical point: the part of a `Nearby` that the law needs.
 
     Attributes
     ----------
@@ -79,15 +79,14 @@ class CriticalRows(NamedTuple):
 
 
 def activation(distance: Vector, unity: float, influence: float) -> Vector:
-    """(K,) alpha_h of Maciejewski and Klein: 1 up to `unity`, a cosine to 0 at `influence`."""
+    """(K,) alpha_h of Maciejewski and Klein for `distance` (K,): 1 up to `unity`, a cosine to 0 at `influence` [m]."""
     part = np.minimum(np.maximum((distance - unity) / (influence - unity), 0.0), 1.0)
     return np.asarray(0.5 * (1.0 + np.cos(np.pi * part)))
 
 
 def push_factor(distance: Vector, unity: float) -> Vector:
-    """(K,) alpha_o of Maciejewski and Klein: (unity / d)^2 - 1 within `unity`, else 0, bounded."""
-    nearest = unity / np.sqrt(1.0 + _LARGEST_PUSH)
-    return np.asarray(np.maximum((unity / np.maximum(distance, nearest)) ** 2 - 1.0, 0.0))
+    """(K,) alpha_o of Maciejewski and Klein for `distance` d (K,): (unity / d)^2 - 1 within `unity` [m], 3 at most."""
+    return np.asarray(np.maximum((unity / np.maximum(distance, unity / _NEAREST_PUSH)) ** 2 - 1.0, 0.0))
 
 
 class CompletedLaw:
@@ -95,6 +94,7 @@ class CompletedLaw:
 
     Parameters
     ----------
+    robot: the machine.
     influence: margin (distance minus clearance) within which an obstacle acts [m].
     nominal: speed of the push away from an obstacle at twice its unity factor [m/s].
     gains: s_e and s_o multiply the primary task and the obstacles' weights, s_k [by
@@ -128,15 +128,16 @@ class CompletedLaw:
         self._epsilon = _EPSILON * np.eye(robot.n)
 
     def wish(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows) -> Wish:
-        """The joint velocity that serves the tip first, and the rest in the null space.
+        """The joint velocity that serves the tip first, and everything else in the null space.
 
         Parameters
         ----------
+        at: the configuration.
         J_e: (m, n) task Jacobian; rows that no joint can move are to be left out.
         xdot_e: (m,) task velocity, [m/s] and [rad/s].
         nearby: critical points within clearance + influence.
         """
-        task = resolve(J_e, threshold=_UNDAMPED)
+        task = resolve(J_e)
         primary = self._s_e * (task.inverse @ xdot_e)
         N = task.projector
         A = self._epsilon.copy()
@@ -157,7 +158,9 @@ class CompletedLaw:
     def wish_on_null_line(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector] | None:
-        """(4,), (4,) the same v and H as `wish`, several times faster, where the null space is one line.
+        """(4,), (4,) the v and H of `wish`, several times faster, where the null space is one line.
+
+        Parameters are those of `wish`, with joint positions q (4,) for the configuration.
 
         With N = z z^T the problem is one for the number along z:
 
@@ -168,7 +171,7 @@ class CompletedLaw:
         """
         if J_e.shape != (3, 4) or self._turns:
             return None
-        found = resolve_on_null_line(J_e, xdot_e, threshold=_UNDAMPED)
+        found = resolve_on_null_line(J_e, xdot_e)
         if found is None:
             return None
         primary, z = found
@@ -189,7 +192,7 @@ class CompletedLaw:
                     above += weight * by_z * (away - rate)
         if self.directionality:
             for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, self._ranges, strict=True):
-                if abs(rate) < 1e-9:
+                if abs(rate) < _STANDING:
                     continue
                 hold = 1.0 - (high - position if rate > 0.0 else position - low) / zone
                 if hold > 0.0:
@@ -206,7 +209,7 @@ class CompletedLaw:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
         near = []
         for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges, strict=True):
-            if abs(rate) < 1e-9:
+            if abs(rate) < _STANDING:
                 near.append(0.0)
                 continue
             ahead = high - position if rate > 0.0 else position - low
@@ -214,7 +217,7 @@ class CompletedLaw:
         return np.array(near)
 
     def _add_obstacles(self, primary: Vector, nearby: Nearby | CriticalRows, N: Matrix, A: Matrix, b: Vector) -> bool:
-        """Add the rows w_i (g_i (v_e + H) - c_i)^2, where they would come nearer than c_i."""
+        """Add the rows w_i (g_i (v_e + H) - c_i)^2 of critical points that depart less than c_i asks."""
         margin, gradient = nearby.margin, nearby.gradient
         acts = margin < self.influence
         if not acts.all():
@@ -233,7 +236,7 @@ class CompletedLaw:
         return True
 
     def _activation(self, margin: float) -> float:
-        """`activation` of one margin: a handful of rows costs less one by one."""
+        """`activation` of one margin [m]: for a handful of rows this is faster than arrays."""
         if margin <= self.unity:
             return 1.0
         if margin >= self.influence:
@@ -241,7 +244,7 @@ class CompletedLaw:
         return 0.5 * (1.0 + math.cos(math.pi * (margin - self.unity) / (self.influence - self.unity)))
 
     def _add_holds(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> bool:
-        """Add the rows h_j (v_j + H_j)^2 of joints that near a limit."""
+        """Add the rows h_j (v_j + H_j)^2 of joints that are near a limit and move towards it."""
         near = self.near_limit(at.q, primary)
         if not near.any():
             return False

@@ -44,8 +44,8 @@ from backhoe_planner.machine import Configuration
 Magnification = Literal["printed", "norm_preserving"]
 Reference = Literal["tip_referenced", "standard"]
 
-_SHORT = 1e-6  # m: a link shorter than this has no direction
-_STRAIGHT = 1e-9  # rad: an arm bent less than this has no sense of bending
+_SHORT = 1e-6  # m: a link shorter than this has no direction; chosen
+_STRAIGHT = 1e-9  # rad, rounding: an arm that bends less has no sense of bending
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """Pseudo-inverses and the null-space projector.
 
-Two things are kept apart that are often mixed. The inverse that serves the task may
-be damped near a singularity, where an exact one asks for infinite rates. The
-projector N = I - J^+ J must not be: a damped one lets the null-space terms leak into
-the task. It is made from the undamped inverse, truncated at the numerical rank.
+The inverse that serves the task and the one in the projector are different. The first may be
+damped near a singularity, where an exact one asks for infinite rates. The projector
+N = I - J^+ J must not be damped, because then null-space terms leak into the task. It is made
+from the undamped inverse, truncated at the numerical rank.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 
-RANK_TOLERANCE = 1e-4  # of the largest singular value
-_ROUNDING = 1e-10  # of the scale of a matrix: singular values below are rounding
+_UNDAMPED = 0.08  # m/rad or rad/rad; chosen: damping sets in where the smallest singular value is below this
+_LARGEST_DAMPING = _UNDAMPED  # lambda where the smallest singular value is 0; chosen: J^+ stays within 1 / 0.08
+_RANK_TOLERANCE = 1e-4  # part of the largest singular value; chosen: smaller ones count as 0 in the projector
+_ROUNDING = 1e-10  # part of the scale of a matrix: singular values below are rounding
 
 
 @dataclass(frozen=True)
 class TaskInverse:
-    """A task Jacobian taken apart.
+    """Inverse and null-space projector of a task Jacobian (m, n).
 
     Attributes
     ----------
@@ -54,44 +56,39 @@ def pseudo_inverse(J: Matrix, *, scale: float | None = None) -> Matrix:
     return np.asarray((Vt[kept].T / s[kept]) @ U[:, kept].T)
 
 
-def resolve(J: Matrix, *, threshold: float = 0.08, largest_damping: float = 0.08) -> TaskInverse:
-    """J^+ and N of a task Jacobian (m, n), m <= n or not.
+def resolve(J: Matrix) -> TaskInverse:
+    """J^+ and N of a task Jacobian J (m, n), m <= n or not.
 
-    Parameters
-    ----------
-    threshold: smallest singular value below which damping sets in.
-    largest_damping: lambda where the smallest singular value is 0.
-
-    The damping grows smoothly from 0 as the smallest singular value falls
+    The damping grows smoothly from 0 as the smallest singular value falls below 0.08
     (Nakamura and Hanafusa 1986; Chiaverini 1997).
     """
     solver = eigenpy.SelfAdjointEigenSolver(J @ J.T)
     U = solver.eigenvectors()
     s = np.sqrt(np.maximum(solver.eigenvalues(), 0.0))
     smallest = float(s[0])
-    full_rank = smallest > RANK_TOLERANCE * float(s[-1])
-    if full_rank:
+    if smallest > _RANK_TOLERANCE * float(s[-1]):
         scaled = U / s
     else:
-        kept = s > RANK_TOLERANCE * s[-1]
+        kept = s > _RANK_TOLERANCE * s[-1]
         scaled = U[:, kept] / s[kept]
     V = J.T @ scaled  # right singular vectors, so that J^+ = V scaled^T
     projector = _eye(J.shape[1]) - V @ V.T
-    if smallest >= threshold:
+    if smallest >= _UNDAMPED:
         return TaskInverse(inverse=V @ scaled.T, projector=projector, singular_values=s, damping=0.0)
-    damping = largest_damping * math.sqrt(1.0 - (smallest / threshold) ** 2)
+    damping = _LARGEST_DAMPING * math.sqrt(1.0 - (smallest / _UNDAMPED) ** 2)
     inverse = J.T @ ((U / (s * s + damping * damping)) @ U.T)
     return TaskInverse(inverse=inverse, projector=projector, singular_values=s, damping=damping)
 
 
-def resolve_on_null_line(J: Matrix, xdot: Vector, *, threshold: float) -> tuple[list[float], list[float]] | None:
+def resolve_on_null_line(J: Matrix, xdot: Vector) -> tuple[list[float], list[float]] | None:
     """J^+ xdot (4 numbers), and the unit vector along which N projects (4 numbers).
+
+    None unless the smallest singular value of J is known to be so large that J^+ is not damped.
 
     Parameters
     ----------
     J: (3, 4) task Jacobian.
     xdot: (3,) task velocity.
-    threshold: None is given back unless the smallest singular value of J is known to be larger.
 
     The null space is one line. Its direction z holds the 3 x 3 minors of J with alternating
     signs (the cross product in four dimensions), and by Cauchy and Binet |z|^2 = det(J J^T). So
@@ -117,7 +114,7 @@ def resolve_on_null_line(J: Matrix, xdot: Vector, *, threshold: float) -> tuple[
         c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3,
     )
     half = 0.5 * (aa + bb + cc)
-    if not det > (threshold * half) ** 2:
+    if not det > (_UNDAMPED * half) ** 2:
         return None
     ab = a0 * b0 + a1 * b1 + a2 * b2 + a3 * b3
     ac = a0 * c0 + a1 * c1 + a2 * c2 + a3 * c3

@@ -1,4 +1,4 @@
-"""The paper's iteration: equation (12) as printed, without any of our completions.
+"""The paper's iteration: equation (12) as printed, without the completed law's changes.
 
 Newton-Raphson on x_e(q): xdot_e = goal - x_e, q <- q + v, a hundred times. One critical
 point: the nearest of any link to any obstacle, pushed away with a constant speed once
@@ -19,8 +19,9 @@ from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movabl
 from backhoe_planner.motion import Problem
 from backhoe_planner.site import Gains, Nearby, Proximity
 
-ITERATIONS = 100
-_PUSH = 0.2  # |xdot_o| per iteration [m]
+ITERATIONS = 100  # steps of one run, as in the paper
+_PUSH = 0.2  # m per iteration, |xdot_o|; chosen
+_RUNAWAY = 1e6  # rad or m: a longer step has no meaning any more
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,10 @@ def paper_step(
 
     Parameters
     ----------
-    push: the critical point that is within the influence distance, None for none.
+    at: the configuration.
+    push: the critical point within the influence distance; None where there is none.
+    gains: s_e, s_o and s_k.
+    magnification, reference: see `directionality`.
     """
     error, J = goal.error(at), goal.jacobian(at)
     rows = movable_rows(J)
@@ -73,7 +77,14 @@ def run_iteration(
 ) -> Matrix:
     """(ITERATIONS + 1, n) the joints from iteration to iteration.
 
-    It ends early where the step is no longer finite: the law as printed has no bound.
+    It ends early where a step is not finite or absurdly long: the law as printed has no bound.
+
+    Parameters
+    ----------
+    problem: machine and site; its gains are used, or the paper's where it gives none.
+    start: (n,) the first joints [rad or m].
+    goal: where the tip is to arrive.
+    proximity, kinematics: of the problem's machine and obstacles.
     """
     gains = problem.scene.gains
     if gains == "auto":
@@ -84,7 +95,7 @@ def run_iteration(
         nearby = proximity.at(at.q, within=problem.scene.influence)
         obstacles = nearby.only(proximity.owner[nearby.pair] >= 0)  # the paper knows no self-contact
         step = paper_step(at, goal, _push(at, obstacles), gains)
-        if not np.all(np.isfinite(step)) or float(np.max(np.abs(step))) > 1e6:
+        if not np.all(np.isfinite(step)) or float(np.max(np.abs(step))) > _RUNAWAY:
             break
         found.append(found[-1] + step)
     return np.array(found)

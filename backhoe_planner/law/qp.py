@@ -24,7 +24,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 
 PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
-UNBOUNDED = 1e30  # from here on daqp counts a bound as none
+UNBOUNDED = 1e30  # daqp takes a bound of this size for none
 
 
 class Kind(IntEnum):
@@ -36,7 +36,7 @@ class Kind(IntEnum):
 
 
 class Rows(NamedTuple):
-    """Conditions G x <= h that come from one source.
+    """Conditions G x <= h from one source.
 
     Attributes
     ----------

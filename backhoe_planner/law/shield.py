@@ -4,7 +4,7 @@
     s.t.   g_i v + drift_i >= -gamma margin_i         every nearby pair       (soft)
            v within velocity, acceleration and braking limits of each joint   (hard)
 
-W weighs what the tip would notice: leaving the wished direction costs most, going
+W weighs the change by its effect on the tip: leaving the wished direction costs most, going
 slower along it less, motion in the null space least.
 
 gamma is 1.6 / T with T the time in which all joints together can be braked to rest, so
@@ -26,22 +26,22 @@ from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
 
-_ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W
-_STOPPING_PART = 1.6  # gamma T: 2 would stop exactly at the clearance
-_RECOVERY = 1.0  # 1/s, rate at which a violated clearance or limit is to be left
-_FASTEST_RECOVERY = 0.25  # m/s or rad/s
+_ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W; chosen
+_STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, this stops within 80 % of each margin
+_RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
+_FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
 _MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
 
 
 @dataclass(frozen=True)
 class Shielded:
-    """What the shield let through.
+    """The result of the shield.
 
     Attributes
     ----------
-    v: (n,) joint velocity.
-    slack: how much of a row was not met [m/s]; 0 where all were.
-    binding: rows of the nearby pairs that hold the motion back.
+    v: (n,) joint velocity [rad/s or m/s].
+    slack: the most by which a row was not met [m/s]; 0 where all were.
+    binding: indices into the nearby pairs, of those that hold the motion back.
     """
 
     v: Vector
@@ -69,13 +69,18 @@ class Shield:
 
         A joint at distance `gap` from a limit may move towards it at the speed from
         which it stops within the gap, this step included. Beyond a limit it must come
-        back. What the acceleration limit allows has the last word.
+        back. The acceleration limit takes precedence over all of this.
+
+        Parameters
+        ----------
+        q, v_before: (n,) where the joints are, and their velocity in the last step.
+        dt: length of the step [s].
         """
         limits = self.limits
         a = limits.acceleration
         lead = 1.5 * dt
         above, below = limits.upper - q, q - limits.lower
-        # the speed limit is all that counts where there is room to brake from it
+        # where there is room to brake from full speed, only the speed limit counts
         room = self._braking_room + lead * limits.velocity
         upper = limits.velocity if (above > room).all() else np.minimum(limits.velocity, _stoppable(above, a, lead))
         lower = limits.velocity if (below > room).all() else np.minimum(limits.velocity, _stoppable(below, a, lead))
@@ -90,7 +95,7 @@ class Shield:
         return float((np.abs(v) * self._per_acceleration).max())
 
     def stopping_time(self, v: Vector) -> float:
-        """1 / gamma: what a rate of approach is multiplied with to give the margin it needs [s]."""
+        """1 / gamma [s]: the margin that a rate of approach needs, divided by that rate."""
         return self.braking_time(v) / _STOPPING_PART
 
     def filter(
