@@ -14,51 +14,40 @@ from backhoe_planner.machine import Envelope, Kinematics, Robot, reachable_point
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import solid
-from backhoe_planner.show.plots.figure_file import check_figure_file, plain_text, save_figure
+from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_SAMPLES = 300_000
-_CELLS = 220  # along the longer side
+_SAMPLES = 300_000  # postures; chosen, several for each cell
+_CELLS = 220  # along the longer side; chosen, a cell is about a line wide
+_BEYOND = 0.08  # part of a joint's range by which samples go beyond its ends, to be clipped: the ends make the rim
 _REGION, _RIM = "#cfe0f3", "#2b6cb0"
 _STEEL: Rgba = (0.55, 0.58, 0.62, 1.0)
-_LIGHT = np.array([0.2, -0.8, 0.57])
-_MOST_TRIANGLES = 30_000  # more are drawn as their hulls
+_LIGHT = np.array([0.2, -0.8, 0.57])  # direction of the light, from behind the reader's shoulder
+_MOST_TRIANGLES = 30_000  # chosen: the parts of a machine with more are drawn as their hulls
+_UPRIGHT = 0.99  # size of the z of an axis from which on it counts as vertical; chosen, 8 degrees
 _INK, _EARTH = "#1d2731", "#8a6a4a"
 
 
 def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
-    """Write a figure of the tip's reach.
+    """Write a figure of the tip's reach; `path` and errors as for `plot_plan`.
 
     For a machine that works in an upright plane: that plane, with the machine from the
     side and the figures of its data sheet. For any other: the reach from above and from
     the side.
-
-    Parameters
-    ----------
-    path: of the figure; .png, .svg or .pdf.
-
-    Raises
-    ------
-    OutputError: another suffix, or the folder cannot be written.
-    InputError: matplotlib is not installed.
     """
-    check_figure_file(path)
-    from matplotlib.figure import Figure
-
+    figure = new_figure(path, 9.5, 7.2)
     envelope = working_envelope(robot)
     points = None if envelope is None else _in_plane(robot)
     if envelope is not None and points is not None:
-        figure = Figure(figsize=(9.5, 7.2), layout="constrained")
-        axes = figure.subplots()
-        _draw_plane(axes, robot, envelope, points)
+        _draw_plane(figure.subplots(), robot, envelope, points)
     else:
         tips = reachable_points(robot)
         flat = float(np.ptp(tips[:, 2])) < 1e-6  # an arm that lies level is seen from above only
         views = (("from above", 0, 1),) if flat else (("from above", 0, 1), ("from the side", 0, 2))
-        figure = Figure(figsize=(1.0 + 5.0 * len(views), 5.6), layout="constrained")
+        figure.set_size_inches(1.0 + 5.0 * len(views), 5.6)
         for view, (title, a, b) in zip(figure.subplots(1, len(views), squeeze=False)[0], views, strict=True):
             view.scatter(tips[:, a], tips[:, b], s=2.5, color=_RIM, alpha=0.22, linewidths=0.0, rasterized=True)
             _draw_machine(view, robot, a, b)
@@ -66,21 +55,19 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
             view.set_ylabel(f"{'xyz'[b]} [m]")
             view.set_title(title, fontsize=10, loc="left")
             _finish(view)
-    title = f"{plain_text(robot.name)}: where {plain_text(robot.tip)} can get"
-    figure.suptitle(title, x=0.01, ha="left", fontsize=12, weight="bold")
-    save_figure(figure, path)
+    save_figure(figure, path, f"{plain_text(robot.name)}: where {plain_text(robot.tip)} can get")
 
 
 def _in_plane(robot: Robot) -> Matrix | None:
-    """(k, 2) radius and height of the tip in the plane of the arm; None where joints slide.
+    """(k, 2) radius and height of the tip in the plane of the arm [m]; None where joints slide.
 
-    With all axes of the plane parallel, the tip is the sum of the links, each turned by
-    the angles up to it.
+    All axes of the plane are parallel, so the tip is the sum of the links, each turned by the
+    sum of the angles up to it.
     """
     kinematics = Kinematics(robot)
     rest = _rest(robot)
     at = kinematics.at(rest)
-    first = 1 if abs(at.J_world[5, 0]) > 0.99 else 0
+    first = 1 if abs(at.J_world[5, 0]) > _UPRIGHT else 0
     if np.any(robot.prismatic[first:]):
         return None
     axis = at.J_world[3:, -1]
@@ -94,7 +81,7 @@ def _in_plane(robot: Robot) -> Matrix | None:
     lower = np.where(finite, limits.lower, -np.pi)[first:]
     upper = np.where(finite, limits.upper, np.pi)[first:]
     rng = np.random.default_rng(0)
-    part = rng.uniform(-0.08, 1.08, size=(_SAMPLES, len(lower))).clip(0.0, 1.0)  # the ends of the ranges make the rim
+    part = rng.uniform(-_BEYOND, 1.0 + _BEYOND, size=(_SAMPLES, len(lower))).clip(0.0, 1.0)
     angle = np.cumsum(turning * (lower + part * (upper - lower) - rest[first:]), axis=1)
     cosine, sine = np.cos(angle), np.sin(angle)
     radius = flat[first, 0] + cosine @ links[:, 0] - sine @ links[:, 1]
@@ -105,7 +92,7 @@ def _in_plane(robot: Robot) -> Matrix | None:
 def _rest(robot: Robot) -> Vector:
     """(n,) the posture in which the machine is drawn: swing straight, the rest in mid-range."""
     rest = np.array(robot.middle)
-    if abs(Kinematics(robot).at(rest).J_world[5, 0]) > 0.99:
+    if abs(Kinematics(robot).at(rest).J_world[5, 0]) > _UPRIGHT:
         rest[0] = np.clip(0.0, robot.limits.lower[0], robot.limits.upper[0])
     return rest
 
@@ -167,7 +154,7 @@ def _dimension(axes: Axes, a: tuple[float, float], b: tuple[float, float], text:
 
 
 def _draw_machine(axes: Axes, robot: Robot, a: int, b: int) -> None:
-    """The machine's parts, seen along the remaining axis, those behind first."""
+    """The machine's parts over the axes `a` and `b` of the world, seen along the third, those behind first."""
     from matplotlib.collections import PolyCollection
 
     data = robot.model.createData()
@@ -210,7 +197,4 @@ def _finish(axes: Axes) -> None:
     axes.set_aspect("equal")
     axes.autoscale_view()
     axes.margins(0.04)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(color="0.93", linewidth=0.7, zorder=0)
-    axes.set_axisbelow(True)
-    axes.tick_params(labelsize=8.5, color="0.6")
+    dress(axes)

@@ -1,4 +1,4 @@
-"""A matplotlib figure as a file: the format by its suffix, whole or not at all."""
+"""Figures of matplotlib: how all of them look, and their files."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.files.output_file import check_writable, whole_file
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
 _FORMATS = (".png", ".svg", ".pdf")
-_RESOLUTION = 150  # dots per inch: text of 8 points is readable on a screen
+_RESOLUTION = 150  # dots per inch; chosen, text of 8 points is readable on a screen
 
 
-def check_figure_file(path: str | os.PathLike[str]) -> None:
-    """That a figure can be drawn and written; call it before anything is drawn.
+def new_figure(path: str | os.PathLike[str], width: float, height: float) -> Figure:
+    """A figure of this size [inches] that can be written to `path`; to be called before anything is computed.
 
     Raises
     ------
@@ -37,10 +38,22 @@ def check_figure_file(path: str | os.PathLike[str]) -> None:
     check_writable(path)
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError("figures need matplotlib", hint="pip install backhoe_planner[plots]")
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
 
 
-def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write `figure`, whole or not at all, in the format of the suffix."""
+def dress(axes: Axes) -> None:
+    """Draw axes as in all figures: no box, a pale grid behind the curves, small numbers."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_axisbelow(True)
+    axes.grid(color="0.92", linewidth=0.8)
+    axes.tick_params(labelsize=8.5, color="0.6")
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str], title: str) -> None:
+    """Write `figure` under its title, whole or not at all, in the format of the suffix."""
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, weight="bold")
     drawn = io.BytesIO()
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
@@ -50,6 +63,6 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 
 def plain_text(text: str) -> str:
-    """`text` as matplotlib shows it literally: no formulas, nothing left out of legends."""
+    """`text` so that matplotlib shows it literally: not as a formula, and not left out of legends."""
     escaped = text.replace("$", r"\$")
     return f" {escaped}" if escaped.startswith("_") else escaped

@@ -1,4 +1,4 @@
-"""Figures of a plan over time, and of a machine's reach."""
+"""Figures of a plan over time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from backhoe_planner.motion import OBJECTIVES, Problem, Trajectory, limit_usage,
 from backhoe_planner.planning import Plan, compare_with_law
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
-from backhoe_planner.show.plots.figure_file import check_figure_file, plain_text, save_figure
+from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,11 +25,12 @@ if TYPE_CHECKING:
 
 _Panel = Callable[["Axes", Plan, Problem, Timeline], None]
 
-_WIDTH, _PANEL = 9.5, 2.15  # inches: a page's width, and a panel's height
-_FAINT = 0.35  # opacity of limits
-_STRIP = 0.55  # of a panel's height, for the panel of limits
+_WIDTH, _PANEL = 9.5, 2.15  # inches: chosen, a page's width, and a panel's height
+_FAINT = 0.35  # opacity of limits; chosen
+_STRIP = 0.55  # part of a panel's height that the panel of limits has; chosen, it shows few numbers
 _BINDS = 0.98  # part of a limit from which on it is called binding: sampled accelerations are known to about 1 %
-_MOST_NAMED = 5  # limits, as many as fit beside the panel
+_MOST_NAMED = 5  # limits: as many as fit beside the panel
+_DASHES = (0, (5, 4))  # points drawn and left out, of lines that are limits
 _SHARED = {"pump flow": "#5f6b76", "engine power": "#b3261e", "tip speed": "#1d2731"}
 _HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
 
@@ -48,9 +49,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     OutputError: another suffix, or the folder cannot be written.
     InputError: matplotlib is not installed.
     """
-    check_figure_file(path)
-    from matplotlib.figure import Figure
-
+    figure = new_figure(path, _WIDTH, _PANEL)
     problem = plan.problem
     frames = timeline(problem, plan.trajectory)
     panels: list[_Panel] = []
@@ -65,27 +64,20 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
         panels.append(_deviation)
     panels += [_torques, _limits, _power]
     heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
-    figure = Figure(figsize=(_WIDTH, _PANEL * sum(heights) + 0.9))
+    figure.set_size_inches(_WIDTH, _PANEL * sum(heights) + 0.9)
     figure.set_layout_engine("constrained", hspace=0.06)
     driven = "driven by hand, " if is_recording(plan) else ""
     verdict = "verified" if plan.verified else f"failed ({plan.reason.replace('_', ' ')})"
-    figure.suptitle(
-        f"{plain_text(plan.scene.name or plan.robot.name)}: {driven}{verdict}",
-        x=0.01, ha="left", fontsize=12, weight="bold",
-    )  # fmt: skip
     all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axes, panel in zip(all_axes, panels, strict=True):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.set_axisbelow(True)
-        axes.grid(color="0.92", linewidth=0.8)
-        axes.tick_params(labelsize=8.5, color="0.6")
+        dress(axes)
         panel(axes, plan, problem, frames)
         axes.yaxis.label.set_size(9)
     all_axes[-1].set_xlabel("time [s]", fontsize=9)
     if plan.trajectory.duration > 0.0:
         all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
     figure.align_ylabels(list(all_axes))
-    save_figure(figure, path)
+    save_figure(figure, path, f"{plain_text(plan.scene.name or plan.robot.name)}: {driven}{verdict}")
 
 
 def _positions(
@@ -97,7 +89,7 @@ def _positions(
         _curve(axes, plan.trajectory.time, unit * plan.trajectory.q[:, joint], colour, plan.robot.joint_names[joint])
         for limit in (problem.limits.lower[joint], problem.limits.upper[joint]):
             if np.isfinite(limit):
-                axes.axhline(unit * limit, color=colour, alpha=_FAINT, linewidth=0.9, linestyle=(0, (5, 4)))
+                axes.axhline(unit * limit, color=colour, alpha=_FAINT, linewidth=0.9, linestyle=_DASHES)
     _legend(axes)
     _say(axes, "dashed: limits")
 
@@ -115,7 +107,7 @@ def _velocities(
     for joint in np.flatnonzero(which):
         for sign in (-1.0, 1.0):
             limit = sign * unit * problem.limits.velocity[joint]
-            axes.axhline(limit, color=_colour(int(joint)), alpha=_FAINT, linewidth=0.9, linestyle=(0, (5, 4)))
+            axes.axhline(limit, color=_colour(int(joint)), alpha=_FAINT, linewidth=0.9, linestyle=_DASHES)
 
 
 def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
@@ -159,7 +151,7 @@ def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
     if approach > 0.0:
         axes.axvspan(frames.time[0], approach, color="0.5", alpha=0.12, linewidth=0.0, label="on its way there")
     _curve(axes, frames.time, off, "#1f6fd6", "tip")
-    axes.axhline(tolerance, color="#b3261e", linewidth=1.0, linestyle=(0, (5, 4)), label="tolerance")
+    axes.axhline(tolerance, color="#b3261e", linewidth=1.0, linestyle=_DASHES, label="tolerance")
     far = off.max() > 20.0 * tolerance
     if far:
         axes.set_yscale("symlog", linthresh=2.0 * tolerance)
@@ -184,7 +176,7 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     for name in sorted(filter(None, named), key=lambda name: -named[name])[:_MOST_NAMED]:
         colour, hatch = _limit_look(name, plan.robot.joint_names)
         axes.fill_between([], [], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0, label=name)
-    axes.axhline(100.0, color="#b3261e", linewidth=1.0, linestyle=(0, (5, 4)))
+    axes.axhline(100.0, color="#b3261e", linewidth=1.0, linestyle=_DASHES)
     axes.set_ylim(0.0, max(112.0, 1.05 * float(np.max(used))))
     axes.set_yticks([0.0, 50.0, 100.0])
     axes.set_ylabel("limit used [%]")
@@ -206,7 +198,7 @@ def _limit_look(name: str, joints: tuple[str, ...]) -> tuple[str, str | None]:
 def _torques(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     torque = trajectory_energy(problem, plan.trajectory).torque
     largest = float(np.max(np.abs(torque), initial=0.0))
-    prefix, scale = ("k", 1e-3) if largest >= 1000.0 else ("", 1.0)
+    prefix, scale = _prefix(largest)
     for joint in range(plan.robot.n):
         axes.plot(plan.trajectory.time, scale * torque[:, joint], color=_colour(joint), linewidth=1.6)
     axes.axhline(0.0, color="0.6", linewidth=0.8)
@@ -216,14 +208,14 @@ def _torques(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None
 
 
 def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
-    """Power and its integral; along a path beside the local law's: the oil's where that is made small."""
+    """Power and energy, of the joints or of the oil; for a task along a path, also the local law's energy."""
     time = plan.trajectory.time
     power, spent = _spent(problem, plan.trajectory)
-    axes_unit, scale = ("k", 1e-3) if power.max() >= 1000.0 else ("", 1.0)
+    prefix, scale = _prefix(float(power.max()))
     axes.fill_between(time, scale * power, color="#5b7fa6", alpha=0.25, linewidth=0.0)
     _curve(axes, time, scale * power, "#3d6692", "power")
     axes.set_ylim(0.0, max(1.12 * scale * power.max(), 1e-9))
-    axes.set_ylabel(f"power [{axes_unit}W]")
+    axes.set_ylabel(f"power [{prefix}W]")
     right = axes.twinx()
     right.spines[["top", "left"]].set_visible(False)
     right.tick_params(labelsize=8.5, color="0.6")
@@ -242,24 +234,29 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
         if figures.saving_percent is not None:
             title += f"; {figures.name} along the path {figures.saving_percent:.0f} % below the local law's"
     highest = max(float(values[-1]) for _, values, *_ in curves)
-    unit, scale = ("k", 1e-3) if highest >= 1000.0 else ("", 1.0)
+    prefix, scale = _prefix(highest)
     lines = [
         right.plot(at, scale * values, color=colour, linewidth=1.6, linestyle=dashes, label=name)[0]
         for at, values, colour, dashes, name in curves
     ]
     right.set_ylim(0.0, max(1.12 * scale * highest, 1e-9))
-    right.set_ylabel(f"{what} [{unit}J]", fontsize=9)
+    right.set_ylabel(f"{what} [{prefix}J]", fontsize=9)
     _legend(axes, more=lines, aside=1.085)
     _say(axes, title)
 
 
 def _spent(problem: Problem, motion: Trajectory) -> tuple[Vector, Vector]:
-    """(T,) power [W] and energy [J]: of the joints, or of the oil where that is what is made small."""
+    """(T,) power [W] and energy [J]: of the joints, or of the oil where the objective is about the oil."""
     energy = trajectory_energy(problem, motion)
     if OBJECTIVES[problem.scene.objective].needs_hydraulics and energy.hydraulic is not None:
         assert energy.hydraulic_power is not None
         return energy.hydraulic_power, energy.hydraulic
     return energy.power, energy.work
+
+
+def _prefix(largest: float) -> tuple[str, float]:
+    """The prefix of a unit, and the scale to it, for numbers up to `largest`."""
+    return ("k", 1e-3) if largest >= 1000.0 else ("", 1.0)
 
 
 def _loads(plan: Plan) -> str:
