@@ -24,6 +24,8 @@ from .servo.feedback import Feedback as Feedback
 from .servo.safe_velocity import VelocityWish as VelocityWish
 from .servo.safe_velocity import velocity_program as velocity_program
 from .servo.servo import Servo as Servo
+from .servo.servo_state import HOLDS_WITHIN as HOLDS_WITHIN
 from .servo.servo_state import Command as Command
 from .servo.servo_state import ServoState as ServoState
 from .servo.servo_state import Status as Status
+from .servo.surroundings import shifted as shifted

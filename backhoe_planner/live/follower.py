@@ -1,15 +1,14 @@
-"""A plan, followed live: what turns up on the way slows, bends, holds or replans the motion.
+"""A plan, followed live: where something turns up on the way, the machine waits, gives way or goes round.
 
 The plan's own clock s runs slower the further the machine is off the plan:
 
     v_w = s' v_p(s) + min(k |e|, sqrt(a |e|)) sgn e,    e = q_p(s) - q,    s' = max(0, 1 - |e| / tolerance)
 
-so that the machine waits for what is in its way, leaves the plan as far as it must, and
-comes back to it. Where that leads nowhere for a while, the machine holds still, and a
-way from there to the earliest place of the rest of the plan that is clear is searched
-beside the loop (`rejoining`). It is followed by the same law under the same servo; the
-rest of the plan behind it is unchanged. Whatever is planned, the servo alone decides
-what is safe.
+So the machine waits for what is in its way, leaves the plan as far as it must, and comes
+back to it. Where it gets nowhere for a while, it holds still, and a way from there to the
+earliest clear place on the rest of the plan is searched in the background (`rejoining`).
+That way is followed by the same law under the same servo; the rest of the plan stays as it
+was. Whatever is planned, the servo alone decides what is safe.
 """
 
 from __future__ import annotations
@@ -19,43 +18,49 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from backhoe_planner.arrays import Array, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.live.rejoining import NoRejoining, Rejoining, RejoiningQuery, find_rejoining, is_still_clear
+from backhoe_planner.live.rejoining import (
+    LONGEST,
+    NoRejoining,
+    Rejoining,
+    RejoiningQuery,
+    find_rejoining,
+    is_still_clear,
+)
 from backhoe_planner.live.servo.servo import Servo
-from backhoe_planner.live.servo.servo_state import ServoState
+from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
 
-_PULL = 10.0  # 1/s
-_PART = 0.5  # of the acceleration that the way back onto the plan is braked with
+# The numbers are chosen; validation/placements.py drives machines with them.
+_PULL = 10.0  # 1/s: k, fast beside any motion, and slow beside a step
+_PART = 0.5  # part of the acceleration that brakes the way back onto the plan; the rest follows the plan
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
-_ARRIVED = 1e-3  # rad or m
-_AT_REST = 1e-2  # rad/s or m/s, at the end of the plan
-_STILL = 1e-6  # rad/s or m/s, where a way is to begin
-_PUSHED = 0.2  # rad or m further off than it was, that is not sliding but giving way
-_NEAR = 0.05  # m of margin within which an obstacle is said to be what holds it back
-_NOTICED = 0.3  # s without getting on after which it says that it waits
-_PATIENCE = 1.0  # s without getting on after which a way round is searched,
-_PATIENCE_CROSSING = 4.0  # where what holds the machine moves
-_WINDOW = 0.4  # s in which it must get on noticeably:
-_PACE = 0.05  # of the planned speed,
-_APPROACH = 0.1  # or of the slowest joint's greatest, nearer to the plan
-_FURTHER = 0.1  # s of the plan beyond the place where it was stuck after which that is over
-_LONGEST_SEARCH = 30.0  # s of the servo after which a search is given up
-_ATTEMPTS = 4  # in a row before it says that it is blocked
-_LONGEST_BREAK = 16.0  # s between two searches that found nothing
-_OFF = 0.1  # rad or m that the machine may be from where a way begins
-_RECHECK = 0.2  # s between two checks of a way while what stands around changes
+_ARRIVED = 1e-3  # rad or m from the end of the plan
+_RESTS_AT_END = 1e-2  # rad/s or m/s: slower than that the machine rests at the end of the plan
+_STILL = 1e-6  # rad/s or m/s: slower than that a way may begin, which is planned from rest
+_PUSHED = 0.2  # rad or m by which the machine is pushed away: more than it slides to and fro
+_NOTICED = 0.3  # s without progress after which the machine says that it waits
+_PATIENCE = 1.0  # s without progress after which a way round is searched
+_PATIENCE_CROSSING = 4.0  # s, where the obstacle that holds the machine moves: it may pass
+_WINDOW = 0.4  # s in which there must be progress by `_PACE` or by `_APPROACH`
+_PACE = 0.05  # part of the planned speed by which the clock goes on
+_APPROACH = 0.1  # part of the slowest joint's greatest rate by which the machine comes nearer to the plan
+_FURTHER = 0.1  # s of the plan beyond the place where the machine was stuck: then it is free again
+_LONGEST_SEARCH = LONGEST + 5.0  # s after which an answer is no longer awaited: the search has ended by itself before
+_ATTEMPTS = 4  # searches in a row that find nothing before the machine says that it is blocked
+_LONGEST_BREAK = 16.0  # s between two searches that find nothing, which is doubled from 1 s on
+_OFF = 0.1  # rad or m that the machine may have moved from where a way begins
+_RECHECK = 0.2  # s between two checks of a way while the surroundings change
 
 
 class FollowerStatus(str, Enum):
-    """How it goes with a plan that is being followed."""
+    """How the following of a plan goes; see `FollowerState`."""
 
     FOLLOWING = "following"
     WAITING = "waiting"
@@ -66,19 +71,19 @@ class FollowerStatus(str, Enum):
 
 @dataclass(frozen=True)
 class FollowerState:
-    """One step of a plan that is being followed.
+    """The state after one step along a plan.
 
     Attributes
     ----------
     state: of the servo.
     plan_time: how far the plan's clock has come [s].
-    behind: how much later it is than planned [s].
-    deviation: of the farthest joint from the plan at `plan_time` [rad or m].
-    done: the end of the plan is reached, at rest.
-    status: ``following``; ``waiting``: it does not get on, and a way round is searched
-        unless it soon does; ``going_round``: on a way that rejoins the plan; ``blocked``:
-        no way was found, it goes on trying; ``arrived``.
-    reason: what it waits for, goes round, or is blocked by, in words; else empty.
+    behind: how much later than planned the machine is [s].
+    deviation: of the joint that is farthest from the plan at `plan_time` [rad or m].
+    done: whether the machine rests at the end of the plan.
+    status: ``following``; ``waiting``: no progress, and soon a way round is searched;
+        ``going_round``: on a way that rejoins the plan; ``blocked``: no way was found, and
+        further searches follow; ``arrived``.
+    reason: what the machine waits for, goes round, or is blocked by, in words; else empty.
     """
 
     state: ServoState
@@ -95,20 +100,20 @@ class PlanFollower:
 
     Parameters
     ----------
-    servo: its machine must have the plan's joints. Where it stands off the plan's
-        beginning it goes there first.
+    servo: its machine must have the plan's joints. Where it stands off the beginning of the
+        plan, it goes there first.
     plan: a plan, or its trajectory alone.
-    executor: in which ways round are searched (0.1 to 8 s each). By default one thread of
-        its own, which shares the interpreter with the loop: a step may then come some
+    executor: runs the searches for ways round (0.1 to 8 s each). The default is one thread of
+        the follower's own, which shares the interpreter with the loop: steps may come some
         milliseconds late while the machine holds still. A `ProcessPoolExecutor` avoids that.
     seed: of the searches, not negative.
 
     Raises
     ------
-    InputError: the plan has no motion, other joints or another number of them; seed is negative.
+    InputError: the plan has no motion, or other joints than the machine; the seed is negative.
 
-    `step` itself raises nothing. `close`, or leaving it as a context manager, ends its own
-    thread, after the search that is under way.
+    `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own thread
+    once a running search is over.
     """
 
     def __init__(
@@ -139,8 +144,8 @@ class PlanFollower:
         self._failed = 0  # searches in a row that found nothing, or a way that led nowhere
         self._stuck_at = -np.inf  # s of the plan
         self._again_at = 0.0  # s: when to search again
-        self._failed_at, self._failed_for = 0.0, -1  # s; revision of the surroundings
-        self._may_succeed = True  # with more effort
+        self._failed_at, self._failed_for = 0.0, -1  # s, and revision of the surroundings, of the last failure
+        self._may_succeed = True  # another search, with more effort
         self._was_holding = False
         self._holding = False
         self._blocked = ""
@@ -149,21 +154,19 @@ class PlanFollower:
     def __enter__(self) -> PlanFollower:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """End the searching. Steps after that follow the plan, but go round nothing new."""
+        """End the searches. Later steps follow the plan, but go round nothing new."""
         self._searches.close()
 
     @property
     def done(self) -> bool:
-        """Whether the end of the plan is reached, at rest."""
-        servo = self.servo
-        off = float(np.abs(self._plan.q[-1] - servo.q).max())
-        return self._plan.ended and off < _ARRIVED and bool((np.abs(servo.v) < _AT_REST).all())
+        """Whether the machine rests at the end of the plan."""
+        servo, end = self.servo, self._plan.q[-1]
+        arrived = self._plan.ended and float(np.abs(end - servo.q).max()) < _ARRIVED
+        return arrived and bool((np.abs(servo.v) < _RESTS_AT_END).all())
 
     def step(self) -> FollowerState:
         """Move on by the servo's dt."""
@@ -177,28 +180,27 @@ class PlanFollower:
                 if self._holding:
                     self._search()
                 elif self._may_succeed and servo.time >= self._again_at:
-                    # along the plan once more, and only where that still leads nowhere another search
+                    # along the plan once more; another search only if that still leads nowhere
                     self._retrying = True
         else:
             if self._was_holding:
                 self._was_holding = False
                 self._progress = _Progress(self._slowest)
             state = self._follow(self._plan if self._round is None else self._round.reference)
-        deviation = float(np.abs(self._plan.at()[0] - state.q).max())
-        done = self._plan.ended and deviation < _ARRIVED and self.done
+        done = self.done
         status, reason = self._status(state, done)
         return FollowerState(
             state=state,
             plan_time=self._plan.clock,
             behind=max(self._steps * servo.dt - self._plan.clock, 0.0),
-            deviation=deviation,
+            deviation=float(np.abs(self._plan.at()[0] - state.q).max()),
             done=done,
             status=status,
             reason=reason,
         )
 
     def _must_hold(self) -> bool:
-        """Whether it is to hold still: while a way is searched, and where there is none as long as nothing changes."""
+        """Whether to hold still: while a way is searched, and, where there is none, until something changes."""
         servo = self.servo
         if self._holding:
             return not self._searches.under_way or servo.revision == self._searches.revision
@@ -214,7 +216,7 @@ class PlanFollower:
         off = goal - servo.q
         deviation = float(np.abs(off).max())
         pace = max(0.0, 1.0 - _late(off, rates) / _TOLERANCE)
-        # no faster towards it than can be braked away again
+        # no faster towards the plan than can be braked in time
         size = np.abs(off)
         pull = np.copysign(np.minimum(_PULL * size, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
         state = servo.step(joint_velocity=pace * rates + pull)
@@ -240,7 +242,7 @@ class PlanFollower:
 
     def _lose_patience(self, state: ServoState) -> None:
         servo = self.servo
-        crossing = state.obstacle is not None and servo.is_moving(state.obstacle)
+        crossing = state.nearest is not None and servo.is_moving(state.nearest.name)
         if self._holding or (crossing and self._progress.waited < _PATIENCE_CROSSING):
             return
         changed = servo.revision != self._failed_for and servo.time > self._failed_at + _PATIENCE
@@ -248,12 +250,12 @@ class PlanFollower:
             self._searches.drop()
             self._stuck_at = self._plan.clock
             self._holding, self._retrying = True, False
-            if self._round is not None:  # it led nowhere: another one
+            if self._round is not None:  # it led nowhere: search another one
                 self._round = None
                 self._note_failure(f"a way round was found, but {self._held_by(state)}", servo.revision)
 
     def _note_failure(self, reason: str, revision: int, *, final: bool = False) -> None:
-        """Another attempt, or, after several or where no effort helps, a break."""
+        """Count a search that failed. After several, or where no effort helps (`final`), pause the searches."""
         self._failed = max(self._failed + 1, _ATTEMPTS if final else 0)
         self._retrying = False
         self._failed_at, self._failed_for, self._may_succeed = self.servo.time, revision, not final
@@ -263,7 +265,7 @@ class PlanFollower:
             self._again_at = self.servo.time + min(2.0 ** (self._failed - _ATTEMPTS), _LONGEST_BREAK)
 
     def _watch_round(self, deviation: float) -> None:
-        """Back on the plan at the end of the way round; given up where it is no longer clear."""
+        """Go back to the plan at the end of the way round, and check that the way is still clear."""
         found, servo = self._round, self.servo
         assert found is not None
         if found.reference.ended and deviation < _TOLERANCE:
@@ -330,13 +332,13 @@ class PlanFollower:
 
     @staticmethod
     def _held_by(state: ServoState) -> str:
-        if state.obstacle is None or state.margin > _NEAR:
+        if state.nearest is None or state.margin > HOLDS_WITHIN:
             return "it is off the plan"
-        return f"{state.link} is held back by {state.obstacle}"
+        return f"{state.nearest.link} is held back by {state.nearest.name}"
 
 
 class _Reference:
-    """A motion with a clock of its own."""
+    """A motion with a clock of its own [s]."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.time, self.q = trajectory.time, trajectory.q
@@ -352,14 +354,14 @@ class _Reference:
         self.clock = min(self.clock + by, self._end)
 
     def at(self) -> tuple[Vector, Vector]:
-        """(n,), (n,) joint positions and rates now."""
+        """(n,), (n,) joint positions [rad or m] and rates [rad/s or m/s] at the clock's time."""
         row = min(max(int(self.time.searchsorted(self.clock, side="right")) - 1, 0), len(self._rates) - 1)
         rates = self._rates[row]
         q = self.q[row] + (self.clock - float(self.time[row])) * rates
         return q, np.zeros_like(rates) if self.ended else rates
 
     def rest(self) -> Array:
-        """(K, n) samples that are still to come."""
+        """(K, n) the samples after the clock's time."""
         return np.asarray(self.q[int(self.time.searchsorted(self.clock, side="right")) :])
 
 
@@ -375,10 +377,14 @@ class _Round:
 
 
 def _late(off: Vector, rates: Vector) -> float:
-    """How far the machine is off the plan [rad or m], where that is a reason for its clock to wait.
+    """How far the machine is behind or beside the plan [rad or m], for which the clock must wait.
 
-    Ahead of the plan is none: a clock that waited for that would ask a machine that brakes as hard as it
-    can to brake harder still, and it would run further ahead.
+    The clock does not wait for a machine that is ahead: if it did, it would demand harder braking of a
+    machine that brakes as hard as it can, and the machine would run further ahead.
+
+    Parameters
+    ----------
+    off, rates: (n,) from the machine to the plan [rad or m], and the plan's rates [rad/s or m/s].
     """
     along = float(off @ rates)
     if along < 0.0:
@@ -387,13 +393,13 @@ def _late(off: Vector, rates: Vector) -> float:
 
 
 class _Progress:
-    """Notices when neither the clock goes on nor the machine comes nearer to its place than it was.
+    """Notices when neither the clock goes on nor the machine comes nearer to the plan than it was.
 
-    Sliding to and fro before an obstacle is not getting on.
+    Sliding to and fro before an obstacle is no progress.
 
     Attributes
     ----------
-    waited: how long it has not got on [s], window by window.
+    waited: how long there was no progress [s], window by window.
     """
 
     def __init__(self, slowest: float) -> None:
@@ -403,7 +409,7 @@ class _Progress:
         self._looked = 0.0
 
     def made(self, clock: float, deviation: float, dt: float) -> bool:
-        """Whether this step is one in which it got on noticeably."""
+        """Whether this step completes some progress."""
         if deviation > self._nearest + _PUSHED or self._clock == np.inf:
             self._clock, self._nearest = clock, deviation
         self._looked += dt
@@ -417,7 +423,7 @@ class _Progress:
 
 
 class _Searches:
-    """One call at a time in an executor, which is made where none was given."""
+    """One call at a time in an executor: the one that was given, or a thread of its own."""
 
     def __init__(self, executor: Executor | None) -> None:
         self._executor = executor
@@ -442,7 +448,7 @@ class _Searches:
             self._future.set_exception(error)
 
     def answer(self, now: float) -> Any:
-        """The result of the call, or the exception that it ended with; None while it runs."""
+        """The result of the call, or the exception that ended it; None while it runs."""
         future = self._future
         if future is None:
             return None
@@ -459,7 +465,7 @@ class _Searches:
         return TypeError("no answer came back") if found is None else found
 
     def drop(self) -> None:
-        """Ask for the answer no longer."""
+        """No longer wait for the answer."""
         if self._future is not None:
             self._future.cancel()
             self._future = None

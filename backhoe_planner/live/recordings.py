@@ -1,7 +1,7 @@
 """A motion that was driven by hand, as a plan: certified, and written like any other.
 
-A plan needs a task. That of a recording is to bring the tip from where the motion began to
-where it ended. There was no such goal, so none is shown, and the tip error says nothing.
+A plan needs a task. The task of a recording is to bring the tip from where the motion began
+to where it ended. Nobody set that goal, so it is not shown, and the tip error says nothing.
 """
 
 from __future__ import annotations
@@ -26,17 +26,19 @@ def plan_from_recording(
     recording: RecordingNotes | None = None,
     zones: Sequence[Transgression] = (),
 ) -> Plan:
-    """The plan that a recorded motion is.
+    """A recorded motion as a plan.
 
     Parameters
     ----------
-    scene: in which it was driven; its start and task are replaced.
-    obstacles: as they were during the recording; the scene's by default.
-    recording: what it leaves out; zones: its visits to them. Kept in the plan file.
+    robot, scene: in which the motion was driven; start and task of the scene are replaced.
+    trajectory: the motion.
+    obstacles: records as in a scene file, of how they were during the recording; the scene's by default.
+    recording: notes of what the recording leaves out, kept in the plan file.
+    zones: visits to zones, kept in the plan file.
 
     Raises
     ------
-    SceneError: the obstacles are not as in a scene file, or do not fit the machine.
+    SceneError: the obstacles' records are not as in a scene file, or do not fit the machine.
     """
     robot = robot.with_tip(scene.tip)
     content = scene.to_dict()
@@ -69,5 +71,5 @@ def unrecorded_changes(plan: Plan) -> tuple[str, ...]:
 
 
 def problem_to_show(plan: Plan) -> Problem:
-    """The problem of a plan for pictures and pages: that of a recording has no goal."""
+    """The problem of a plan for pictures and pages, where that of a recording has no goal."""
     return replace(plan.problem, goal=None, path=None) if is_recording(plan) else plan.problem

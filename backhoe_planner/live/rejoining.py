@@ -1,10 +1,9 @@
-"""From where the machine stands back onto the rest of a motion, round what stands on it now.
+"""A way from where the machine stands back onto the rest of a motion, round what stands on it now.
 
-The rest of the motion falls into stretches that are proven clear and parts that are not.
-The machine is brought to the earliest place that leads on: the first clear one behind
-what stops it. Where a short search finds no way there, longer ones look for a way to any
-of the stretches, and with less room to spare. First of all it draws back from what it
-stands before.
+The rest of the motion consists of stretches that are proven clear and parts that are not.
+The machine is brought to the earliest place from which it can go on: the first clear one
+behind the obstacle. Where a short search finds no way there, longer ones search a way to any
+of the stretches, with less room to spare. The way begins with a retreat from the obstacle.
 """
 
 from __future__ import annotations
@@ -33,33 +32,34 @@ from backhoe_planner.proof import TOUCH, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, Scene
 
 _EFFORTS = (EFFORTS["quick"], EFFORTS["normal"])  # of the sampling, at the first attempt and at the further ones
-_EASY = (0.02, 0.005)  # m beyond every clearance that is kept at the first attempt, and at the
-_HARD = (0.003, 0.01)  # further ones in turn
-_ROOMY = 0.01  # m beyond every clearance that a place to rejoin at is to have,
-_LOOKS = 100  # samples of a stretch in which that is looked for
-_RETREAT = 0.02  # m beyond every clearance to which the machine draws back first,
-_RETREAT_STEP, _RETREAT_STEPS = 0.002, 30  # m by which a margin grows in a step, and how many
-_PAUSE = 0.02  # s
+# The numbers are chosen; validation/placements.py drives machines with them.
+_EASY = (0.02, 0.005)  # m beyond every clearance: kept at the first attempt, the second where the first finds no way
+_HARD = (0.003, 0.01)  # m beyond every clearance: kept at the further attempts, in turn
+_ROOMY = 0.01  # m beyond every clearance that a place to rejoin at should have
+_LOOKS = 100  # samples of a stretch among which such a place is searched
+_RETREAT = _EASY[0]  # m beyond every clearance to which the machine retreats first
+_RETREAT_STEP, _RETREAT_STEPS = 0.002, 30  # m by which a margin grows in a step of the retreat, and the most steps
+_PAUSE = 0.02  # s at rest between the retreat and the way
 _HERE = 0.1  # rad or m within which the machine counts as being at a place
-_PLACES = 6  # of the rest of the motion that are tried
-_WAYS = 3  # of which the shortest is taken, at the first attempt
-_LONGEST = 25.0  # s after which an attempt is ended that has not ended by its counts; the follower gives up after 30 s
-_DEPTH = 9  # halvings of a segment
+_PLACES = 6  # places on the rest of the motion that are tried
+_WAYS = 3  # ways of the first attempt, of which the shortest is taken
+_DEPTH = 9  # halvings of a segment in a proof; 512 parts
+LONGEST = 25.0  # s after which an attempt ends that has not ended by its counts: only what runs away takes so long
 
 
 @dataclass(frozen=True, eq=False)
 class RejoiningQuery:
-    """What is asked; it can be sent to another process.
+    """The question of a search; it can be sent to another process.
 
     Attributes
     ----------
-    robot, scene, limits: the machine, and what it carries.
-    obstacles: what stands around, each where it is now; what moves is taken to stand there.
+    robot, scene, limits: the machine, the site and payload, and the limits of the joints.
+    obstacles: each where it is now; those that move count as standing there.
     q: (n,) where the machine stands, at rest [rad or m].
-    motion: that is to be rejoined.
-    since: the moment of the motion that was reached [s].
+    motion: the motion that is to be rejoined.
+    since: the time of the motion that was reached [s].
     seed: of the sampling, not negative.
-    attempt: from 0; each is more thorough than the one before, up to the third, or another one.
+    attempt: number of the attempt, from 0. The first three grow more thorough; each samples anew.
     """
 
     robot: Robot
@@ -75,13 +75,13 @@ class RejoiningQuery:
 
 @dataclass(frozen=True, eq=False)
 class Rejoining:
-    """A motion from where the machine stands, from rest to rest, to a place of the other one.
+    """A motion from where the machine stands, from rest to rest, to a place on the query's motion.
 
     Attributes
     ----------
     motion: keeps every clearance and limit of the query.
-    rejoins_at: the moment of the other motion at whose place it ends [s].
-    around: name of what stands in between; None where nothing does.
+    rejoins_at: the time on the query's motion of the place where it ends [s].
+    around: name of the obstacle in between; None where there is none.
     """
 
     motion: Trajectory
@@ -91,7 +91,7 @@ class Rejoining:
 
 @dataclass(frozen=True)
 class NoRejoining:
-    """None was found.
+    """The answer that no way was found.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class NoRejoining:
 
 
 def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
-    """A way to the earliest place of the rest of a motion that is clear.
+    """A way to the earliest clear place on the rest of a motion.
 
     The same query gives the same answer. OMPL's global seed is set.
     """
@@ -118,7 +118,7 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
         goal=None,
         path=None,
     )
-    work = Work(_EFFORTS[min(query.attempt, len(_EFFORTS) - 1)], Brake(_LONGEST))
+    work = Work(_EFFORTS[min(query.attempt, len(_EFFORTS) - 1)], Brake(LONGEST))
     try:
         return _Search(query, problem, work).run()
     except OutOfTime as ended:
@@ -127,19 +127,19 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
 
 def is_still_clear(robot: Robot, obstacles: tuple[Obstacle, ...], q: Matrix) -> bool:
     """Whether a way through `q` (K, n) provably keeps clear of `obstacles`, each where it is now."""
-    proximity = Proximity(robot, tuple(_at_rest(obstacle) for obstacle in obstacles))
+    proximity = _proximity_now(robot, obstacles)
     return all(segment_is_clear(proximity, a, b, depth=_DEPTH, spare=-TOUCH) for a, b in pairwise(q))
 
 
 class _Search:
     def __init__(self, query: RejoiningQuery, problem: Problem, work: Work) -> None:
         self._query, self._problem, self._work = query, problem, work
-        self._proximity = Proximity(query.robot, tuple(_at_rest(obstacle) for obstacle in query.obstacles))
+        self._proximity = _proximity_now(query.robot, query.obstacles)
         later = query.motion.time > query.since + 1e-9
         self._time = np.concatenate(([query.since], query.motion.time[later]))
         self._q = np.vstack((query.motion.at(query.since)[None], query.motion.q[later]))
         self._start = query.q
-        self._obstruction: Obstruction | None = None  # what stands on the motion first, from its time on
+        self._obstruction: Obstruction | None = None  # the first on the motion, from its time on
 
     def run(self) -> Rejoining | NoRejoining:
         here = self._proximity.tightest(self._query.q)
@@ -148,7 +148,7 @@ class _Search:
             if not check.ends_clear[0]:
                 why = f"{here.link} is {-here.margin:.3f} m closer to {here.name} than allowed where it stands"
                 return NoRejoining(why, searched=False)
-        self._start = self._drawn_back(self._query.q)
+        self._start = self._retreat(self._query.q)
         places = list(islice(self._places(), _PLACES if self._query.attempt else 1))
         found = self._way_to(places) if places else None
         return found or NoRejoining(self._why(here), searched=bool(places))
@@ -165,7 +165,7 @@ class _Search:
     # --- where to -------------------------------------------------------------------
 
     def _places(self) -> Iterator[int]:
-        """Samples of the rest of the motion that lead on, the earliest first."""
+        """Samples of the rest of the motion from which it can go on, the earliest first."""
         here = float(np.abs(self._q[0] - self._query.q).max()) < _HERE
         last = len(self._q) - 1
         yielded = -1
@@ -181,7 +181,7 @@ class _Search:
                 yield last
 
     def _stretches(self) -> Iterator[tuple[int, int]]:
-        """First and last sample of every part of the rest that is proven clear."""
+        """First and last sample of every stretch of the rest that is proven clear."""
         first = None
         last = len(self._q) - 1
         for row in range(last + 1):
@@ -200,13 +200,13 @@ class _Search:
                     self._note(row + 1)
 
     def _note(self, row: int) -> None:
-        """Something stands on the motion at a sample."""
+        """Keep the obstruction at a sample, if it is the first."""
         if self._obstruction is None:
             found = self._proximity.tightest(self._q[row])
             self._obstruction = found and replace(found, time=float(self._time[row]))
 
     def _roomiest(self, first: int, end: int) -> int:
-        """The first sample of a stretch that has room, or the one of its first that has most."""
+        """The first sample of a stretch that is roomy; if none of the first `_LOOKS` is, the roomiest of them."""
         best, most = first, -np.inf
         for row in range(first, min(end, first + _LOOKS) + 1):
             margin = self._margin(self._q[row])
@@ -217,7 +217,7 @@ class _Search:
         return best
 
     def _margin(self, q: Vector) -> float:
-        """The least at `q` (n,) [m]."""
+        """The least margin at `q` (n,) [m]."""
         tightest = self._proximity.tightest(q)
         return np.inf if tightest is None else tightest.margin
 
@@ -239,7 +239,7 @@ class _Search:
         return None
 
     def _timed(self, way: SmoothWay) -> Trajectory:
-        """Drawing back, to rest, and along the way."""
+        """The retreat, a pause, and the way."""
         limits, drive = self._query.limits, drive_of(self._problem)
         motion = time_way(way, limits, drive=drive)
         back = np.array([self._query.q, self._start])
@@ -250,8 +250,8 @@ class _Search:
         pause = first.duration + _PAUSE
         return Trajectory.from_steps(np.concatenate((first.time, pause + motion.time)), np.vstack((first.q, motion.q)))
 
-    def _drawn_back(self, q: Vector) -> Vector:
-        """(n,) near q with more room, if q has little: where the servo holds the machine, it lets it only away."""
+    def _retreat(self, q: Vector) -> Vector:
+        """(n,) a posture near q with more room, if q has little: the servo lets the machine only move away there."""
         proximity, limits = self._proximity, self._query.limits
         found = q
         for _ in range(_RETREAT_STEPS):
@@ -272,7 +272,7 @@ class _Search:
         return found if check.segment_is_clear(q, found) else q
 
     def _ways(self, check: MotionCheck, targets: list[Vector]) -> list[JointPath]:
-        """Several, shortened; one where it is straight, or long to find."""
+        """Several ways, shortened; one alone where it is straight, and at the further attempts."""
         query = self._query
         found: list[JointPath] = []
         for turn in range(_WAYS):
@@ -286,6 +286,6 @@ class _Search:
         return found
 
 
-def _at_rest(obstacle: Obstacle) -> Obstacle:
-    """The same obstacle, at rest where it is."""
-    return replace(obstacle, appears_at=0.0, velocity=np.zeros(3))
+def _proximity_now(robot: Robot, obstacles: tuple[Obstacle, ...]) -> Proximity:
+    """The distances to obstacles that all stand still where they are now."""
+    return Proximity(robot, tuple(replace(one, appears_at=0.0, velocity=np.zeros(3)) for one in obstacles))

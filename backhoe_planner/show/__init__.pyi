@@ -32,7 +32,7 @@ from .teleop.session import Session as Session
 from .teleop.station import TeleopServer as TeleopServer
 from .teleop.station import TeleopStation as TeleopStation
 from .teleop.station import free_name as free_name
-from .teleop.wording import Telling as Telling
+from .teleop.wording import Caption as Caption
 from .teleop.wording import Wording as Wording
 from .viewer.live_server import LiveServer as LiveServer
 from .viewer.live_server import LiveSocket as LiveSocket

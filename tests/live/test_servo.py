@@ -258,7 +258,8 @@ def test_driven_at_full_speed_into_a_post_it_stops_before_it(backhoe: Robot) -> 
     assert 0.0 <= margin < 0.01
     assert abs(states[-1].v[0]) < 0.01
     assert states[-1].status in (Status.STOPPED, Status.SLIDING)
-    assert states[-1].obstacle == "post"
+    assert states[-1].nearest is not None
+    assert states[-1].nearest.obstacle == "post"
 
 
 def test_pushed_askew_into_a_wall_it_slides_along(backhoe: Robot) -> None:
@@ -349,7 +350,7 @@ def test_a_scan_is_an_obstacle_and_is_replaced_by_the_next(backhoe: Robot) -> No
     servo.add_points("scan", cloud + np.array([4.4, 1.1, -0.5]), resolution=0.1)
     assert list(servo.obstacles) == ["scan"]
     states = pushed(servo, {"joint_velocity": [0.8, 0, 0, 0]}, 2000)
-    near = [state.margin for state in states if state.obstacle == "scan"]
+    near = [state.margin for state in states if state.nearest is not None and state.nearest.obstacle == "scan"]
     assert 0.0 <= min(near) < 0.05
     servo.add_points("scan", np.zeros((0, 3)))
     assert len(servo.obstacles) == 0

@@ -113,7 +113,7 @@ def test_a_servo_has_a_step_and_a_watchdog_that_can_be(servo: Servo, keys: dict[
 
 
 def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object) -> None:
+    def fails(*_: object, **__: object) -> None:
         raise ZeroDivisionError("of the test")
 
     servo.add({**BALL, "position": [4.7, 0.7, -0.6]})
@@ -123,7 +123,9 @@ def test_what_goes_wrong_in_a_step_is_kept_to_be_read(servo: Servo, monkeypatch:
     state = servo.step([0.0, 0.1, 0.0])
     assert isinstance(servo.last_error, ZeroDivisionError)
     assert not state.proven
-    assert (state.link, state.obstacle) == (near.link, "ball")
+    assert state.nearest is not None
+    assert near.nearest is not None
+    assert (state.nearest.link, state.nearest.name) == (near.nearest.link, "ball")
     assert state.margin == pytest.approx(near.margin, abs=1e-3)
 
 

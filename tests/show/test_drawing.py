@@ -82,12 +82,12 @@ def test_a_box_keeps_its_edges_and_a_ball_is_smooth() -> None:
 
 def test_a_tube_follows_its_line() -> None:
     line = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.5]])
-    points = tube(line, 0.05).vertices
+    points = tube(line, 0.05, tolerance=0.003).vertices
     low, high = points.min(axis=0), points.max(axis=0)
     np.testing.assert_allclose(low, [-0.05, -0.05, -0.05], atol=0.01)
     np.testing.assert_allclose(high, [1.05, 1.05, 0.55], atol=0.01)
-    assert len(tube(np.zeros((1, 3)), 0.05).faces) > 0
-    assert len(tube(np.zeros((4, 3)), 0.05).faces) > 0
+    assert len(tube(np.zeros((1, 3)), 0.05, tolerance=0.003).faces) > 0
+    assert len(tube(np.zeros((4, 3)), 0.05, tolerance=0.003).faces) > 0
 
 
 def test_margin_colours() -> None:

@@ -36,6 +36,7 @@ from backhoe_planner.planning import Findings, RecordingNotes
 from backhoe_planner.show import (
     LARGEST,
     Add,
+    Caption,
     LiveServer,
     LiveSocket,
     SceneGraph,
@@ -43,7 +44,6 @@ from backhoe_planner.show import (
     Sticks,
     TeleopServer,
     TeleopStation,
-    Telling,
     Wording,
     free_name,
     joint_rates,
@@ -51,7 +51,7 @@ from backhoe_planner.show import (
     site_mesh,
 )
 from backhoe_planner.show.viewer import live_server
-from backhoe_planner.site import Proximity, build_obstacle, build_obstacles
+from backhoe_planner.site import Obstruction, Proximity, build_obstacle, build_obstacles
 
 Data = dict[str, Any]
 
@@ -115,7 +115,7 @@ def test_the_first_that_asks_drives_and_the_others_watch(backhoe: Robot) -> None
     done(session, one, type="take")
     for content in (LEFT, {"type": "record", "on": True}, {"type": "add", "obstacle": BALL}, {"type": "stop"}):
         assert "page 1 drives" in say(session, two, **content)["error"]
-    assert "it was told" in say(session, two, type="take")["error"]
+    assert "sees that you ask" in say(session, two, type="take")["error"]
     before = session.snapshot()
     assert (before.driver, before.pages, before.asking) == (one, (one, two), (two,))
     done(session, one, type="hand_over", to=two)
@@ -156,16 +156,16 @@ def test_the_watchdog_goes_by_the_clock_and_not_by_the_steps(backhoe: Robot) -> 
         done(session, page, **LEFT)
         session.step()
         now += session.dt
-    assert session.snapshot().asked
+    assert session.snapshot().has_wish
     going = np.abs(session.step().v).max()
     now += 0.39
     assert np.abs(session.step().v).max() >= 0.9 * going
-    assert session.snapshot().asked
+    assert session.snapshot().has_wish
     now += 0.02  # 0.41 s without a word, and two steps
     slower = [float(np.abs(session.step().v).max()) for _ in range(5)]
     assert slower[0] < going
     assert slower == sorted(slower, reverse=True)
-    assert not session.snapshot().asked
+    assert not session.snapshot().has_wish
 
 
 def test_a_step_that_fails_brakes_the_machine_to_rest(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -260,7 +260,8 @@ def test_what_is_dropped_in_the_way_is_not_touched(backhoe: Robot) -> None:
         near |= margin < 0.02
     assert near
     assert state.status in (Status.SLIDING, Status.STOPPED)
-    assert state.obstacle == "screen"
+    assert state.nearest is not None
+    assert state.nearest.name == "screen"
     assert state.feedback_force[1] < -1.0  # back to where it came from
     spot = session.snapshot().nearest["screen"]
     assert spot is not None
@@ -368,9 +369,9 @@ def test_nobody_is_told_to_be_held_who_asks_for_nothing(backhoe: Robot) -> None:
     done(session, page, type="take")
     wording = Wording()
 
-    def told() -> Telling:
+    def told() -> Caption:
         snapshot = session.snapshot()
-        return wording.next(snapshot.state, asked=snapshot.asked)
+        return wording.next(snapshot.state, has_wish=snapshot.has_wish)
 
     for _ in range(200):  # nobody asks: the tip is 0.24 m from the ground's clearance
         session.step()
@@ -394,26 +395,28 @@ def test_nobody_is_told_to_be_held_who_asks_for_nothing(backhoe: Robot) -> None:
     for _ in range(200):
         session.step()
         assert told().kind == "rest"
-    assert told() == Telling("rest", "At rest", "near ground, 0.00 m")
+    assert told() == Caption("rest", "At rest", "near ground, 0.00 m")
 
 
 def test_what_is_better_is_told_once_it_has_lasted() -> None:
     zero = np.zeros(3)
 
     def state(time: float, status: Status, margin: float) -> ServoState:
-        return ServoState(time, np.zeros(4), np.full(4, 0.1), status, Command.NEW, margin, "bucket", "road",
-                          zero, zero, zero, zero, True)  # fmt: skip
+        road = Obstruction("obstacle", "road", "bucket", margin, margin)
+        return ServoState(
+            time, np.zeros(4), np.full(4, 0.1), status, Command.NEW, road, zero, zero, zero, zero, True, 1
+        )
 
     wording = Wording()
-    assert wording.next(state(1.0, Status.OK, 0.25), asked=True) == Telling("free", "Free", "bucket, 0.25 m")
-    assert wording.next(state(1.1, Status.SLIDING, 0.2), asked=True).word == "Slowed before road"
-    assert wording.next(state(1.2, Status.SLIDING, 0.01), asked=True).word == "Sliding along road"
-    better = wording.next(state(1.3, Status.NEAR_OBSTACLE, 0.02), asked=True)
-    assert better == Telling("held", "Sliding along road", "bucket, 0.02 m")
-    assert wording.next(state(1.75, Status.NEAR_OBSTACLE, 0.02), asked=True).word == "Near road"
-    assert wording.next(state(1.8, Status.STOPPED, 0.2), asked=True).word == "Held by a limit"
-    assert wording.next(state(1.81, Status.STOPPED, 0.004), asked=False).word == "Coming to rest"
-    assert wording.next(state(1.9, Status.EVADING, -0.01), asked=False).kind == "held"
+    assert wording.next(state(1.0, Status.OK, 0.25), has_wish=True) == Caption("free", "Free", "bucket, 0.25 m")
+    assert wording.next(state(1.1, Status.SLIDING, 0.2), has_wish=True).word == "Slowed before road"
+    assert wording.next(state(1.2, Status.SLIDING, 0.01), has_wish=True).word == "Sliding along road"
+    better = wording.next(state(1.3, Status.NEAR_OBSTACLE, 0.02), has_wish=True)
+    assert better == Caption("held", "Sliding along road", "bucket, 0.02 m")
+    assert wording.next(state(1.75, Status.NEAR_OBSTACLE, 0.02), has_wish=True).word == "Near road"
+    assert wording.next(state(1.8, Status.STOPPED, 0.2), has_wish=True).word == "Held by a limit"
+    assert wording.next(state(1.81, Status.STOPPED, 0.004), has_wish=False).word == "Coming to rest"
+    assert wording.next(state(1.9, Status.EVADING, -0.01), has_wish=False).kind == "held"
 
 
 # --- recording -----------------------------------------------------------------------------
@@ -632,7 +635,7 @@ def dropped(shape: str, **sizes: Any) -> str:
         ('{"type": "add", "obstacle": {"name": "m", "shape": "mesh", "file": "/etc/passwd"}}', "'sphere'"),
         ('{"type": "take", "id": 1}' + " " * LARGEST, "too long"),
         (dropped("sphere", radius=1e-300), "sphere.radius"),
-        (dropped("sphere", radius=1e-5), "radius: is not a length that can be dropped in"),
+        (dropped("sphere", radius=1e-5), "radius: is not the size of an obstacle"),
         (dropped("sphere", radius=2000.0), "allowed: 0.001 to 1000 m"),
         (dropped("box", size=[1.0, 0.0009, 1.0]), "size"),
         (dropped("cylinder", radius=0.1, length=1e-9), "length"),

@@ -1,13 +1,12 @@
 """The braking path: where the machine goes if it brakes from now on.
 
-Braking in proportion, all joints slow down together and the joints move on a straight
-line. With T = max_j |v_j| / a_j, a step of dt at v and then braking lead from q to
+The machine brakes in proportion: all joints slow down together, on a straight line in the
+joints. With T = max_j |v_j| / a_j, a step of dt at v and then braking lead from q to
 
     e = q + v (dt + T / 2)
 
-and wherever braking begins later, what is left of it is a part of that line. A motion
-whose braking path is clear at one step can therefore always be ended without touching
-anything: braking is an answer that was proven before it is needed.
+Wherever braking begins, what is left of it is a part of that line. So if the braking path is
+proven clear at one step, the motion can always be ended without touching anything.
 """
 
 from __future__ import annotations
@@ -21,8 +20,9 @@ import pinocchio as pin
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import Robot
 
-MOST_PARTS = 8  # of a braking path: the work of a step is bounded
-_BEND = 0.002  # m that a point may deviate from the chord of a part, as much as is kept on top of a clearance
+MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
+BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
+_BEND = BUFFER  # m that a point may deviate from the chord of a part: the chords miss no more than the rows do
 
 
 class JointState(NamedTuple):
@@ -40,16 +40,16 @@ class JointState(NamedTuple):
 
 
 class PathClearance(NamedTuple):
-    """What is known of a braking path before it is taken.
+    """What is proven of a braking path before it is taken, for K pairs that could come too close.
 
     Attributes
     ----------
-    free: whether every pair that was looked at keeps the buffer too.
-    clear: whether every pair that was looked at keeps what is required.
-    stands_clear: the same for the pairs whose obstacle stands still.
-    bound: (K,) proven distance [m].
-    gaps: (S, K, V) of the corners [m].
-    closely: (K,) which were measured at every part of the path.
+    free: whether every pair keeps the required distance and the buffer.
+    clear: whether every pair keeps the required distance.
+    stands_clear: whether every pair whose obstacle stands still keeps it.
+    bound: (K,) proven distance over the whole path [m].
+    gaps: (S, K, V) from every corner of the links to the planes, at each of S samples [m].
+    closely: (K,) which pairs were measured at several places of the path.
     """
 
     free: bool
@@ -61,7 +61,7 @@ class PathClearance(NamedTuple):
 
 
 def bend(travel: Matrix, delta: Vector, turning: Vector) -> Vector:
-    """(C,) bound on how sharply points bend off a straight line over a motion delta [m].
+    """(C,) bound on how sharply points of C classes bend off a straight line over a motion delta [m].
 
     With s from 0 to 1 along the motion, |x''| <= sum_j r_j |d_j| (w_j + 2 sum_{i<j} w_i),
     since the second derivative by joints i <= j is a_i x (a_j x (x - o_j)); w is |d| for
@@ -69,8 +69,8 @@ def bend(travel: Matrix, delta: Vector, turning: Vector) -> Vector:
 
     Parameters
     ----------
-    travel: (C, n) r, see `travel_bounds`.
-    delta: (n,) the motion.
+    travel: (C, n) r, see `travel_bounds` [m/rad or m/m].
+    delta: (n,) the motion [rad or m].
     turning: (n,) 1 for hinges, 0 for slides.
     """
     size = np.abs(delta)
@@ -80,6 +80,10 @@ def bend(travel: Matrix, delta: Vector, turning: Vector) -> Vector:
 
 class Placements:
     """Where the bodies are at several configurations at once; working memory.
+
+    Parameters
+    ----------
+    most: how many configurations it holds, S.
 
     Attributes
     ----------
@@ -97,7 +101,7 @@ class Placements:
         self.R, self.t = self.T[..., :3], self.T[..., 3]
         self.R[:, 0] = np.eye(3)
         self.J = np.zeros((most, 6, n))
-        # views of Pinocchio's own memory, which stays where it is
+        # views of Pinocchio's own memory, which is never allocated anew
         joints = range(1, count)
         rotations = [self._data.oMi[joint].rotation for joint in joints]
         translations = [self._data.oMi[joint].translation for joint in joints]
@@ -123,18 +127,20 @@ class BrakingPath:
 
     Parameters
     ----------
-    q, v: (n,) where the joints are, and the velocity of the step that is about to be taken.
-    dt: its length [s]; 0 for braking from now on.
+    q: (n,) where the joints are [rad or m].
+    v: (n,) velocity of the step that is about to be taken [rad/s or m/s].
+    dt: length of the step [s]; 0 for braking from now on.
     acceleration: n numbers that braking is planned with [rad/s^2 or m/s^2].
-    furthest: (n,) the largest travel radius of any pair, see `travel_bounds`.
+    furthest: n numbers, the largest travel radius of any pair, see `travel_bounds`.
     turning: (n,) 1 for hinges, 0 for slides.
 
     Attributes
     ----------
-    delta: (n,) e - q.
-    end: (n,) e.
-    parts: how many; `parts + 1` rows of the placements belong to it.
-    time: [s] until it stands.
+    delta: (n,) e - q [rad or m].
+    end: (n,) e [rad or m].
+    parts: how many parts it has; `parts + 1` rows of the placements belong to it.
+    time: until the machine stands [s].
+    look: the time that the path is worth at v, dt + T / 2 [s].
     """
 
     def __init__(
@@ -177,6 +183,6 @@ class BrakingPath:
         return D
 
     def place(self, placements: Placements) -> None:
-        """Fill the placements at the ends of the parts; row 0, at q, is already there."""
+        """Fill the placements at the ends of the parts. Row 0, at q, must already be there."""
         for part in range(1, self.parts + 1):
             placements.place(part, self.q + (part / self.parts) * self.delta)

@@ -11,10 +11,11 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import JointLimits
 
-BRAKING = 0.8  # part of the acceleration that braking is planned with; the rest is left for corrections
-RECOVERY = 1.0  # 1/s: speed of the way back by what is missing
-SLOWEST_RECOVERY, FASTEST_RECOVERY = 0.02, 0.25  # m/s or rad/s, so that the way back ends, and begins gently
-_TOLERANCE = 1e-9  # rad, m, or of them a second: rounding
+BRAKING = 0.8  # part of the acceleration that braking is planned with; chosen, the rest is left for corrections
+RECOVERY = 1.0  # 1/s: speed of the way back per what is missing; chosen
+SLOWEST_RECOVERY = 0.02  # m/s or rad/s: chosen, so that the way back ends in finite time
+FASTEST_RECOVERY = 0.25  # m/s or rad/s: chosen, so that the way back begins gently
+TOLERANCE = 1e-9  # rad, m, rad/s or m/s: far above rounding, and too little to matter
 
 Load = Callable[[Vector, Vector], float]
 
@@ -24,10 +25,9 @@ class VelocityRange(NamedTuple):
 
     Attributes
     ----------
-    low, high: (n,) of those within reach of this step [rad/s or m/s].
-    least, most: (n,) of all, however long it takes to get there [rad/s or m/s].
-    look: the time that the longest braking path which the step could begin is worth at its
-        first velocity [s].
+    low, high: (n,) bounds of those that this step can reach [rad/s or m/s].
+    least, most: (n,) bounds of all of them, however long it takes to get there [rad/s or m/s].
+    look: `BrakingPath.look` of the longest braking path that this step could begin [s].
     cuts_wish: whether the wish lies outside.
     """
 
@@ -44,18 +44,19 @@ class JointBounds:
 
     Parameters
     ----------
+    limits: of the joints.
     dt: length of a step [s].
-    load: which part of what drives all joints together joint velocities v (n,) at q (n,) take; no
-        more than 1 is asked for. None where each joint is limited by itself alone.
+    load: see `Servo`; None where each joint is limited by itself alone.
 
     Attributes
     ----------
+    limits, dt: as above.
     acceleration: (n,) that braking is planned with [rad/s^2 or m/s^2]; `braking` the same as a list.
-    change: (n,) of the velocity in a step at most.
+    change: (n,) by which a velocity can change in a step [rad/s or m/s]; `changes` the same as a list.
     """
 
     def __init__(self, limits: JointLimits, dt: float, load: Load | None = None) -> None:
-        self._dt, self._load = dt, load
+        self.limits, self.dt, self._load = limits, dt, load
         self.acceleration = BRAKING * limits.acceleration
         self.braking: list[float] = self.acceleration.tolist()
         self.change = limits.acceleration * dt * (1.0 - 1e-9)
@@ -64,12 +65,12 @@ class JointBounds:
         self._ranges = list(zip(limits.lower.tolist(), limits.upper.tolist(), limits.velocity.tolist(), strict=True))
 
     def brake(self, v: Vector) -> Vector:
-        """(n,) the next velocity while braking in proportion."""
+        """(n,) the next velocity while braking in proportion from v (n,)."""
         time = float((np.abs(v) / self.acceleration).max())
-        return v * max(1.0 - self._dt / time, 0.0) if time > 0.0 else v
+        return v * max(1.0 - self.dt / time, 0.0) if time > 0.0 else v
 
     def towards(self, wish: Vector, v: Vector) -> Vector:
-        """(n,) on the straight way from v to the wish, as far as acceleration allows."""
+        """(n,) the next velocity straight from v (n,) to the wish (n,), as far as acceleration allows."""
         rates = v.tolist()
         change = [wished - rate for wished, rate in zip(wish.tolist(), rates, strict=True)]
         part = 1.0
@@ -80,7 +81,7 @@ class JointBounds:
 
     def velocity_range(self, q: Vector, v: Vector, wish: Vector) -> VelocityRange:
         """The velocities that the step from q, v (n,) may take. Beyond a limit a joint must come back."""
-        dt = self._dt
+        dt = self.dt
         rates = v.tolist()
         time = max([abs(rate) * per for rate, per in zip(rates, self._per_acceleration, strict=True)])
         look = dt + 0.5 * (time + dt / BRAKING)
@@ -91,19 +92,19 @@ class JointBounds:
         ):
             above, below = upper - position, position - lower
             high, low = min(above / look, fastest), max(-below / look, -fastest)
-            if above < -_TOLERANCE:
+            if above < -TOLERANCE:
                 high = -min(max(-RECOVERY * above, SLOWEST_RECOVERY), FASTEST_RECOVERY)
                 low = min(low, high)
-            elif below < -_TOLERANCE:
+            elif below < -TOLERANCE:
                 low = min(max(-RECOVERY * below, SLOWEST_RECOVERY), FASTEST_RECOVERY)
                 high = max(low, high)
             else:
                 tight |= high < rate - change or low > rate + change
-            cut |= wished > high + _TOLERANCE or wished < low - _TOLERANCE
+            cut |= wished > high + TOLERANCE or wished < low - TOLERANCE
             highs.append(high)
             lows.append(low)
         if tight:
-            # a joint needs the whole of its way to brake: the others must not make that longer
+            # a joint needs all that is left of its range to brake: the others must not make that way longer
             caps = (self.acceleration * max(time - dt, 0.0)).tolist()
             highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
             lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
@@ -118,7 +119,7 @@ class JointBounds:
         )
 
     def over_rates(self, q: Vector, v: Vector) -> float:
-        """By how much joint velocities (n,) at q (n,) go beyond the joints' rates and the load, 1 where they do not."""
+        """By which factor joint velocities v (n,) at q (n,) exceed the joints' rates or the load; at least 1."""
         over: list[float] = [
             abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), self._ranges, strict=True)
         ]

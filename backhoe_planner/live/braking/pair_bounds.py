@@ -1,8 +1,8 @@
-"""What is known of every pair's distance without measuring it at every step.
+"""Bounds of every pair's distance, without measuring it at every step.
 
-A distance that was measured, or proven over a braking path, holds on less what the pair's
-points can have travelled since. That is counted once for all pairs: an odometer adds up
-how far points can have come, by joint travel and per class of pairs with the same radii.
+A distance that was measured, or proven over a braking path, stays valid if the travel of
+the pair's points since then is subtracted. That travel is counted once for all pairs that
+have the same radii: an odometer per class adds up how far points can have come.
 """
 
 from __future__ import annotations
@@ -13,27 +13,26 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
-from backhoe_planner.live.braking.braking_path import BrakingPath, PathClearance, Placements
-from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
+from backhoe_planner.live.braking.joint_bounds import TOLERANCE
+from backhoe_planner.live.braking.separation import FAR, Separation
 from backhoe_planner.site import pace
 
-BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out
-TOLERANCE = 1e-9  # m
-_FAR = 1e3  # m
-_NEAR_RENEWED_EVERY = 2  # steps, where something is within `_CLOSE`
-_FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # and where nothing is
-_CLOSE = 0.10  # m of margin
+CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
+_NEAR_RENEWED_EVERY = 2  # steps, where something is within `CLOSE`; chosen, one measurement costs some 20 us
+_FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # steps, where nothing is
+_URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 
 
 class Near(NamedTuple):
-    """What is near at the beginning of a step.
+    """The pairs that are near at the beginning of a step.
 
     Attributes
     ----------
-    pairs: (K,) indices.
-    gaps: (K, V) of the corners [m].
-    least: (K,) of these [m].
-    distance, margin: (K,) proven lower bounds of the distance, and of it minus clearance [m].
+    pairs: (K,) their indices.
+    gaps: (K, V) from every corner of the link to the pair's plane [m].
+    least: (K,) the least of these [m].
+    distance, margin: (K,) proven lower bounds of the distance, and of distance minus clearance [m].
     """
 
     pairs: Indices
@@ -44,12 +43,12 @@ class Near(NamedTuple):
 
 
 class Awake(NamedTuple):
-    """What could come into question in a step.
+    """The pairs that could come too close in a step.
 
     Attributes
     ----------
-    pairs: (K,) indices.
-    budget: (C,) by how much points of each class may move away from the path of before [m].
+    pairs: (K,) their indices.
+    budget: (C,) how far points of each class may leave the braking path of the step before [m].
     """
 
     pairs: Indices
@@ -57,7 +56,7 @@ class Awake(NamedTuple):
 
 
 class PairBounds:
-    """Lower bounds of the distances of all pairs, at the machine and over its braking path.
+    """Lower bounds of the distances of all pairs: where the machine is, and over its braking path.
 
     Parameters
     ----------
@@ -65,10 +64,11 @@ class PairBounds:
 
     Attributes
     ----------
-    required: (P,) distance that must be kept [m]: the clearance, or what was proven of a pair
-        that is closer than allowed.
-    inside: indices of the pairs of what stands that are not clear yet.
+    required: (P,) distance that must be kept [m]: the clearance, or, for a pair that is closer
+        than allowed, the distance that was proven last.
+    inside: indices of the pairs that are closer than allowed and whose obstacle stands still.
     stands: (P,) whether the pair's obstacle stands still.
+    anything_moves: whether the obstacle of any pair does not.
     """
 
     def __init__(self, separation: Separation, *, influence: float) -> None:
@@ -76,14 +76,15 @@ class PairBounds:
         self._influence = influence
         count, classes = len(separation), len(separation.travel)
         # over the braking path and at its start, each with the odometer at that moment
-        self._proven, self._proven_at = np.full(count, -_FAR), np.zeros(count)
-        self._distance, self._distance_at = np.full(count, -_FAR), np.zeros(count)
+        self._proven, self._proven_at = np.full(count, -FAR), np.zeros(count)
+        self._distance, self._distance_at = np.full(count, -FAR), np.zeros(count)
         self.required = separation.clearance.copy()
         self._renewed_at = np.zeros(count, dtype=np.int64)
-        # how far beyond its clearance a pair is looked at; and slows the machine down
+        # margins within which a pair is looked at, and within which it slows the machine down
         self._reach, self._slow_from = np.full(count, influence), np.zeros(count)
         self.inside: Indices = np.zeros(0, dtype=np.intp)
         self.stands: Flags = np.ones(count, dtype=bool)
+        self.anything_moves = False
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
         self._moved_by = np.zeros(classes)
         self._accepted: tuple[Indices, Vector, Indices] | None = None
@@ -91,9 +92,9 @@ class PairBounds:
     # --- which pairs there are -----------------------------------------------------------
 
     def extend(self, pairs: Indices, *, slow: float) -> None:
-        """Take in pairs that are new; `slow` is the margin from which they slow the machine down [m]."""
+        """Take in new pairs; within the margin `slow` they slow the machine down [m]."""
         count = len(pairs)
-        far, none = np.full(count, -_FAR), np.zeros(count)
+        far, none = np.full(count, -FAR), np.zeros(count)
         self._proven, self._proven_at = np.append(self._proven, far), np.append(self._proven_at, none)
         self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
         self.required = np.append(self.required, self._separation.clearance[pairs])
@@ -109,19 +110,26 @@ class PairBounds:
             setattr(self, name, getattr(self, name)[kept])
 
     def sort(self, stands: Flags, per_step: Vector, per_step_on_path: Vector) -> None:
-        """Tell what stands from what moves, and by how much that may come nearer in a step (P,) [m]."""
-        self.stands = stands
+        """Take over which pairs' obstacles stand still.
+
+        Parameters
+        ----------
+        stands: (P,) whether the obstacle does.
+        per_step: (P,) how far it moves in a step [m].
+        per_step_on_path: (P,) how much nearer it may come to a braking path that is one step later [m].
+        """
+        self.stands, self.anything_moves = stands, not stands.all()
         self._per_step, self._per_step_on_path = per_step, per_step_on_path
         self._within = self._separation.clearance + self._reach
         self._slows = bool(self._slow_from.any())
 
     def drift(self) -> None:
-        """A step of the obstacles' own motion."""
+        """Let the obstacles move on for a step."""
         self._distance -= self._per_step
         self._proven -= self._per_step_on_path
 
     def measure(self, pairs: Indices, path: BrakingPath, at: Placements, step: int) -> None:
-        """Measure pairs that are new or were moved, and note what the braking path leaves of them."""
+        """Measure pairs that are new or were moved, and note their distances over the braking path."""
         separation = self._separation
         self.set_distance(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
         self._renewed_at[pairs] = step
@@ -163,7 +171,7 @@ class PairBounds:
         return Near(pairs, gaps, least, distance, distance - separation.clearance.take(pairs))
 
     def pace(self, near: Near) -> float:
-        """Part of the wished speed that the zones leave."""
+        """The part of the wished speed that the slow distances of zones leave."""
         if not self._slows:
             return 1.0
         slow = self._slow_from[near.pairs]
@@ -175,15 +183,15 @@ class PairBounds:
         """The pairs that matter if the braking path's end moves by up to `change` (n,) [rad or m]."""
         separation = self._separation
         budget = separation.travel @ change
-        # what is within the buffer is always looked at: else a wish would be held back every other step
+        # pairs within the buffer are always looked at: else a wish would be held back every other step
         left = self._proven + self._proven_at - self.required - BUFFER
         awake = left < (self._path_odometer + budget).take(separation.classes)
-        if len(self.inside):  # these are looked at by themselves
+        if len(self.inside):  # the way out of these is found separately
             awake[self.inside] = False
         return Awake(awake.nonzero()[0], budget)
 
     def accept(self, awake: Indices, clearance: PathClearance) -> None:
-        """A braking path is about to be taken, of which this was proven."""
+        """A braking path is about to be taken; `clearance` is what was proven of it for the pairs `awake` (K,)."""
         if len(awake) == 0:
             self._accepted = None
             return
@@ -193,9 +201,9 @@ class PairBounds:
         self.required[awake] = np.minimum(separation.clearance[awake], lowest)
 
     def advance(self, moved: Vector, end_moved: Vector | None) -> None:
-        """The joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,).
+        """The joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,) [rad or m].
 
-        None where the machine goes on along the braking path that was accepted before.
+        `end_moved` is None where the machine goes on along the braking path that was accepted before.
         """
         travel = self._separation.travel
         if end_moved is not None:
@@ -208,17 +216,17 @@ class PairBounds:
         self._start_odometer += self._moved_by
 
     def renew(self, near: Near, at: Placements, step: int) -> None:
-        """Measure the planes that are oldest anew, a few at a time, by the placements' row 0."""
+        """Measure one plane anew every few steps, by the placements' row 0."""
         if len(near.pairs) == 0 or step % _NEAR_RENEWED_EVERY:
             return
-        # once more: what was measured since the beginning of the step counts too
+        # not near.margin: some pairs were measured since the beginning of the step
         margin = self._distance[near.pairs] - self._separation.clearance[near.pairs]
         nearest = int(margin.argmin())
-        close = margin[nearest] <= _CLOSE
+        close = margin[nearest] <= CLOSE
         if not close and step % _FAR_RENEWED_EVERY:
             return
-        # the nearer, the sooner; and every other time the nearest of all
-        value = (step - self._renewed_at[near.pairs]) / (0.02 + np.maximum(margin, 0.0))
+        # the nearer and the older, the sooner; and every other time the nearest of all
+        value = (step - self._renewed_at[near.pairs]) / (_URGENT + np.maximum(margin, 0.0))
         turn = step // _NEAR_RENEWED_EVERY % 2
         pair = int(near.pairs[nearest if close and turn else value.argmax()])
         self._distance[pair] = self._separation.renew(pair, at, 0)
@@ -226,13 +234,13 @@ class PairBounds:
         self._renewed_at[pair] = step
 
     def renew_soon(self, pairs: Indices) -> None:
-        """The planes of these pairs were measured elsewhere than where the machine is."""
+        """Let these pairs be measured soon: their planes are from elsewhere than where the machine is."""
         self._renewed_at[pairs] = 0
 
     # --- after it ------------------------------------------------------------------------
 
     def tightest(self, near: Near) -> tuple[int, float]:
-        """The pair with the least margin of those near, and that margin after the step [m]; -1 where none is near."""
+        """The near pair with the least margin, and that margin after the step [m]; -1 where none is near."""
         pairs = near.pairs
         if len(pairs) == 0:
             return -1, math.inf
@@ -240,12 +248,12 @@ class PairBounds:
         margins = self._distance[pairs] - separation.clearance[pairs] - self._moved_by[separation.classes[pairs]]
         row = int(margins.argmin())
         pair, margin = int(pairs[row]), float(margins[row])
-        if margin < 0.0 and self.stands[pair]:  # this much was proven, of this step or of braking before it
+        if margin < 0.0 and self.stands[pair]:  # what is required was proven, of this step or of braking before it
             margin = max(margin, float(self.required[pair] - separation.clearance[pair]))
         return pair, margin
 
     def tightest_of_all(self) -> tuple[int, float]:
-        """The same of all pairs, by what is known of them alone."""
+        """The same of all pairs, from the bounds alone."""
         separation = self._separation
         margins = self._distance + self._distance_at - self._start_odometer[separation.classes] - separation.clearance
         if len(margins) == 0:

@@ -1,11 +1,11 @@
-"""Braking paths from where the machine is: proven clear, or turned into rows that say what would be clear.
+"""The check of a braking path: proven clear, or turned into rows that a clear one satisfies.
 
 Where a braking path is not clear, its rows are the gaps of the links' corners along it,
 
     gap_i(s) - s g_i D (v - v_ref) >= clearance_i
 
-with s from 0 to 1 along the path, and D the derivative of its end by v: so the next
-velocity is chosen by what its own check will see.
+with s from 0 to 1 along the path, and D the derivative of its end by v. So the next
+velocity is chosen by the same gaps that will be checked.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.law import Rows
-from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, Placements
-from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds
-from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Awake, PairBounds
+from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
+from backhoe_planner.live.braking.joint_bounds import BRAKING, TOLERANCE, JointBounds
+from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
 from backhoe_planner.live.braking.separation import Separation
 
-MOST_ROWS = 400  # of one kind in a problem, the tightest: the work of a step is bounded
-_LOOKS = 12  # pairs that are measured anew per path at most, each some 20 us
+MOST_ROWS = 400  # of one kind in a problem, the tightest; chosen, so that the work of a step is bounded
+_LOOKS = 12  # pairs that are measured anew per path at most; chosen, each costs some 20 us
 
 
 class PathCheck:
@@ -28,43 +28,42 @@ class PathCheck:
 
     Parameters
     ----------
+    separation, bounds, joints: the pairs, their bounds, and what the joints can do.
     at: placements; row 0 holds the machine, and a check fills the rows behind it.
-    dt: length of a step [s].
+
+    Attributes
+    ----------
+    separation, bounds, joints, at: as above.
     """
 
-    def __init__(
-        self, separation: Separation, bounds: PairBounds, joints: JointBounds, at: Placements, dt: float
-    ) -> None:
-        self._separation, self._bounds, self._joints, self._at, self._dt = separation, bounds, joints, at, dt
+    def __init__(self, separation: Separation, bounds: PairBounds, joints: JointBounds, at: Placements) -> None:
+        self.separation, self.bounds, self.joints, self.at = separation, bounds, joints, at
 
     def path(self, q: Vector, v: Vector, *, step: bool = True) -> BrakingPath:
-        """The path of a step at v (n,) from q (n,) and braking after it; of braking alone without the step."""
+        """The path of a step at v (n,) from q (n,) and braking after it; without `step`, of braking alone."""
+        joints, separation = self.joints, self.separation
+        dt = joints.dt if step else 0.0
         return BrakingPath(
-            q,
-            v,
-            self._dt if step else 0.0,
-            acceleration=self._joints.braking,
-            furthest=self._separation.furthest,
-            turning=self._separation.turning,
+            q, v, dt, acceleration=joints.braking, furthest=separation.furthest, turning=separation.turning
         )
 
     def awake(self, state: JointState, look: float) -> Awake:
-        """Pairs that could come into question in a step, see `VelocityRange.look`."""
+        """The pairs that could come too close in a step; for `look` [s] see `VelocityRange`."""
         q, v, end = state
-        later = self._dt / BRAKING
-        joints = zip(q.tolist(), v.tolist(), end.tolist(), self._joints.changes, strict=True)
+        later = self.joints.dt / BRAKING
+        joints = zip(q.tolist(), v.tolist(), end.tolist(), self.joints.changes, strict=True)
         # the end moves with the step taken, and with the change of velocity
         change = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
-        return self._bounds.awake(np.array(change))
+        return self.bounds.awake(np.array(change))
 
-    def clearance(self, awake: Awake, path: BrakingPath, *, anything_moves: bool) -> PathClearance:
-        """What is known of a path for all pairs that are awake; the placements hold it then, if there are any."""
-        separation, at, pairs = self._separation, self._at, awake.pairs
+    def clearance(self, awake: Awake, path: BrakingPath) -> PathClearance:
+        """What is proven of a path for the pairs `awake`. If there are any, the placements hold the path then."""
+        separation, at, pairs = self.separation, self.at, awake.pairs
         if len(pairs) == 0:
             return _NOTHING_AWAKE
         path.place(at)
-        required, stands = self._bounds.required[pairs], self._bounds.stands
-        drift_time = path.time if anything_moves else 0.0
+        required, stands = self.bounds.required[pairs], self.bounds.stands
+        drift_time = path.time if self.bounds.anything_moves else 0.0
         bound, gaps = separation.least_on(pairs, path, at, drift_time)
         closely = np.zeros(len(pairs), dtype=bool)
         if (bound - required).min() >= BUFFER:
@@ -84,23 +83,23 @@ class PathCheck:
                 closely[row] = True
             if closely.any():
                 gaps[:, closely] = separation.gaps(pairs[closely], at, path.parts + 1)
-            self._bounds.renew_soon(pairs[again])
+            self.bounds.renew_soon(pairs[again])
             short = (bound < required - TOLERANCE).nonzero()[0]
         stands_clear = not stands[pairs[short]].any()
         free = len(short) == 0 and bool((bound >= required + BUFFER).all())
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
     def rows(self, awake: Awake, path: BrakingPath, found: PathClearance) -> Rows:
-        """The rows of what could bind along a path [m/s]; the placements must hold it."""
-        separation, (pairs, budget) = self._separation, awake
+        """The rows of what could bind along a path [m/s]. The placements must hold the path."""
+        separation, (pairs, budget) = self.separation, awake
         if len(pairs) == 0:
             return Rows.none("braking", len(path.v))
         classes = separation.classes[pairs]
-        wanted = self._bounds.required[pairs] + BUFFER
+        wanted = self.bounds.required[pairs] + BUFFER
         room = found.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
         counts = room < (2.0 * budget[classes])[None, :, None]
         counts[0] = False
-        # seen closely, only where the plane that was kept is right: at its tightest
+        # a pair that was measured closely keeps one plane, which is right where the pair is tightest
         settled = found.closely & (found.bound >= wanted + 2.0 * budget[classes])
         if settled.any():
             counts[:, settled] = False
@@ -116,9 +115,9 @@ class PathCheck:
             tightest = np.argpartition(room[samples, k, corners], MOST_ROWS)[:MOST_ROWS]
             samples, k, corners = samples[tightest], k[tightest], corners[tightest]
         part = samples / path.parts
-        G = separation.rows(pairs[k], samples, corners, self._at) @ path.D / path.look
+        G = separation.rows(pairs[k], samples, corners, self.at) @ path.D / path.look
         h = room[samples, k, corners] / (part * path.look) + G @ path.v
-        # never ask for more of a way back than the start itself is short of
+        # never ask for more than the start itself is short of
         short = np.maximum(wanted[k] - found.gaps[0, k, corners], 0.0)
         return Rows("braking", G, np.maximum(h, -2.0 * short))
 

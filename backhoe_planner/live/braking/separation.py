@@ -5,11 +5,11 @@ between them: with unit normal n from the link to the obstacle,
 
     d = max_n  (min over the obstacle of n . z) - (max over the link of n . x)
 
-and coal's normal is where the maximum lies, inside too. So one measurement leaves a
-plane that says something about all other configurations as well, without asking coal:
-as long as the obstacle stands still its side of the plane stays its side, and the gap
-to the corners of the link, wherever they are, is a lower bound of the distance. The
-same holds for a plane that moves with the link, and the corners of the obstacle.
+The maximum is reached by coal's normal, inside too. So the plane of one measurement bounds
+the distance at all other configurations as well, without asking coal: as long as the
+obstacle stands still, it stays on its side of the plane, and the gap between the plane and
+the corners of the link, wherever they are, is a lower bound of the distance. The same holds
+for a plane that moves with the link, and the corners of the obstacle.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
 
 MACHINE = -1  # owner of the pairs of the machine with itself
-_MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side
-_FAR = 1e3  # m: where nothing is
-_PLANES = 4
-_AS_NEAR = 0.1  # m: further behind the nearest, a corner has no part in the nearest point
+FAR = 1e3  # m: beyond any site; the bound -FAR says nothing
+_MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side; chosen, to bound the work
+_PLANES = 4  # measured along a path that is looked at closely; chosen, each costs some 20 us
+_BLENDED = 0.1  # m: chosen, corners that are this much further away have no part in the nearest point
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 _NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, _NEXT))
 
 
 class _Stand:
-    """A piece of an obstacle, and how far it stands from where it was built (3,) [m]."""
+    """A piece of an obstacle, and its `shift` (3,) from where it was built [m]."""
 
     def __init__(self, piece: shapes.Piece) -> None:
         self.piece = piece
@@ -42,7 +42,7 @@ class _Stand:
         self._placed: tuple[list[float], object] = ([0.0, 0.0, 0.0], shapes.transform(self._R, self._t))
 
     def place(self) -> object:
-        """Coal's transform, made anew only after a shift."""
+        """Coal's transform; it is made anew only after a shift."""
         shift = self.shift.tolist()
         if self._placed[0] != shift:
             self._placed = (shift, shapes.transform(self._R, self._t + self.shift))
@@ -50,34 +50,42 @@ class _Stand:
 
 
 class Separation:
-    """All pairs of one machine, itself and a changing set of obstacles, with a plane each.
+    """All pairs of a machine's links with each other and with a changing set of obstacles, with a plane each.
 
     It owns its working memory: do not share one between threads.
 
     Attributes
     ----------
-    owner: (P,) number of the obstacle that was given when it was added; -1 for the machine itself.
-    clearance: (P,) [m].
+    owner: (P,) number that the obstacle was added with; `MACHINE` for pairs of the machine with itself.
+    clearance: (P,) distance to be kept [m].
+    piece, other_piece: (P,) rows of the robot's pieces: the one that comes near, and, for a pair of the
+        machine with itself, the one that must not be touched; -1 else.
     classes: (P,) row of `travel` that holds for the pair.
+    velocity: (P, 3) of the obstacle [m/s], world.
     drift: (P,) rate at which the obstacle's own motion moves its plane along the normal [m/s].
+    normal, offset: (P, 3) and (P,) of the planes, in the frame of the other body.
     travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
+    furthest: n numbers, the largest of `travel` for each joint.
+    turning: (n,) 1 for hinges, 0 for slides.
     """
 
     def __init__(self, robot: Robot, *, self_collision: bool = True) -> None:
         self.robot = robot
         self._gauge = shapes.Gauge()
         self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
-        # of the pieces that move, with a 1 behind each; the others' are never asked for
+        # corners of the pieces that move, with a 1 behind each; those of the others are never used
         most = max((len(robot.pieces[row].piece.hull) for row in self._moving), default=1)
         self._corners4 = np.full((len(robot.pieces), most, 4), np.nan)
         for row in self._moving:
-            self._corners4[row, :, :3] = _padded(robot.pieces[row].piece.hull, most)
-            self._corners4[row, :, 3] = 1.0
+            hull = robot.pieces[row].piece.hull
+            self._corners4[row] = (*hull[0], 1.0)  # the first again, where others have more
+            self._corners4[row, : len(hull), :3] = hull
         self._fat = np.array([piece.piece.radius for piece in robot.pieces])
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
         self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
         radii = travel_bounds(robot)
-        pairs = [_outer_first(robot, pair) for pair in self_pairs(robot)] if self_collision else []
+        # of two links the outer one first, which is further from the machine's base
+        pairs = [sorted(pair, key=lambda row: -robot.pieces[row].joint) for pair in self_pairs(robot) if self_collision]
         rows = [*radii[self._moving]]
         for outer, inner in pairs:
             shared = robot.support[robot.pieces[inner].joint] > 0.0
@@ -96,7 +104,7 @@ class Separation:
         self._body: list[_Stand | None] = [None] * len(pairs)
         self._stands_of: dict[int, list[_Stand]] = {}
         self.normal = np.zeros((len(pairs), 3))  # in the frame of the other body
-        self.offset = np.full(len(pairs), -_FAR)
+        self.offset = np.full(len(pairs), -FAR)
         self.velocity = np.zeros((len(pairs), 3))
         self.drift = np.zeros(len(pairs))
         self._refresh()
@@ -107,7 +115,7 @@ class Separation:
     # --- what there is ---------------------------------------------------------------
 
     def add(self, number: int, obstacle: Obstacle) -> Indices:
-        """Take an obstacle in; the indices of its pairs. They have no plane yet."""
+        """Take an obstacle in under a number, and return the indices of its pairs. They have no plane yet."""
         links = [row for row in self._moving if obstacle.links is None or self.robot.pieces[row].link in obstacle.links]
         first, count = len(self), len(links) * len(obstacle.pieces)
         pieces = np.tile(np.array(links, dtype=np.intp), len(obstacle.pieces))
@@ -120,14 +128,14 @@ class Separation:
         for stand in self._stands_of[number]:
             self._body.extend([stand] * len(links))
         self.normal = np.vstack((self.normal, np.zeros((count, 3))))
-        self.offset = np.append(self.offset, np.full(count, -_FAR))
+        self.offset = np.append(self.offset, np.full(count, -FAR))
         self.velocity = np.vstack((self.velocity, np.tile(obstacle.velocity, (count, 1))))
         self.drift = np.append(self.drift, np.zeros(count))
         self._refresh()
         return np.arange(first, first + count, dtype=np.intp)
 
     def remove(self, number: int) -> Flags:
-        """Forget an obstacle; (P,) which of the pairs are left."""
+        """Forget an obstacle by its number, and return which pairs are left, (P,)."""
         kept = self.owner != number
         for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity", "drift"):
             setattr(self, name, getattr(self, name)[kept])
@@ -139,18 +147,10 @@ class Separation:
     def place_at(self, number: int, shift: Vector) -> None:
         """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are.
 
-        The array is kept: what it holds when a distance is measured counts.
+        The array is kept and not copied: a measurement uses what it holds then.
         """
         for stand in self._stands_of[number]:
             stand.shift = shift
-
-    def link(self, pair: int) -> str:
-        """Name of the link of a pair."""
-        return self.robot.pieces[int(self.piece[pair])].link
-
-    def inner_link(self, pair: int) -> str:
-        """For a pair of the machine with itself, the link that must not be touched."""
-        return self.robot.pieces[int(self.other_piece[pair])].link
 
     def _refresh(self) -> None:
         self.joint = self._joint_of[self.piece]
@@ -163,9 +163,12 @@ class Separation:
     # --- measuring -------------------------------------------------------------------
 
     def measure(self, pair: int, at: Placements, sample: int) -> tuple[float, Vector, float, Vector]:
-        """Coal's answer at one configuration: distance, plane (n, offset) in the other's frame, point on the link.
+        """Measure a pair at one configuration, with coal.
 
-        The point (3,) is in the world [m].
+        Returns
+        -------
+        The signed distance [m]; normal (3,) and offset [m] of the plane, in the frame of the other
+        body; the nearest point (3,) of the link [m], world.
         """
         piece = int(self.piece[pair])
         shape, own = self._own_shapes[piece]
@@ -188,13 +191,13 @@ class Separation:
         return distance, n, float(n @ p_other), p_link
 
     def renew(self, pair: int, at: Placements, sample: int) -> float:
-        """Measure, and keep the plane; the signed distance [m]."""
+        """Measure a pair, keep its plane, and return the signed distance [m]."""
         distance, n, offset, _ = self.measure(pair, at, sample)
         self._keep_plane(pair, n, offset)
         return distance
 
     def gradients(self, pairs: Indices, at: Placements, sample: int) -> tuple[Vector, Matrix]:
-        """(K,) signed distances [m], and (K, n) how fast they fall with the joints [m/rad], as coal measures them."""
+        """(K,) measured signed distances [m], and (K, n) how fast they fall with the joints [m/rad]."""
         distance, n, x = np.zeros(len(pairs)), np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
         for row, pair in enumerate(pairs.tolist()):
             distance[row], normal, _, x[row] = self.measure(pair, at, sample)
@@ -211,7 +214,7 @@ class Separation:
     # --- gaps ------------------------------------------------------------------------
 
     def gaps(self, pairs: Indices, at: Placements, samples: int) -> Matrix:
-        """(samples, K, V) gap of every corner of the links to the planes kept for `pairs` [m]."""
+        """(samples, K, V) gaps from every corner of the links to the planes of `pairs` [m]."""
         T = at.T[:samples]
         n = self.normal.take(pairs, axis=0)[:, None, :]
         offset = self.offset.take(pairs) - self._fat_of.take(pairs)
@@ -229,7 +232,7 @@ class Separation:
         """(K,) proven lower bound of the distance over the whole path, and all gaps (samples, K, V).
 
         Between the samples a corner leaves its chord by no more than `BrakingPath.off_chord`.
-        `drift_time` [s]: how long the obstacles' own motion goes on along the path.
+        `drift_time` [s] is how long the obstacles move on along the path; 0 where none moves.
         """
         gaps = self.gaps(pairs, at, path.parts + 1)
         if drift_time > 0.0:
@@ -240,16 +243,16 @@ class Separation:
         return gaps.min(axis=(0, 2)) - off, gaps
 
     def proven_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
-        """(K,) the same bound, looked at closely where it is below the clearance [m]."""
+        """(K,) the same bound, with a closer look where it is below the clearance [m]."""
         bound, _ = self.least_on(pairs, path, at, drift_time)
         for row in (bound < self.clearance[pairs]).nonzero()[0].tolist():
             bound[row] = max(bound[row], self.closer_look(int(pairs[row]), path, at, drift_time))
         return bound
 
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
-        """Lower bound of one pair's distance over the path, with a plane of its own for each part [m].
+        """Lower bound of one pair's distance over the path, with the best of several planes for each part [m].
 
-        Up to `_PLANES` are measured along the path. The tightest is kept.
+        Up to `_PLANES` planes are measured along the path. The tightest is kept.
         """
         joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
         count = path.parts + 1
@@ -272,10 +275,10 @@ class Separation:
         return least
 
     def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
-        """The same with the plane of the path's start moving with the link."""
+        """The same bound with the plane `n` (3,) through `point` (3,) at the path's start, moving with the link."""
         stand = self._body[pair]
         if stand is None or stand.corners is None:
-            return -_FAR
+            return -FAR
         corners = stand.corners + stand.shift
         joint = int(self.joint[pair])
         local = n @ at.R[0, joint]
@@ -303,14 +306,13 @@ class Separation:
         return self._rows_of(pairs, samples, self._corners4[self.piece[pairs], corners], at)
 
     def nearest_rows(self, pairs: Indices, gaps: Matrix, least: Vector, at: Placements) -> Matrix:
-        """(K, n) the same at the first sample for the nearest point of each pair.
+        """(K, n) how fast the distance falls at the first sample, at the nearest point of each pair [m/rad].
 
-        By its corners' gaps (K, V) and their least (K,) [m].
-
-        Corners that are almost as near have a part in the point, so that it does not jump
-        from edge to edge where a flat end passes a wall.
+        The point is blended from the corners by their `gaps` (K, V) and the `least` (K,) of these [m]:
+        corners that are almost as near have a part in it, so that it does not jump from edge to edge
+        where a flat end passes a wall.
         """
-        part = np.maximum((least + _AS_NEAR)[:, None] - gaps, 0.0)
+        part = np.maximum((least + _BLENDED)[:, None] - gaps, 0.0)
         part *= part
         points = np.matmul(part[:, None, :], self._corners_of.take(pairs, axis=0))[:, 0]
         points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
@@ -329,18 +331,7 @@ class Separation:
         rows *= both @ at.J[samples] if isinstance(samples, int) else np.matmul(both[:, None, :], at.J[samples])[:, 0]
         return rows
 
-    def world_normals(self, pairs: Indices, at: Placements) -> Matrix:
-        """(K, 3) the normals at the first sample, in the world."""
-        n = self.normal[pairs]
-        if self.some_relative:
-            n = np.matmul(at.R[0, self.other[pairs]], n[:, :, None])[..., 0]
-        return np.asarray(n)
-
-
-def _padded(hull: Matrix, count: int) -> Matrix:
-    return np.vstack((hull, np.repeat(hull[:1], count - len(hull), axis=0)))
-
-
-def _outer_first(robot: Robot, pair: tuple[int, int]) -> tuple[int, int]:
-    a, b = pair
-    return (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
+    def world_normal(self, pair: int, at: Placements) -> Vector:
+        """(3,) the normal of a pair's plane at the first sample, in the world."""
+        other = int(self.other[pair])
+        return np.asarray(at.R[0, other] @ self.normal[pair] if other else self.normal[pair].copy())

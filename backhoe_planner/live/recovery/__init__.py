@@ -1,1 +1,1 @@
-"""Out of what is violated."""
+"""The way out where the machine is closer to something than allowed."""

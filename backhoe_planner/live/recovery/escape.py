@@ -1,24 +1,23 @@
-"""The search for a way out, where going down does not lead there.
+"""The search for a way out of a posture q that is closer to something than allowed.
 
-Two kinds of way are looked for from a posture q that is closer to something than allowed.
+Two kinds of way are searched.
 
-A *falling* way: a chain of postures along which the deepest violation of every obstacle
-falls from each to the next. Such chains are found by descents towards postures chosen
-at random: of the steps that make every obstacle's deepest violation fall, the one
-nearest to the wished direction is taken. The first descent wishes for nothing; it is
-the one that the servo makes by itself.
+A *falling* way is a chain of postures along which the deepest violation of every obstacle
+falls from each to the next. Such chains are found by descents towards random postures: of
+the steps that make every obstacle's deepest violation fall, the one nearest to the wished
+direction is taken. The first descent wishes for nothing; it is the one that the servo
+makes by itself.
 
-A way *below*: a chain of straight lines to a posture that is clear, along which no
-obstacle's deepest violation ever is more than it was where the machine began. What
-falls along it is
+A way *below* is a chain of straight lines to a clear posture, along which no obstacle's
+deepest violation exceeds what it was where the machine began. Along it
 
-    W(q) = length of the way from q to its end,
+    W(q) = length of the way from q to its end
 
-so there is nothing to be stuck in. In between a violation may grow back, up to what it
-was. It is found as a straight line to one of many clear postures, or else by two trees
+falls, so the machine cannot get stuck. In between a violation may grow back, up to what it
+was. The way is a straight line to one of many clear postures, or else is found by two trees
 that grow towards each other (RRT-Connect, Kuffner and LaValle 2000).
 
-Both only steer the servo; what is taken is measured anew at every step.
+Both only steer the servo, which measures every step anew.
 
 The search is a generator: between two yields it looks at one posture, so that it can be
 spread over the servo's steps. It looks at no more than `MOST_LOOKS` postures, and keeps
@@ -39,21 +38,21 @@ from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
 from backhoe_planner.machine import JointLimits, Robot
 
-_DESCENTS, _DESCENT_LOOKS = 40, 120  # how many are tried, and the postures of one
-_NEAR_BY = 0.5  # rad or m
-_GOALS, _CLEAR_GOALS = 300, 40  # postures tried, and those kept for being clear
-_TREE_LOOKS, _LINE_LOOKS = 4000, 4000
-_TRUST = 0.03  # rad or m: longest step of a descent
-_SHORTEST = 1e-4
-_RESOLUTION = 0.02  # rad or m: between two looks along a line
-_EXTEND = 0.2  # rad or m: a branch of the trees
-_BRANCHES = 3  # that a tree grows at once
-_BEYOND = 0.003  # m: a way ends that much clearer than asked
-_SLIGHT = 1e-3  # m: what the servo's own rows make room for
-_NEAR = 0.1  # m: of what a descent keeps clear
-_FALLS = 1e-7  # m
-_LEVEL = 1e-7  # m: what counts as no more than before
-_HOLDS = 0.5
+# The counts are chosen: they bound the work of a search.
+_DESCENTS, _DESCENT_LOOKS = 40, 120  # descents, and the postures of one
+_GOALS, _CLEAR_GOALS = 300, 40  # postures that are tried as ends of a way, and the most that are kept
+_TREE_LOOKS, _LINE_LOOKS = 4000, 4000  # postures, of the trees, and of the straight lines
+_BRANCHES = 3  # branches that a tree grows at once
+_NEAR_BY = 0.5  # rad or m: chosen, spread of the ends near q
+_TRUST = 0.03  # rad or m: longest step of a descent; chosen, so that gradients hold about so far
+_SHORTEST = 1e-4  # rad or m: chosen, a shorter step of a descent leads nowhere
+_RESOLUTION = 0.02  # rad or m between two looks along a line; chosen, the servo measures its steps anew
+_EXTEND = 10.0 * _RESOLUTION  # rad or m: length of a branch
+_BEYOND = 0.003  # m beyond its clearance at which a way ends; chosen, just more than the servo's `BUFFER`
+_SLIGHT = 1e-3  # m that a joint's way back may be too deep: chosen, the servo's own rows make room for it
+_NEAR = 0.1  # m beyond its clearance within which a descent measures a pair; chosen, a few steps
+_FALLS = 1e-7  # m by which V falls at a step of a descent, and below which V counts as unchanged: rounding
+_HOLDS = 0.5  # part of its room by which a pair may deepen in a step of a descent; chosen
 MOST_LOOKS = (
     (_DESCENTS + 1) * _DESCENT_LOOKS
     + _GOALS
@@ -61,7 +60,7 @@ MOST_LOOKS = (
     + _TREE_LOOKS
     + 2 * _BRANCHES * round(_EXTEND / _RESOLUTION)  # the last branches
 )
-_PARTS = (0.02, 0.1, 0.3, 0.0)  # of a step's length, by which the violation is to fall [m/rad]
+_PARTS = (0.02, 0.1, 0.3, 0.0)  # m/rad by which V is to fall per length of a step, in turn; chosen
 
 RouteSearch = Generator[None, None, "EscapeRoute | None"]
 
@@ -72,8 +71,8 @@ class EscapeRoute:
 
     Attributes
     ----------
-    nodes: (N, n) postures; straight lines between them.
-    falling: whether the deepest violations fall all along it.
+    nodes: (N, n) postures, with straight lines between them [rad or m].
+    falling: whether it is a falling way; else it is one below.
     """
 
     nodes: Matrix
@@ -85,16 +84,17 @@ class EscapeSearch:
 
     Parameters
     ----------
-    separation: what may be touched; only read. It must not change while the search is on.
-    q: (n,) where the machine stands.
-    watched: pairs that stand still.
+    robot, limits: the machine, and its limits in this site.
+    separation: the pairs. It is only read, and must not change while the search goes on.
+    q: (n,) where the machine stands [rad or m].
+    watched: indices of the pairs that stand still.
     inside: those of them that are violated.
-    ceiling: (P,) of every pair of `separation` how deep it may be on a way below [m].
-    rng: what is random.
+    ceiling: (P,) how deep every pair of `separation` may be on a way below [m].
+    rng: draws the random postures.
 
     Attributes
     ----------
-    looked: how many postures and pairs were looked at until now.
+    looked: how many postures and pairs were measured until now.
     """
 
     def __init__(
@@ -116,10 +116,10 @@ class EscapeSearch:
         self._inside = np.isin(watched, inside)
         self._clearance = separation.clearance[watched]
         self._owner = separation.owner[watched]
-        self._ceiling = np.where(self._inside, ceiling[watched], 0.0) + _LEVEL
+        self._ceiling = np.where(self._inside, ceiling[watched], 0.0) + _FALLS
         self._travel = separation.travel[separation.classes[watched]]
         self._lower, self._upper = limits.lower, limits.upper
-        # where postures are chosen; a turn either way for joints without limits
+        # random postures lie between these; a half turn either way for joints without limits
         self._from = np.where(np.isfinite(limits.lower), limits.lower, q - np.pi)
         self._to = np.where(np.isfinite(limits.upper), limits.upper, q + np.pi)
         count = len(watched)
@@ -158,17 +158,23 @@ class EscapeSearch:
         return EscapeRoute(np.array(nodes), False)
 
     def returns(self, q: Vector) -> Generator[None, None, bool]:
-        """Whether the joints can come straight back within their limits from q (n,) where nothing is violated."""
+        """Whether the joints can come straight back within their limits from q (n,), where nothing is violated."""
         return (yield from self._line_is_allowed(q, np.clip(q, self._lower, self._upper), _SLIGHT))
 
     # --- one posture -------------------------------------------------------------------
 
     def _depth(self, q: Vector, margin: float = 0.0) -> tuple[Vector, Indices, Matrix]:
-        """(K,) how deep the pairs are, exact from `margin` on [m]; which were measured, and how they deepen (M, n)."""
+        """How deep the pairs are at q (n,), exact for those within `margin` of their clearance [m].
+
+        Returns
+        -------
+        (K,) depths [m]; indices (M,) of the pairs that were measured; (M, n) how these deepen with
+        the joints [m/rad].
+        """
         least = self._distance - (self._travel * np.abs(q - self._seen_at)).sum(axis=1)
         close = (least < self._clearance + max(margin, _BEYOND)).nonzero()[0]
         self._at.place(0, q)
-        if len(close):  # the planes that are known say something everywhere
+        if len(close):  # the planes bound the distances everywhere
             gaps = self._separation.gaps(self._pairs[close], self._at, 1)[0].min(axis=1)
             least[close] = np.maximum(least[close], gaps)
             close = close[gaps < self._clearance[close] + max(margin, _BEYOND)]
@@ -181,6 +187,10 @@ class EscapeSearch:
     # --- a falling way -----------------------------------------------------------------
 
     def _descend(self, q: Vector, aim: Vector | None, part: float) -> Generator[None, None, list[Vector] | None]:
+        """The postures of a descent from q (n,) towards `aim` (n,), or None where it does not lead out.
+
+        `part` is by how much V is to fall per length of a step [m/rad].
+        """
         nodes, trust = [q], _TRUST
         depth, close, falls = self._depth(q, _NEAR)
         yield
@@ -212,7 +222,7 @@ class EscapeSearch:
             yield
             held = by_owner(np.where(self._inside, there, 0.0), self._owner)
             falls_there = (held <= np.maximum(deepest - _FALLS, 0.0))[violated].all()
-            stays_clear = not (there[~self._inside] > np.maximum(depth[~self._inside], 0.0) + _LEVEL).any()
+            stays_clear = not (there[~self._inside] > np.maximum(depth[~self._inside], 0.0) + _FALLS).any()
             if falls_there and stays_clear:
                 q, depth, close, falls = tried, there, seen, gradient
                 nodes.append(q)
@@ -226,7 +236,7 @@ class EscapeSearch:
     # --- a way below -------------------------------------------------------------------
 
     def _clear_postures(self, q: Vector) -> Generator[None, None, list[Vector]]:
-        """Clear postures, the nearest first; some near by, of others only a few joints are elsewhere than at q."""
+        """Clear postures, the nearest to q (n,) first: some near by, others with only a few joints moved."""
         rng, found = self._rng, []
         within = np.clip(q, self._lower, self._upper)
         for number in range(_GOALS):
@@ -245,7 +255,7 @@ class EscapeSearch:
         return sorted(found, key=lambda goal: float(np.abs(goal - q).max()))
 
     def _line_is_allowed(self, start: Vector, end: Vector, most: Vector | float) -> Generator[None, None, bool]:
-        """Whether no pair is deeper than `most` (K,) [m] anywhere on a straight line."""
+        """Whether no pair is deeper than `most` (K,) [m] at any look along a straight line."""
         count = _looks(start, end)
         for part in range(1, count + 1):
             depth, _, _ = self._depth(start + (part / count) * (end - start))
@@ -255,34 +265,34 @@ class EscapeSearch:
         return True
 
     def _connect(self, q: Vector, goals: list[Vector]) -> Generator[None, None, list[Vector] | None]:
+        """A way from q (n,) to one of the goals (n,) by two trees, or None."""
         trees = [_Tree([q]), _Tree(goals)]
         looks = 0
         while looks < _TREE_LOOKS:
             aim = self._rng.uniform(self._from, self._to)
             reached = None
             for tree in trees:
-                grown = yield from self._grow(tree, aim, _EXTEND)
-                looks += grown[1]
-                if grown[0] is None:
+                node, more = yield from self._grow(tree, aim)
+                looks += more
+                if node is None:
                     break
                 if reached is None:
-                    reached, aim = grown[0], tree.nodes[grown[0]]
-                elif np.abs(tree.nodes[grown[0]] - aim).max() < _SHORTEST:
-                    first, second = trees[0].back_from(reached), tree.back_from(grown[0])
+                    reached, aim = node, tree.nodes[node]
+                elif np.abs(tree.nodes[node] - aim).max() < _SHORTEST:
+                    first, second = trees[0].back_from(reached), tree.back_from(node)
                     way = first[::-1] + second[1:]
                     return way if trees[0].nodes[0] is q else way[::-1]
             trees.reverse()
         return None
 
-    def _grow(self, tree: _Tree, aim: Vector, most: float) -> Generator[None, None, tuple[int | None, int]]:
-        """The node of the tree that came nearest to a posture, None where there is no new one; and the looks taken."""
+    def _grow(self, tree: _Tree, aim: Vector) -> Generator[None, None, tuple[int | None, int]]:
+        """Grow a tree towards a posture (n,): the node that came nearest, or None, and the looks that it took."""
         nearest = tree.nearest(aim)
         start = tree.nodes[nearest]
         length = float(np.abs(aim - start).max())
         if length < _SHORTEST:
             return nearest, 1
-        count = max(int(np.ceil(length / _RESOLUTION)), 1)
-        branch = max(round(most / _RESOLUTION), 1)
+        count, branch = _looks(start, aim), round(_EXTEND / _RESOLUTION)
         looks, last, reached = 0, nearest, None
         for part in range(1, count + 1):
             there = start + (part / count) * (aim - start)
@@ -298,7 +308,7 @@ class EscapeSearch:
         return reached, looks
 
     def _shorter(self, nodes: list[Vector]) -> Generator[None, None, list[Vector]]:
-        """The same way without the corners that are not needed."""
+        """The same way without the nodes that straight lines can skip."""
         kept, here, looks = [nodes[0]], 0, 0
         while here < len(nodes) - 1:
             after = here + 1
@@ -315,7 +325,7 @@ class EscapeSearch:
 
 
 def _looks(start: Vector, end: Vector) -> int:
-    """How often a line is looked at."""
+    """How many looks a line from `start` to `end` (n,) takes."""
     return max(int(np.ceil(float(np.abs(end - start).max()) / _RESOLUTION)), 1)
 
 

@@ -1,37 +1,37 @@
-"""The way back out of what is closer than allowed already.
+"""The way out where the machine is closer to something than allowed.
 
-What is measured. Of every obstacle (and of the machine with itself) the deepest violation
+Of every obstacle (and of the machine with itself) the deepest violation
 
     V = max over its violated pairs of (clearance - distance)
 
-falls at every step, at the end of the step and at every look at the braking path that
-follows from it (`violation_descent` says which velocity does that fastest). The fastest descent
+falls at every step: it is measured at the end of the step and along the braking path that
+follows. `violation_descent` says which velocity makes it fall fastest. The fastest descent
 can lead into a local minimum, where no joint rate makes V smaller. So as soon as the
-machine is inside something a way out is searched, spread over the steps (`escape`):
+machine is inside something, a way out is searched, spread over the steps (`escape`):
 
 1. the chain of postures down which the fastest descent leads, if it leads out;
 2. another chain of postures along which V falls;
-3. a way that is nowhere deeper than where the machine began.
+3. a way *below*, that is nowhere deeper than where the machine began.
 
-Of 1 and 2 the servo takes the direction, and V falls at every step. Only on 3, V may come
-back up to what it was at the beginning, and no further. What falls at every step then is
+The servo takes the direction of 1 and 2, and V falls at every step. Only on 3 may V come
+back up to what it was at the beginning, and no further. There
 
-    W = sum over the way of r_j |dq_j|,
+    W = sum over the way of r_j |dq_j|
 
-an upper bound of how far any point of the machine still has to move until it is clear,
-and so of V. Where all three fail, and some seconds later again, the machine stays, and V does
-not grow: either nothing within its limits is clear, or every way there is deeper than
-the start.
+falls at every step. It is an upper bound of how far any point of the machine still has to
+move until it is clear, and so of V. Where all three fail, and fail again some seconds later,
+the machine stays, and V does not grow: either nothing within its limits is clear, or every
+way there is deeper than the start.
 
-Until the first descent is known to lead out or not, V falls as fast as it can; while 2
-and 3 are searched it falls as slowly as can be measured, so that the way still begins
-where the machine is. A joint beyond its limit comes back at every step too, however
-slowly, and at its full rate once nothing is violated. Where obstacles then keep it from
-coming back, a way 3 is searched for it as well; and where they would at the end of a way 1
-or 2, a way 3 is preferred.
+Until the first descent is known to lead out or not, V falls as fast as it can. While 2 and
+3 are searched, it falls as slowly as can be measured, so that the way still begins where
+the machine is. A joint beyond its limit also comes back at every step, however slowly, and
+at its full rate once nothing is violated. Where obstacles then keep it from coming back, a
+way 3 is searched for it as well. Where they would do so at the end of a way 1 or 2, a way 3
+is preferred.
 
-A change of what stands around ends all that, and it begins anew. Per step the search
-looks at `_LOOKS_PER_STEP` postures and pairs, or at one posture where that has more.
+When the surroundings change, all that is dropped and begins anew. Per step the search looks
+at `_LOOKS_PER_STEP` postures and pairs, or at one posture where that has more pairs.
 """
 
 from __future__ import annotations
@@ -44,32 +44,32 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import Rows
-from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, JointState, PathClearance, Placements
+from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
 from backhoe_planner.live.braking.pair_bounds import Awake
 from backhoe_planner.live.braking.path_check import PathCheck
-from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, RouteSearch
-from backhoe_planner.live.recovery.violation_descent import by_owner, way_back
-from backhoe_planner.machine import JointLimits, Robot
+from backhoe_planner.live.recovery.violation_descent import SMALLEST, by_owner, way_back
+from backhoe_planner.machine import Robot
 
-_ATTEMPTS = 3
-_BLENDS = (0.5, 0.2)
-_HOLDS = 2.0  # 1/s: how soon what is not the deepest is taken hold of
-_INSIDE_SPEED = 0.5  # m/s
-_LEAST_RADIUS = 0.1  # m, of a joint
-_FALLS = 1e-8  # m: by so much at least the deepest violation falls in a step
-_LEVEL = 1e-9  # m: what counts as no deeper
-_FOLLOWED_FALL = 1e-3  # m/s: on a falling way
-_WAITING_FALL = 1e-4  # m/s: while the search is on
-_LOOKS_PER_STEP = 20  # postures and pairs that the search looks at
-_PROGRESS, _RETURN_PROGRESS = 1e-3, 3e-3  # m; rad or m: less is none
-_PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search; after one that found nothing
-_AHEAD, _AT_NODE = 0.06, 0.01  # rad or m: how far ahead a falling way is aimed at; where a node is reached
-_BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks at a braking path; how many at most
-_SLOWEST_RETURN = 1e-5  # rad/s or m/s: of a joint beyond its limit
-_SMALLEST = 1e-12
-_STEP_END = MOST_PARTS + 1  # row of the placements
+ATTEMPTS = 3  # problems that are solved per step at most; chosen, to bound its work
+BLENDS = (0.5, 0.2)  # parts of the way from braking to the velocity that was tried last; chosen
+_HOLDS = 2.0  # 1/s: k, how soon pairs that are not the deepest are bound; chosen
+_INSIDE_SPEED = 0.5  # m/s that a point may move by one joint; chosen, so that little lies between two looks
+_LEAST_RADIUS = 0.1  # m, of a joint whose points hardly travel; chosen, keeps its rate finite
+_FALLS = 1e-8  # m by which the deepest violation falls in a step at least: above the rounding of a distance
+_LEVEL = 1e-9  # m: a violation that is deeper by less counts as no deeper; rounding
+_FOLLOWED_FALL = 1e-3  # m/s at which V must fall on a falling way; chosen, so that the way decides the direction
+_WAITING_FALL = 1e-4  # m/s while the search is on: about a tenth of that
+_LOOKS_PER_STEP = 20  # postures and pairs that the search looks at; chosen, each costs some 20 us
+_PROGRESS = 1e-3  # m by which what is left must fall to count as progress; chosen
+_RETURN_PROGRESS = 3e-3  # rad or m by which a joint beyond its limit must come back to count as progress; chosen
+_PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search, and after one that found nothing; chosen
+_AT_NODE = 0.01  # rad or m within which a node of a way counts as reached; chosen, half of `escape`'s resolution
+_AHEAD = 0.06  # rad or m: how far ahead a falling way is aimed at; chosen, twice the longest step of a descent
+_BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks at a braking path, and how many at most; chosen
+_SLOWEST_RETURN = 1e-5  # rad/s or m/s of a joint beyond its limit; chosen, so that it never stands still
+_STEP_END = MOST_PARTS + 1  # row of the placements, behind those of a braking path
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,10 @@ class RecoveryStep:
     Attributes
     ----------
     state: where the joints are.
-    low, high: (n,) the velocities within reach, see `Recovery.slowed`.
-    target, brake: (n,) the velocity that is wished, and the one that brakes.
-    awake: pairs that are not violated and could come into question.
-    evasion: rows of what comes nearer.
-    anything_moves: whether any obstacle does.
+    low, high: (n,) bounds of the velocity, see `Recovery.slow_bounds` [rad/s or m/s].
+    target, brake: (n,) the velocity that is wished, and the one that brakes [rad/s or m/s].
+    awake: pairs that are not violated and could come too close.
+    evasion: rows of obstacles that come nearer.
     """
 
     state: JointState
@@ -93,7 +92,6 @@ class RecoveryStep:
     brake: Vector
     awake: Awake
     evasion: Rows
-    anything_moves: bool
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,9 @@ class RecoveryPath:
 
     Attributes
     ----------
-    level: (K,) of every violated pair, how deep its obstacle's deepest will be [m].
+    path: with the velocity.
+    clearance: what was proven for the pairs that are not violated.
+    level: (K,) for every violated pair, how deep the deepest of its obstacle will be [m].
     """
 
     path: BrakingPath
@@ -115,8 +115,9 @@ class _Depths(NamedTuple):
 
     Attributes
     ----------
-    level, most: (K,) at the end of the step, and anywhere [m].
-    worse: (K,) the pairs that come too deep, their distances [m] and gradients there, and when [s]; None where none do.
+    level, most: (K,) at the end of the step, and the greatest anywhere [m].
+    worse: (K,) which pairs come too deep, their distances [m] and gradients there, and when [s]; None
+        where none does.
     """
 
     level: Vector
@@ -125,43 +126,32 @@ class _Depths(NamedTuple):
 
 
 class Recovery:
-    """The way back of one machine.
+    """The way out of one machine.
 
     Parameters
     ----------
-    robot, limits: the machine, and its limits in this site.
-    separation, check, at: what is measured with; working memory of the servo.
-    dt: length of a step [s].
-    change: (n,) by how much a velocity may change in a step.
+    robot: the machine.
+    check: of its braking paths.
 
     Attributes
     ----------
-    to_go: W [m] while the machine is on a way below, None otherwise.
+    to_go: W [m] while the machine is on a way 3, None otherwise.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        limits: JointLimits,
-        separation: Separation,
-        check: PathCheck,
-        at: Placements,
-        dt: float,
-        change: Vector,
-    ) -> None:
-        self._robot, self._limits, self._check = robot, limits, check
-        self._separation, self._at, self._dt, self._change = separation, at, dt, change
-        # no point moves faster than this by one joint while the machine is inside something
+    def __init__(self, robot: Robot, check: PathCheck) -> None:
+        joints, separation = check.joints, check.separation
+        self._robot, self._limits, self._check = robot, joints.limits, check
+        self._separation, self._at, self._dt, self._change = separation, check.at, joints.dt, joints.change
         self._slow = np.array([_INSIDE_SPEED / max(radius, _LEAST_RADIUS) for radius in separation.furthest])
         self._radius = np.maximum(separation.furthest, _LEAST_RADIUS)
         self._rng = np.random.default_rng(0)
-        self._outside = True  # perhaps; once within the limits, no step leads out of them
+        self._outside = True  # perhaps: not known yet. Once within the limits, no step leads out of them
         self._least_outside, self._held_for = math.inf, 0
         self.to_go: float | None = None
         self.changed()
 
     def changed(self) -> None:
-        """What stands around is not what it was: whatever was searched for is forgotten."""
+        """The surroundings have changed: drop every search and way."""
         self._begun = self._rests = False
         self._running: RouteSearch | None = None
         self._escape: EscapeSearch | None = None
@@ -175,7 +165,7 @@ class Recovery:
         self.to_go = None
 
     def held_outside(self, q: Vector) -> bool:
-        """Whether something keeps the joints from coming back within their limits, so that a way must be searched."""
+        """Whether something keeps the joints at q (n,) from coming back within their limits: a way is needed."""
         if not self._outside:
             return False
         limits = self._limits
@@ -192,11 +182,12 @@ class Recovery:
             return self._outside
         return False
 
-    def slowed(self, q: Vector, v: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:
-        """(n,), (n,) bounds so slow that little lies between what is measured of a braking path.
+    def slow_bounds(self, q: Vector, v: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:
+        """(n,), (n,) bounds of the velocity, so slow that little lies between two looks at a braking path.
 
-        A joint beyond a limit may take its time, but not stand still: to hurry it back could drive
-        something deeper.
+        They lie within `low` and `high` (n,), as far as the accelerations from v (n,) allow. A joint
+        beyond a limit may come back slowly, but not stand still: at full rate it could drive something
+        deeper.
         """
         up, down = v + self._change, v - self._change
         if not self._rests:
@@ -208,13 +199,16 @@ class Recovery:
         return low, high
 
     def choose(self, pairs: Indices, stands: Flags, step: RecoveryStep) -> tuple[Vector, RecoveryPath | None]:
-        """How deep the violated pairs are (K,) [m], and the way on; None where none was found, so that it brakes.
+        """How deep the violated pairs are (K,) [m], and the step on the way out; None where the machine must brake.
 
-        The violated pairs are measured where the step ends and along its braking path.
-        Where the linear rows promised more than that, what was found there is one more
-        row (a cutting plane), and the velocity is asked for anew.
+        The violated pairs are measured where the step ends and along its braking path. Where
+        they are deeper there than the linear rows promised, the measurement becomes one more
+        row (a cutting plane), and the problem is solved anew.
 
-        stands: (P,) of every pair whether its obstacle stands still.
+        Parameters
+        ----------
+        pairs: (K,) indices of the violated pairs.
+        stands: (P,) whether the obstacle of a pair stands still, for all pairs.
         """
         distance, rows = self._separation.gradients(pairs, self._at, 0)
         depth = self._separation.clearance[pairs] - distance
@@ -227,8 +221,8 @@ class Recovery:
         all_rows, all_slack = rows, slack
         others: tuple[Rows, ...] = (step.evasion,)
         tried = step.brake
-        for attempt in range(_ATTEMPTS + len(_BLENDS)):
-            if attempt < _ATTEMPTS:
+        for attempt in range(ATTEMPTS + len(BLENDS)):
+            if attempt < ATTEMPTS:
                 fall = way_back(
                     all_rows, all_slack, target=target, low=step.low, high=step.high,
                     fastest=fastest, others=others,
@@ -237,11 +231,11 @@ class Recovery:
                     continue
                 v = tried = fall[0]
             else:
-                v = step.brake + _BLENDS[attempt - _ATTEMPTS] * (tried - step.brake)
+                v = step.brake + BLENDS[attempt - ATTEMPTS] * (tried - step.brake)
             if below and not self._nearer(step.state.q, v):
                 continue
             path = self._check.path(step.state.q, v)
-            found = self._check.clearance(step.awake, path, anything_moves=step.anything_moves)
+            found = self._check.clearance(step.awake, path)
             if len(found.bound) == 0:
                 path.place(self._at)
             depths = self._depths_along(pairs, path, ceiling if below else deepest, below=below)
@@ -249,18 +243,18 @@ class Recovery:
                 worse, there, falls, span = depths.worse
                 cut = slack[worse] + (there - distance)[worse] / span + falls[worse] @ v
                 all_rows, all_slack = np.vstack((all_rows, falls[worse])), np.append(all_slack, cut)
-            elif found.stands_clear and (found.clear or attempt == _ATTEMPTS - 1):
-                # on a way below what is out may have to go in again
+            elif found.stands_clear and (found.clear or attempt == ATTEMPTS - 1):
+                # on a way 3 a pair that is out may have to go in again
                 level = ceiling if below and (depths.most > 0.0).any() else depths.level
                 return depth, RecoveryPath(path, found, level)
             if not found.clear:
-                # nothing may be asked for that the way back could not give
+                # rest must keep these rows: a motion that they demand could contradict the way out
                 more = self._check.rows(step.awake, path, found)
                 others = (*others, more._replace(h=np.maximum(more.h, 0.0)))
         return depth, None
 
     def _aim(self, step: RecoveryStep, deepest: float) -> tuple[Vector, float]:
-        """(n,) the velocity that is wished, and how fast the deepest violation is to fall [m/s]."""
+        """(n,) the velocity that is wished, and how fast V is to fall [m/s], where `deepest` is V [m]."""
         route = self._route
         if route is not None:
             return self._along(route, step), _FOLLOWED_FALL if route.falling else 0.0
@@ -269,9 +263,10 @@ class Recovery:
         return step.target, min(max(RECOVERY * deepest, SLOWEST_RECOVERY), FASTEST_RECOVERY)
 
     def _depths_along(self, pairs: Indices, path: BrakingPath, most: Vector, *, below: bool) -> _Depths:
-        """How deep the pairs get on a braking path, until one is deeper than allowed.
+        """How deep the pairs get on a braking path, up to where one is deeper than allowed.
 
-        most: (K,) the depth to stay within on a way below, and else to fall from [m].
+        `most` (K,) is the depth that must not be exceeded on a way 3 (`below`), and from which it must
+        fall elsewhere [m].
         """
         separation, at, owner = self._separation, self._at, self._separation.owner[pairs]
         before = most + _LEVEL if below else most - _FALLS
@@ -283,7 +278,7 @@ class Recovery:
             now = by_owner(depth, owner)
             worse = depth > np.maximum(before, 0.0)
             if not below:
-                # still falling there, so that it falls all the way, braking too
+                # V must still be falling there, so that it falls all the way, also while braking
                 worse |= (depth > np.maximum(now - _FALLS, 0.0)) & (falls @ path.v >= 0.0)
                 before = now
             if span == self._dt:
@@ -294,7 +289,7 @@ class Recovery:
         return _Depths(level, highest, None)
 
     def _spans(self, path: BrakingPath) -> list[float]:
-        """When to measure along a braking path [s]: at the end of the step, and so often that little lies between."""
+        """When to measure along a braking path [s]: at the end of the step, and then every `_BETWEEN`."""
         length = float(np.abs(path.delta) @ self._radius)
         parts = min(max(math.ceil(length / _BETWEEN), 1), _MOST_SPANS)
         return [self._dt, *(path.look * part / parts for part in range(1, parts + 1))]
@@ -302,7 +297,7 @@ class Recovery:
     # --- where going down leads nowhere --------------------------------------------------
 
     def _continue_search(self, pairs: Indices, stands: Flags, q: Vector, deepest: Vector) -> None:
-        """Go on with the search for a way out, and begin one where the machine gets no further."""
+        """Go on with the search for a way out, or begin one where the machine makes no progress."""
         if not self._begun:
             self._begun = True
             self._ceiling = np.zeros(len(self._separation))
@@ -339,9 +334,9 @@ class Recovery:
         self._running = self._routes(self._escape, q)
 
     def _routes(self, escape: EscapeSearch, q: Vector) -> RouteSearch:
-        """What is tried, one after the other; None where nothing is found."""
+        """Search the ways 1, 2 and 3 in turn; None where none is found."""
         turn = self._tries % 3
-        if turn == 2:  # without a way, by descent alone
+        if turn == 2:  # by descent alone, for a change
             return None
         if turn == 0:
             route = yield from escape.descent(q)
@@ -365,7 +360,7 @@ class Recovery:
             self._still_to_go = math.inf
 
     def _along(self, route: EscapeRoute, step: RecoveryStep) -> Vector:
-        """(n,) the velocity along the way that was found."""
+        """(n,) the velocity along a way that was found."""
         last = len(route.nodes) - 1
         ahead = _AHEAD if route.falling else _AT_NODE
         while self._node < last and np.abs(route.nodes[self._node] - step.state.q).max() < ahead:
@@ -378,23 +373,23 @@ class Recovery:
         if self._node == last and length < _AT_NODE * 0.1:
             self._leave()
             return step.brake
-        per = np.maximum(np.abs(way) / length, _SMALLEST)
+        per = np.maximum(np.abs(way) / length, SMALLEST)
         stop = length + (_AHEAD if route.falling and self._node < last else 0.0)
         braking = 0.5 * float((self._change / self._dt / per).min())
         speed = min(float((self._slow / per).min()), math.sqrt(2.0 * braking * stop), length / self._dt)
         change = way / length * speed - step.state.v
-        part = min(float((self._change / np.maximum(np.abs(change), _SMALLEST)).min()), 1.0)
+        part = min(float((self._change / np.maximum(np.abs(change), SMALLEST)).min()), 1.0)
         return np.asarray(step.state.v + part * change)
 
     def _nearer(self, q: Vector, v: Vector) -> bool:
-        """Whether a step at v leaves less to go of a way below."""
+        """Whether a step at v (n,) from q (n,) leaves less to go of a way 3."""
         if self._route is None or self.to_go is None:
             return False
         way = self._route.nodes[self._node] - q - v * self._dt
         return bool(np.abs(way) @ self._radius + self._left[self._node] < self.to_go)
 
-    def cleared(self, pairs: Indices, found: RecoveryPath) -> tuple[Indices, Vector]:
-        """Those of the pairs that keep their clearance again along the path, and the proven distances (K,) [m]."""
+    def clear_again(self, pairs: Indices, found: RecoveryPath) -> tuple[Indices, Vector]:
+        """Those of the violated pairs that are clear again along the path, and their proven distances (K,) [m]."""
         separation = self._separation
         pairs = pairs[found.level <= 0.0]
         if len(pairs) == 0:

@@ -4,16 +4,16 @@ Of every obstacle (and of the machine with itself) the deepest violation is
 
     V = max over its violated pairs of (clearance - distance)
 
-A pair that is less deep may become deeper, never deeper than V: several links that
-stick in one obstacle need not leave it by the same side, and what would hold each of
-them to its own depth would hold them all.
+A pair that is less deep may become deeper, but never deeper than V: several links that
+stick in one obstacle need not leave it by the same side, and if each were held to its own
+depth, none could move.
 
     max t   s.t.   g_i v + t <= k (V - depth_i)   for every violated pair
 
-over the joint rates within reach; g_i is how fast a pair's distance falls. The term
-with k lets what is far from being the deepest go its way, and takes hold of it
-gradually, so that no row enters with a jump. Of all the best velocities the one
-nearest to the wish is taken. Where no joint rate makes V smaller, t is 0.
+over the joint rates within reach; g_i is how fast a pair's distance falls. The term with k
+leaves pairs that are far from being the deepest free, and binds them gradually, so that no
+row enters with a jump. Of all the best velocities the one nearest to the wish is taken.
+Where no joint rate makes V smaller, t is 0.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
 
-_WISH = 1e-3  # weight of the wish beside the speed of the way back
-_SMALLEST = 1e-12
+SMALLEST = 1e-12  # below any rate or row that matters: keeps divisions finite
+_WISH = 1e-3  # weight of the wish beside the speed of the way back; chosen, so that it only breaks ties
 
 
 def way_back(
@@ -41,19 +41,21 @@ def way_back(
 
     Parameters
     ----------
-    rows: (R, n) how fast the gaps of the violated pairs' corners fall with the joints [m/rad].
+    rows: (R, n) g, how fast the distances of the violated pairs fall with the joints [m/rad].
     slack: (R,) k (V - depth) [m/s].
-    target: (n,) the velocity that is wished.
-    low, high: (n,) what the joints can do in this step.
-    fastest: speed that is enough [m/s].
+    target: (n,) the velocity that is wished [rad/s or m/s].
+    low, high: (n,) the velocities that the joints can reach in this step [rad/s or m/s].
+    fastest: speed of the fall that is enough [m/s].
     others: rows of everything else.
 
+    Returns
+    -------
     None where the solver fails.
     """
     n = len(target)
-    # in parts of what the joints can change, so that a start from rest is as exact as any other
-    middle, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), _SMALLEST)
-    scale = max(float(np.abs(rows * reach).sum(axis=1).max(initial=0.0)), _SMALLEST)
+    # scaled by what the joints can change, so that a start from rest is as exact as any other
+    middle, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), SMALLEST)
+    scale = max(float(np.abs(rows * reach).sum(axis=1).max(initial=0.0)), SMALLEST)
     wished = np.minimum(np.maximum((target - middle) / reach, -1.0), 1.0)
     program = QuadraticProgram(
         H=_WISH * np.eye(n + 1),
@@ -73,9 +75,9 @@ def way_back(
 
 
 def _scaled(block: Rows, middle: Vector, reach: Vector) -> Rows:
-    """The same conditions for u with v = middle + reach u, each row of size 1, and blind to the speed t."""
+    """The same conditions for u with v = middle + reach u, each row of size 1, without the speed t."""
     G = block.G * reach
-    size = np.maximum(np.abs(G).sum(axis=1), _SMALLEST)
+    size = np.maximum(np.abs(G).sum(axis=1), SMALLEST)
     return block._replace(G=_with_speed(G / size[:, None], 0.0), h=(block.h - block.G @ middle) / size)
 
 
@@ -85,7 +87,7 @@ def _with_speed(G: Matrix, coefficient: float) -> Matrix:
 
 
 def by_owner(depth: Vector, owner: Indices) -> Vector:
-    """(K,) of every pair the deepest of its obstacle."""
+    """(K,) for every pair the largest `depth` (K,) of all pairs with the same `owner` (K,)."""
     deepest = np.zeros(len(depth))
     for number in set(owner.tolist()):
         own = owner == number

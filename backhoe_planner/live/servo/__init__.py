@@ -1,1 +1,1 @@
-"""The servo."""
+"""The servo: from a wish to the nearest safe motion, step by step."""

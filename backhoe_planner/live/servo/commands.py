@@ -10,7 +10,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.live.servo.servo_state import Command
 from backhoe_planner.machine import Robot
 
-_FASTEST_WISH = 100.0  # m/s or rad/s
+_FASTEST_WISH = 100.0  # m/s or rad/s: chosen, faster than any machine; keeps the numbers of the problem small
 
 
 class Commands:
@@ -19,13 +19,13 @@ class Commands:
     Parameters
     ----------
     dt: time between two steps [s].
-    watchdog: without a command for this long there is no wish any more [s].
+    watchdog: a wish ends when no command came for this long [s].
 
     Attributes
     ----------
-    tip: (3,) wished for the tip [m/s], world, or None.
-    joints: (n,) wished for the joints [rad/s or m/s], or None.
-    pitch: wished for the bucket's pitch [rad/s], or None.
+    tip: (3,) wished velocity of the tip [m/s], world, or None.
+    joints: (n,) wished velocity of the joints [rad/s or m/s], or None.
+    pitch: wished rate of the bucket's pitch [rad/s], or None.
     """
 
     def __init__(self, robot: Robot, *, dt: float, watchdog: float) -> None:
@@ -37,7 +37,7 @@ class Commands:
         self.pitch: float | None = None
 
     def understand(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> Command:
-        """What becomes of a step's command, see `Servo.step`. Nothing is raised."""
+        """Take a step's command, see `Servo.step`, and return what became of it. Nothing is raised."""
         if tip_velocity is None and joint_velocity is None and pitch_rate is None:
             found = Command.HELD
         elif self._take(tip_velocity, joint_velocity, pitch_rate):
@@ -52,7 +52,7 @@ class Commands:
         return found
 
     def _take(self, tip_velocity: object, joint_velocity: object, pitch_rate: object) -> bool:
-        """Whether it was understood, and is the wish from now on."""
+        """Make a command the wish, if it is understood; whether it was."""
         tip = None if tip_velocity is None else _numbers(tip_velocity, 3)
         joints = None if joint_velocity is None else _numbers(joint_velocity, self._n)
         pitch = None if pitch_rate is None else _numbers(pitch_rate, 1)
@@ -69,7 +69,7 @@ class Commands:
 
 
 def _numbers(values: object, count: int) -> Vector | None:
-    """(count,) finite numbers, or None."""
+    """`values` as (count,) finite numbers, or None where they are not."""
     try:
         found = np.array(values, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -82,7 +82,7 @@ def _numbers(values: object, count: int) -> Vector | None:
 
 
 def _capped(wish: Vector | None) -> Vector | None:
-    """The same direction, no larger than any machine moves."""
+    """A wish with its direction kept and its largest number at most `_FASTEST_WISH`."""
     if wish is None:
         return None
     largest = max(map(abs, wish.tolist()))

@@ -3,18 +3,17 @@
     F_wished = -B (r . t)^+ t  -  B rho(margin) ((r . n)^+ + (x_w . n)^+) n,    r = x_free - x
 
 r is the refused part of the wish: what the tip would do with nothing in the way and no
-joint limit, minus what it does. Of that a hand feels what is refused to it, into the
-obstacle (n) and along the rest of its own motion (t), and is not pulled aside by how the
-machine makes way. rho rises smoothly from 0 to 1, before anything is refused, as the way
-into an obstacle narrows. The force saturates smoothly at its largest.
+joint limit, minus what it does. The hand feels its components into the obstacle (n) and
+along the rest of the hand's own motion (t). The rest of r is left out, so that the hand is
+not pulled aside when the machine gives way. rho rises smoothly from 0 to 1 as an obstacle
+comes near, before anything is refused. The force saturates smoothly at its largest.
 
-All of it is smoothed over a hundredth of a second, so that nothing jumps.
+The force is smoothed over a hundredth of a second, so that it does not jump.
 
-Passivity. A ledger (a passivity observer after Hannaford and Ryu, 2002) holds the
-energy that the hand has given so far. A force F holds until the next sample, over which
-the hand moves at its velocity w changed by at most dw, what a hand can change in a
-sample. F is scaled so that the most that it can give, dt (F . w + |F| dw), is no more
-than the ledger holds.
+Passivity: a ledger (a passivity observer after Hannaford and Ryu, 2002) holds the energy
+that the hand has given so far. A force F holds until the next sample. Until then the hand
+moves at its velocity w, changed by at most dw. F is scaled so that the most energy that it
+can give, dt (F . w + |F| dw), is no more than the ledger holds.
 """
 
 from __future__ import annotations
@@ -24,29 +23,28 @@ import math
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 
-_SEED = 1e-7  # J: what may be lent, to a force against the hand, before anything was taken
-_LEAK = 1e-13  # J per sample, so that an empty ledger can fill again
-_SMOOTHED_OVER = 0.01  # s
-_SLOW_HAND = 0.02  # m/s: below this its direction says little
-_MOST_STORED = 0.2  # J: of what the hand has given, this much may come back
-_REMEMBERED = 0.02  # s for which being held back counts, so that a status does not flicker
-_AS_WISHED = 1e-9  # rad/s or m/s: rounding
+_SEED = 1e-7  # J that a force against the hand may use before the hand has given any; chosen, too little to feel
+_LEAK = 1e-13  # J per sample, so that an empty ledger can fill again; about a millionth of that
+_SMOOTHED_OVER = 0.01  # s: chosen, faster than a hand reacts
+_SLOW_HAND = 0.02  # m/s: chosen, the direction of a slower hand is mostly noise
+_MOST_STORED = 0.2  # J that the ledger holds at most: chosen, so that a long push is not given back as one blow
+_REMEMBERED = 0.02  # s for which being held back counts, so that a status does not flicker; chosen
 
 
 class Refusal:
-    """Compares the machine with one that nothing is in the way of.
+    """Compares the machine with one that has nothing in its way.
 
     Parameters
     ----------
-    n: number of joints.
     dt: length of a step [s].
-    changes: n numbers, by how much a joint's velocity can change in a step.
+    changes: n numbers, by how much a joint's velocity can change in a step [rad/s or m/s].
     """
 
-    def __init__(self, n: int, dt: float, changes: list[float]) -> None:
+    def __init__(self, dt: float, changes: list[float]) -> None:
         self._changes = changes
-        self._free = [0.0] * n  # velocities with nothing in the way
+        self._free = [0.0] * len(changes)  # velocities with nothing in the way
         self._forgets = 1.0 - math.exp(-dt / _REMEMBERED)
         self._steps = max(math.ceil(_REMEMBERED / dt), 1)
         self._counts_for = 0
@@ -57,18 +55,13 @@ class Refusal:
         return self._counts_for > 0
 
     def next(self, v: Vector, *, wish: Vector, target: Vector) -> Vector:
-        """(n,) the velocity that is refused in a step at v (n,).
-
-        Parameters
-        ----------
-        wish, target: (n,) see `VelocityWish`.
-        """
+        """(n,) the velocity that is refused in a step at v (n,); see `VelocityWish` for `wish` and `target` (n,)."""
         rates, wishes = v.tolist(), wish.tolist()
         joints = zip(self._free, wishes, rates, target.tolist(), self._changes, strict=True)
-        # a joint that goes as it is told has caught up with what it would have done
+        # a joint that goes at its target has caught up with what it would have done
         self._free = [
             free
-            + (min(max(aim - free, -most), most) if abs(rate - goal) > _AS_WISHED else self._forgets * (rate - free))
+            + (min(max(aim - free, -most), most) if abs(rate - goal) > TOLERANCE else self._forgets * (rate - free))
             for free, aim, rate, goal, most in joints
         ]
         return np.array([free - rate - aim for free, rate, aim in zip(self._free, rates, wishes, strict=True)])
@@ -80,9 +73,9 @@ class Feedback:
     Parameters
     ----------
     dt: time between samples, over which a force is held [s].
-    damping: B [N s/m].
-    largest: force that is approached, never exceeded [N].
-    sharpest: greatest acceleration of the hand for which passivity is promised [m/s^2].
+    damping: B, the force per refused speed [N s/m].
+    largest: the force that is approached and never exceeded [N].
+    sharpest: greatest acceleration of the hand for which passivity holds [m/s^2].
     """
 
     def __init__(self, dt: float, *, damping: float = 60.0, largest: float = 30.0, sharpest: float = 200.0) -> None:
@@ -90,28 +83,23 @@ class Feedback:
         self._damping = damping
         self._largest = largest
         self._change = sharpest * dt
-        self._stored = 0.0
+        self._stored = 0.0  # J that the hand has given and that may still come back
         self._force: tuple[float, ...] = (0.0, 0.0, 0.0)
         self._smooth = [0.0, 0.0, 0.0]
         self._scale = 1.0
         self._part = 1.0 - math.exp(-dt / _SMOOTHED_OVER)
-
-    @property
-    def stored(self) -> float:
-        """Energy that the hand has given and that may still come back [J]."""
-        return self._stored
 
     def next(self, hand: Vector, refused: Vector, normal: Vector, nearness: float) -> Vector:
         """(3,) force on the hand, to be held until the next sample [N], world.
 
         Parameters
         ----------
-        hand: (3,) velocity of the hand since the last sample: the wish [m/s].
-        refused: (3,) part of it that the tip does not follow [m/s].
-        normal: (3,) unit vector into the nearest obstacle; zeros where none is near.
-        nearness: 0 where obstacles are far, 1 where no more approach is possible.
+        hand: (3,) velocity of the hand since the last sample, which is the wish [m/s], world.
+        refused: (3,) part of it that the tip does not follow [m/s], world.
+        normal: (3,) unit vector into the nearest obstacle, world; zeros where none is near.
+        nearness: rho, 0 where obstacles are far, 1 where no more approach is possible.
         """
-        # of three numbers each: in plain numbers this costs a fraction of what arrays would
+        # three numbers each: plain numbers cost a fraction of what arrays would
         hx, hy, hz = hand.tolist()
         nx, ny, nz = normal.tolist()
         fx, fy, fz = self._force
@@ -135,7 +123,7 @@ class Feedback:
             along = (fx * hx + fy * hy + fz * hz) * bounded / size
             most = self._dt * (along + bounded * self._change)
             held = max(self._stored + (_SEED if along <= 0.0 else 0.0), _LEAK)
-            # neither spent at once nor let go at once, so that the scale is smooth too
+            # what is stored is neither spent at once nor released at once, so that the scale is smooth too
             scale = min(self._scale + part, 1.0)
             if most > 0.0:
                 scale = min(scale, max(part * held, _LEAK) / most)

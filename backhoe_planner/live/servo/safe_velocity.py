@@ -2,10 +2,10 @@
 
     min_v |v - v_w|_W   s.t.   rows of the braking path, rows of evasion
 
-W weighs what the tip notices. The rows are linear, so the braking path of the solution
-is checked, and where it is not clear its rows are added and the problem is solved anew.
-An obstacle that moves is met by one more row, which asks for a velocity away from it
-while the machine can still reach it:
+W weighs what the tip notices. The rows are linear, so the braking path of the solution is
+checked; where it is not clear, its rows are added and the problem is solved anew. Every
+obstacle that moves adds a row, which demands a velocity away from it that the machine can
+still reach:
 
     g v + u.n >= -sqrt(2 a_n margin),   a_n = sum_j |g_j| a_j / 2
 """
@@ -18,25 +18,22 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import QuadraticProgram, Rows, solve_program
-from backhoe_planner.live.braking.braking_path import BrakingPath, JointState, PathClearance, Placements
+from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import (
     FASTEST_RECOVERY,
     RECOVERY,
     SLOWEST_RECOVERY,
-    JointBounds,
+    TOLERANCE,
     VelocityRange,
 )
-from backhoe_planner.live.braking.pair_bounds import BUFFER, TOLERANCE, Awake, Near, PairBounds
+from backhoe_planner.live.braking.pair_bounds import Awake, Near
 from backhoe_planner.live.braking.path_check import MOST_ROWS, PathCheck
-from backhoe_planner.live.braking.separation import Separation
-from backhoe_planner.live.recovery.recovery import Recovery, RecoveryStep
+from backhoe_planner.live.recovery.recovery import ATTEMPTS, BLENDS, Recovery, RecoveryStep
 
-_ATTEMPTS = 3  # problems that are solved per step
-_BLENDS = (0.5, 0.2)  # parts of the way from braking to what was tried last
-_UNCHANGED = 1e-12  # rad/s or m/s: a solution that is no other
-_FREE = 0.005  # weight of the null space beside the tip [m^2]
-_VIOLATED = 1e-7  # m
-_AS_NEAR = 0.02  # m: corners that are as near as this to the nearest one get a row each
+_UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
+_FREE = 0.005  # m^2: weight of the null space beside the tip; chosen, small beside the square of an arm's length
+_VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
+_AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
 
 
 class VelocityWish(NamedTuple):
@@ -44,11 +41,11 @@ class VelocityWish(NamedTuple):
 
     Attributes
     ----------
-    v: (n,) the velocity that is wished for in the end.
-    target: (n,) the next velocity on the way there with nothing in the way.
-    task: (m, n) Jacobian of what is wished for the tip; None where joints are wished for.
-    null: (n,) the part of v in its null space.
-    for_tip: whether the tip has a wish.
+    v: (n,) the velocity that is wished for [rad/s or m/s].
+    target: (n,) the next velocity on the way there, if nothing is in the way [rad/s or m/s].
+    task: (m, n) Jacobian of the wish for the tip; None where the wish is for the joints.
+    null: (n,) the part of v in its null space [rad/s or m/s].
+    for_tip: whether the wish is for the tip.
     range: the velocities that keep the joint limits.
     """
 
@@ -67,8 +64,8 @@ class SafeVelocity(NamedTuple):
     ----------
     v: (n,) [rad/s or m/s].
     held_back: whether something is in the way of the wish.
-    evading: whether something that moves is.
-    end: (n,) of its braking path [rad or m]; None where the machine brakes on the path of before.
+    evading: whether something that moves is in the way.
+    end: (n,) of its braking path [rad or m]; None where the machine brakes on the path of the step before.
     """
 
     v: Vector
@@ -82,8 +79,14 @@ def velocity_program(
 ) -> QuadraticProgram:
     """The problem whose solution is the velocity nearest to `target` (n,), as the tip notices it.
 
-    What the target does for the tip is asked of the tip alone: that of each joint would
-    drive the others on where one cannot follow.
+    Only the tip's velocity at the target counts, not each joint's: if each joint's did, the others
+    would be driven on where one cannot follow.
+
+    Parameters
+    ----------
+    wish: gives the task and the null space.
+    low, high: (n,) bounds of the velocity [rad/s or m/s].
+    rows: that it must keep.
     """
     n = len(target)
     if wish.task is None:
@@ -98,46 +101,36 @@ class VelocityFilter:
 
     Parameters
     ----------
-    joints, bounds, check, recovery: of the servo.
-    acceleration: (n,) of the joints at most [rad/s^2 or m/s^2].
-    at: placements, of which row 0 is where the machine is.
+    check: of the machine's braking paths.
+    recovery: finds the way out where the machine is closer to something than allowed.
     """
 
-    def __init__(
-        self,
-        separation: Separation,
-        *,
-        joints: JointBounds,
-        bounds: PairBounds,
-        check: PathCheck,
-        recovery: Recovery,
-        acceleration: Vector,
-        at: Placements,
-    ) -> None:
-        self._separation, self._joints, self._bounds = separation, joints, bounds
-        self._check, self._recovery, self._acceleration, self._at = check, recovery, acceleration, at
-        self._nothing_comes = Rows.none("evasion", len(acceleration))
+    def __init__(self, check: PathCheck, recovery: Recovery) -> None:
+        self._separation, self._joints, self._bounds = check.separation, check.joints, check.bounds
+        self._check, self._recovery, self._at = check, recovery, check.at
+        self._acceleration = check.joints.limits.acceleration
+        self._nothing_comes = Rows.none("evasion", len(self._acceleration))
 
-    def choose(self, state: JointState, wish: VelocityWish, near: Near, *, anything_moves: bool) -> SafeVelocity:
+    def choose(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
         """The velocity nearest to the wish whose braking path is proven clear; braking where there is none."""
         if len(self._bounds.inside) or self._recovery.held_outside(state.q):
-            return self._recover(state, wish, near, anything_moves=anything_moves)
+            return self._recover(state, wish, near)
         check, (low, high, *_) = self._check, wish.range
         v, wish = self._within_limits(state, wish)
         awake = check.awake(state, wish.range.look)
         evasion = self._evasion_rows(near, low, high)
         held_back = evading = False
         straight: tuple[BrakingPath, PathClearance] | None = None
-        for attempt in range(_ATTEMPTS):
+        for attempt in range(ATTEMPTS):
             late = not evasion.are_kept_by(v, TOLERANCE)
             path = check.path(state.q, v)
-            found = check.clearance(awake, path, anything_moves=anything_moves)
+            found = check.clearance(awake, path)
             if (found.free if attempt == 0 else found.clear) and not late:
                 return self._accept(path, awake, found, held_back=held_back, evading=evading)
             if attempt == 0 and found.clear and not late:
                 straight = path, found
             nearer = v
-            if attempt < _ATTEMPTS - 1:
+            if attempt < ATTEMPTS - 1:
                 nearer = self._within_rows(state, wish, (check.rows(awake, path, found), evasion))
                 evading |= late
                 held_back = True
@@ -149,9 +142,9 @@ class VelocityFilter:
         if straight is not None:  # only the buffer is missing, and asking for it leads nowhere
             return self._accept(straight[0], awake, straight[1], evading=evading)
         brake = self._braking(state.v)
-        for part in _BLENDS:
+        for part in BLENDS:
             path = check.path(state.q, np.minimum(np.maximum(brake + part * (v - brake), low), high))
-            found = check.clearance(awake, path, anything_moves=anything_moves)
+            found = check.clearance(awake, path)
             if found.stands_clear:
                 return self._accept(path, awake, found, evading=evading)
         return SafeVelocity(self._joints.brake(state.v), True, evading, None)
@@ -162,11 +155,11 @@ class VelocityFilter:
         self._bounds.accept(awake.pairs, found)
         return SafeVelocity(path.v, held_back, evading, path.end)
 
-    def _recover(self, state: JointState, wish: VelocityWish, near: Near, *, anything_moves: bool) -> SafeVelocity:
-        """The velocity of the way back, with what was proven of it held from now on."""
+    def _recover(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
+        """The velocity of the way out. What was proven of it must be kept from now on."""
         bounds, clearance = self._bounds, self._separation.clearance
         pairs = bounds.inside
-        low, high = self._recovery.slowed(state.q, state.v, wish.range.low, wish.range.high)
+        low, high = self._recovery.slow_bounds(state.q, state.v, wish.range.low, wish.range.high)
         awake = self._check.awake(state, wish.range.look)
         step = RecoveryStep(
             state=state,
@@ -176,28 +169,27 @@ class VelocityFilter:
             brake=self._braking(state.v),
             awake=awake,
             evasion=self._evasion_rows(near, low, high),
-            anything_moves=anything_moves,
         )
         depth, found = self._recovery.choose(pairs, bounds.stands, step)
         bounds.set_distance(pairs, clearance[pairs] - depth)
         if found is None:
             return SafeVelocity(self._joints.brake(state.v), True, False, None)
         bounds.required[pairs] = clearance[pairs] - np.maximum(found.level, 0.0)
-        out, bound = self._recovery.cleared(pairs, found)
+        out, bound = self._recovery.clear_again(pairs, found)
         bounds.set_proven(out, bound)
-        if len(out):  # held to its clearance again
+        if len(out):  # from now on these must keep their clearance
             bounds.inside = pairs[~np.isin(pairs, out)]
         return self._accept(found.path, awake, found.clearance)
 
     def _braking(self, v: Vector) -> Vector:
-        """(n,) braking from v (n,), where that stays within what a step can change."""
+        """(n,) the next velocity while braking from v (n,), within what a step can change."""
         change = self._joints.change
         return np.minimum(np.maximum(self._joints.brake(v), v - change), v + change)
 
     def _within_limits(self, state: JointState, wish: VelocityWish) -> tuple[Vector, VelocityWish]:
-        """(n,) the next velocity on the way to the wish, or to what the joints' limits leave of it.
+        """(n,) the next velocity on the way to the wish, or to the part that the joints' limits leave of it.
 
-        Also the wish: where a limit cuts it, the null space has none.
+        Also the wish, without its null space where a limit cuts it.
         """
         target, (low, high, *_) = wish.target, wish.range
         for rate, least, most in zip(target.tolist(), low.tolist(), high.tolist(), strict=True):
@@ -207,15 +199,15 @@ class VelocityFilter:
             return target, wish
         if not wish.for_tip:
             return np.minimum(np.maximum(target, low), high), wish
-        # the other joints alone would lead the tip elsewhere
+        # clipped joint by joint, the others would lead the tip elsewhere
         wish = wish._replace(null=np.zeros(len(target)))
         return self._within_rows(state, wish, ()), wish
 
     def _within_rows(self, state: JointState, wish: VelocityWish, rows: tuple[Rows, ...]) -> Vector:
-        """(n,) the next velocity on the way to what rows and limits leave of the wish.
+        """(n,) the next velocity on the way to the part of the wish that rows and limits leave.
 
-        What would be left in the end is asked for first: from step to step alone, each
-        within the joints' accelerations, the nearest need not lead there.
+        The velocity that can be reached in the end is found first: the nearest one of each single
+        step, within the joints' accelerations, need not lead there.
         """
         low, high, least, most, *_ = wish.range
         steady = self._solve(state, velocity_program(wish, wish.v, least, most, rows))
@@ -235,7 +227,7 @@ class VelocityFilter:
         return np.minimum(np.maximum(x, program.low), program.high)
 
     def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
-        """The rows of obstacles that come nearer, and of those that move and are too close already."""
+        """The rows of obstacles that come nearer, and of moving ones that are too close already."""
         separation = self._separation
         if len(near.pairs) == 0:
             return self._nothing_comes

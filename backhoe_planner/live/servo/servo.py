@@ -1,4 +1,4 @@
-"""The servo: a wish in, a thousand times a second, and a motion out that is always safe.
+"""The servo: it takes a wish a thousand times a second, and gives a motion that is always safe.
 
 Every step keeps one invariant: if the machine brakes from here on, in proportion, it
 touches nothing and passes no limit (`braking_path`). A new velocity is taken only if the
@@ -7,14 +7,14 @@ the path that was proven one step earlier. So no wish, and no failure of the
 optimisation, can drive it into an obstacle that stands still.
 
 The nearest safe velocity is found by a small QP (`safe_velocity`). Its rows are the gaps
-of the links' corners along the braking path (`path_check`), and one row of each obstacle
-that moves, which asks for a velocity away from it while the machine can still reach it.
+of the links' corners along the braking path (`path_check`), and one row for each obstacle
+that moves, which demands a velocity away from it that the machine can still reach.
 
-What is closer than allowed already (it began so, or an obstacle was put there) may only
-get better: of every obstacle the deepest violation over the links falls at every step, and
-what was proven of it is what the next step must keep. Where no such motion leads out, the
-machine goes by a way that is nowhere deeper than where it began, and the length of that way
-falls at every step (`recovery`).
+Where the machine is closer to something than allowed (it began so, or an obstacle was put
+there), this may only get better: of every obstacle the deepest violation over the links
+falls at every step, and the next step must keep what was proven. Where no such motion leads
+out, the machine follows a way that is nowhere deeper than where it began, and the length of
+that way falls at every step (`recovery`).
 
 Within the slow distance of one of the scene's zones the wish is scaled down, direction kept.
 """
@@ -31,7 +31,7 @@ from backhoe_planner.arrays import Indices, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.braking_path import MOST_PARTS, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
-from backhoe_planner.live.braking.pair_bounds import Near, PairBounds
+from backhoe_planner.live.braking.pair_bounds import CLOSE, Near, PairBounds
 from backhoe_planner.live.braking.path_check import PathCheck
 from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.recovery.recovery import Recovery
@@ -42,12 +42,12 @@ from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
 from backhoe_planner.live.servo.surroundings import Surroundings, number_within
 from backhoe_planner.live.servo.tip_task import JointWish, TipTask
 from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
-from backhoe_planner.site import Obstacle, build_obstacles, pace, scaled_limits, scene_file, within_sectors
+from backhoe_planner.site import Obstacle, Obstruction, build_obstacles, pace, scaled_limits, scene_file, within_sectors
 
-_WARN = 0.10  # m of margin within which the status says so, and the force begins
-_AT_REST = 1e-3  # rad/s or m/s: a machine that creeps more slowly counts as standing
-_LEAST_WISH = 1e-6  # rad/s or m/s: less counts as no wish
-_STEPS = (1e-6, 1.0)  # s: shortest and longest dt
+_INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
+_CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
+_LEAST_WISH = 1e-6  # rad/s or m/s: less counts as no wish; chosen, far above rounding
+_STEPS = (1e-6, 1.0)  # s: shortest and longest dt; chosen, beyond them it is a slip
 
 
 class Servo:
@@ -57,14 +57,14 @@ class Servo:
     ----------
     robot, scene: the machine, and the site in which it stands. The scene's task is not used.
     dt: length of a step [s], a microsecond to a second.
-    q: (n,) where the joints stand; by default the scene's start.
-    watchdog: without a command for this long the machine stops [s]; infinite for never.
+    q: (n,) where the joints stand [rad or m]; by default the scene's start.
+    watchdog: the machine stops when no command came for this long [s]; infinite for never.
     circulate: whether a tip that is pushed straight into an obstacle goes round it.
     self_collision: whether the machine is also kept clear of itself.
-    feedback: how the force on the hand is made; `Feedback(dt)` by default.
-    load: load(q, v) is the part of what drives all joints together, as the oil of one pump, that
-        joint velocities v (n,) at q (n,) take; wishes are cut back so that it is at most 1. To get
-        away from what comes nearer, or out of what is violated, more may be asked for.
+    feedback: computes the force on the hand; `Feedback(dt)` by default.
+    load: for drives that the joints share, such as one pump: load(q, v) is the part of their
+        capacity that joint velocities v (n,) at q (n,) take. Wishes are cut back so that it is at
+        most 1. It may be exceeded to evade an obstacle, or on the way out of a violation.
 
     Raises
     ------
@@ -73,10 +73,12 @@ class Servo:
 
     Attributes
     ----------
-    last_error: what last went wrong inside a step, which then braked; None if nothing ever did.
+    robot, scene, dt: as above; the robot has the scene's tip and swing sectors.
+    circulate: as above; may be set.
+    limits: of the joints in this scene.
+    last_error: the last error inside a step, which then braked; None if there was none.
 
-    `step` itself raises nothing. The servo owns its working memory: do not share one
-    between threads.
+    `step` raises nothing. The servo owns its working memory: do not share one between threads.
     """
 
     def __init__(
@@ -95,7 +97,7 @@ class Servo:
         dt = number_within("dt", dt, *_STEPS)
         watchdog = number_within("watchdog", watchdog, 0.0, math.inf)
         robot = within_sectors(robot.with_tip(scene.tip), scene)
-        self.robot, self.scene, self.dt = robot, scene, dt
+        self.robot, self.scene, self.dt, self.circulate = robot, scene, dt, circulate
         self.limits = scaled_limits(robot, scene)
         q = _start(robot, scene) if q is None else robot.check_q(q)
         n = robot.n
@@ -103,26 +105,17 @@ class Servo:
         self._steps = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
-        self._refusal = Refusal(n, dt, self._joints.changes)
+        self._refusal = Refusal(dt, self._joints.changes)
         self._feedback = Feedback(dt) if feedback is None else feedback
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
         self._at = Placements(robot, MOST_PARTS + 2)
         self._separation = Separation(robot, self_collision=self_collision)
-        self._tip = TipTask(
-            robot, self._separation, self._joints, self._at, influence=scene.influence, circulate=circulate
-        )
-        self._bounds = PairBounds(self._separation, influence=self._tip.law.influence)
-        self._check = PathCheck(self._separation, self._bounds, self._joints, self._at, dt)
-        self._recovery = Recovery(robot, self.limits, self._separation, self._check, self._at, dt, self._joints.change)
-        self._filter = VelocityFilter(
-            self._separation,
-            joints=self._joints,
-            bounds=self._bounds,
-            check=self._check,
-            recovery=self._recovery,
-            acceleration=self.limits.acceleration,
-            at=self._at,
-        )
+        self._influence = min(scene.influence, _INFLUENCE)
+        self._bounds = PairBounds(self._separation, influence=self._influence)
+        self._check = PathCheck(self._separation, self._bounds, self._joints, self._at)
+        self._tip = TipTask(robot, self._check, influence=self._influence)
+        self._recovery = Recovery(robot, self._check)
+        self._filter = VelocityFilter(self._check, self._recovery)
         self._sectors = [
             (zone.start + zone.stop, zone.end - zone.stop, zone.slow_distance - zone.stop)
             for zone in scene.zones
@@ -134,11 +127,11 @@ class Servo:
         for obstacle in build_obstacles(scene, robot):
             self._add(obstacle)
 
-    # --- what stands around ----------------------------------------------------------
+    # --- the joints and the obstacles --------------------------------------------------
 
     @property
     def q(self) -> Vector:
-        """(n,) where the joints are [rad or m]."""
+        """(n,) positions of the joints [rad or m]."""
         return self._state.q.copy()
 
     @property
@@ -147,31 +140,22 @@ class Servo:
         return self._state.v.copy()
 
     @property
-    def circulate(self) -> bool:
-        """Whether a tip that is pushed straight into an obstacle goes round it; may be set."""
-        return self._tip.circulate
-
-    @circulate.setter
-    def circulate(self, value: bool) -> None:
-        self._tip.circulate = value
-
-    @property
     def time(self) -> float:
-        """[s] since the servo began."""
+        """Time since the servo began [s]."""
         return self._steps * self.dt
 
     @property
     def obstacles(self) -> tuple[str, ...]:
-        """Names of what stands around now."""
+        """Names of the obstacles that are there now."""
         return self._site.names
 
     @property
     def revision(self) -> int:
-        """How often what stands around was changed: put there, taken away, moved by hand, given another velocity."""
+        """How often an obstacle was put there, taken away, moved by hand or given another velocity."""
         return self._site.revision
 
     def snapshot(self) -> tuple[Obstacle, ...]:
-        """What stands around now, each where it is now, with its present velocity. Takes some 10 us each."""
+        """The obstacles that are there now, each where it is now, with its present velocity. Takes some 10 us each."""
         return self._site.snapshot()
 
     def is_moving(self, name: str | None = None) -> bool:
@@ -183,28 +167,29 @@ class Servo:
 
         Parameters
         ----------
-        obstacle: as in the scene file, or already built. Its `appears_at` counts from now.
+        obstacle: a record as in the scene file, or an `Obstacle`. Its `appears_at` counts from now.
 
         Raises
         ------
-        InputError: the name is taken, or the record is not one of an obstacle.
+        InputError: the name is in use, or the record does not describe an obstacle.
         """
         self._add(self._site.build(obstacle))
 
     def add_points(self, name: str, points: object, *, resolution: float = 0.1, clearance: float | None = None) -> None:
-        """Put a scan there: every voxel in which a point lies is solid. A scan of that name is replaced.
+        """Put a scan there: every voxel in which a point lies is solid. A scan of the same name is replaced.
 
         Parameters
         ----------
+        name: of the obstacle.
         points: (k, 3) [m], world.
         resolution: edge of a voxel [m].
         clearance: to be kept [m]; the scene's by default.
 
         Raises
         ------
-        InputError: the points are not (k, 3) numbers within a kilometre, a voxel's edge is not
-            between a millimetre and a hundred metres, the clearance is not a length, or the
-            name is that of another kind of obstacle.
+        InputError: the points are not (k, 3) numbers within a kilometre, the resolution is not
+            between a millimetre and a hundred metres, the clearance is not a length, or an
+            obstacle of another kind has the name.
         """
         scan = self._site.build_scan(name, points, resolution=resolution, clearance=clearance)
         if name in self.obstacles:
@@ -213,7 +198,7 @@ class Servo:
             self._add(scan)
 
     def remove(self, name: str) -> None:
-        """Take an obstacle away, also one that has not appeared yet. A zone is one too.
+        """Take an obstacle or a zone away, also one that has not appeared yet.
 
         Raises
         ------
@@ -225,7 +210,7 @@ class Servo:
         self._recovery.changed()
 
     def move(self, name: str, by: object) -> None:
-        """Put an obstacle elsewhere at once, `by` (3,) from where it is now [m], world.
+        """Put an obstacle elsewhere at once, by `by` (3,) from where it is now [m], world.
 
         Raises
         ------
@@ -246,9 +231,9 @@ class Servo:
 
     @property
     def way_to_go(self) -> float | None:
-        """No point of the machine has further than this to go until it is clear [m].
+        """How far any point of the machine still has to move until it is clear, at most [m].
 
-        Only where the way back leads past what is no shallower; it falls at every step. None elsewhere.
+        It falls at every step on a way out along which violations may grow back; None elsewhere.
         """
         return self._recovery.to_go
 
@@ -270,13 +255,13 @@ class Servo:
         self._measure(pairs)
 
     def _update_moving(self) -> None:
-        """Tell the bounds which pairs move, and how far in a step."""
+        """Update which pairs move, and how far in a step."""
         per_step = self.dt * self._site.speed
         # the braking path of one step later may end up to 2 / BRAKING steps later
         self._bounds.sort(self._site.stands, per_step, (1.0 + 2.0 / BRAKING) * per_step)
 
     def _measure(self, pairs: Indices) -> None:
-        """Measure pairs that are new or were moved."""
+        """Measure pairs (K,) that are new or were moved."""
         if len(pairs) == 0:
             return
         self._tip.place(self._state.q)
@@ -295,27 +280,27 @@ class Servo:
 
         Parameters
         ----------
-        tip_velocity: (3,) wished for the tip [m/s], world.
-        joint_velocity: (n,) wished for the joints [rad/s or m/s]; only one of the two.
-        pitch_rate: wished for the bucket's pitch [rad/s]; left out, pitch is free.
+        tip_velocity: (3,) wished velocity of the tip [m/s], world.
+        joint_velocity: (n,) wished velocity of the joints [rad/s or m/s]; instead of `tip_velocity`.
+        pitch_rate: wished rate of the bucket's pitch, with `tip_velocity` [rad/s]; left out, pitch is free.
 
-        A wish is held until the next one, or until the watchdog ends it. What is not
-        finite, of the wrong shape or contradictory counts as no wish. Nothing is raised.
+        Without any of them the last wish holds, until the watchdog ends it. A command that is not
+        finite, of the wrong shape or contradictory counts as none. Nothing is raised.
         """
         self._steps += 1
         command = self._commands.understand(tip_velocity, joint_velocity, pitch_rate)
         before = self._state
         try:
             return self._move(command)
-        except Exception as error:  # noqa: BLE001  braking was proven before; what went wrong does not matter to it
+        except Exception as error:  # noqa: BLE001  whatever it was, braking was proven before
             self.last_error = error.with_traceback(None)
             return self._brake(command, moved=self._state is not before)
 
     def _move(self, command: Command) -> ServoState:
-        """From the command to the state: what is near, what is wished, the nearest safe velocity, the step."""
+        """Find what is near, the wish and the nearest safe velocity, and take the step."""
         near = self._look()
         q, v, _ = self._state
-        wish = self._tip.wish(q, self._commands, near)
+        wish = self._tip.wish(q, self._commands, near, circulate=self.circulate)
         pace = min(self._bounds.pace(near), self._pace_of_sectors())
         wished = wish.v if pace == 1.0 else pace * wish.v
         request = VelocityWish(
@@ -326,13 +311,13 @@ class Servo:
             for_tip=self._commands.tip is not None,
             range=self._joints.velocity_range(q, v, wished),
         )
-        chosen = self._filter.choose(self._state, request, near, anything_moves=self._site.anything_moves)
+        chosen = self._filter.choose(self._state, request, near)
         self._bounds.renew(near, self._at, self._steps)
         self._advance(chosen.v, chosen.end)
         return self._report(command, near, wish, request, chosen, pace)
 
     def _look(self) -> Near:
-        """Let obstacles appear and move on, and find what is near."""
+        """Let obstacles appear and move on, and find the pairs that are near."""
         for obstacle in self._site.due(self.time):
             self._add(obstacle)
         if self._site.anything_moves:
@@ -342,12 +327,12 @@ class Servo:
         return self._bounds.near(self._at)
 
     def _pace_of_sectors(self) -> float:
-        """Part of the wished speed that the swing sectors leave."""
+        """The part of the wished speed that the slow distances of swing sectors leave."""
         swing = float(self._state.q[0])
         return min((pace(min(swing - low, high - swing), room) for low, high, room in self._sectors), default=1.0)
 
     def _advance(self, v: Vector, end: Vector | None) -> None:
-        """Take the step. Without an end, what is left is the braking path that was proven before."""
+        """Take the step at v (n,). Without `end` (n,) the braking path stays the one that was proven before."""
         before, moved = self._state, v * self.dt
         self._bounds.advance(moved, None if end is None else end - before.end)
         q = before.q + moved
@@ -360,39 +345,48 @@ class Servo:
     ) -> ServoState:
         v, J = self._state.v, self._tip.jacobian[:3]
         pair, margin = self._bounds.tightest(near)
-        link, obstacle, normal = None, None, _ZERO
-        if margin < self._tip.law.influence:
-            link, obstacle = self._separation.link(pair), self._site.name_of(pair)
-            if margin < _WARN:
-                normal = self._separation.world_normals(np.array([pair]), self._at)[0]
-        else:
+        nearest, normal = self._nearest(pair, margin), _ZERO
+        if nearest is None:
             margin = math.inf
+        elif margin < CLOSE:
+            normal = self._separation.world_normal(pair, self._at)
         self._tip.blocking = normal if chosen.held_back else _ZERO
         refused = J @ self._refusal.next(v, wish=request.v, target=request.target) + wish.tip
-        nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / _WARN, 0.0), 1.0)))
+        nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / CLOSE, 0.0), 1.0)))
         hand = wish.tip if self._commands.tip is None else self._commands.tip
+        status = self._status(command, request, chosen, margin, singular=wish.singular)
+        force = self._feedback.next(hand, refused, normal, nearness)
+        return self._state_after(command, status, nearest, refused, force, proven=chosen.end is not None, pace=pace)
+
+    def _state_after(
+        self, command: Command, status: Status, nearest: Obstruction | None, refused: Vector, force: Vector,
+        *, proven: bool, pace: float,
+    ) -> ServoState:  # fmt: skip
+        tip = self._tip
         return ServoState(
             time=self.time,
             q=self.q,
             v=self.v,
-            status=self._status(command, request, chosen, margin, singular=wish.singular),
+            status=status,
             command=command,
-            margin=margin,
-            link=link,
-            obstacle=obstacle,
-            tip_position=self._tip.position,
-            tip_velocity=J @ v,
+            nearest=nearest,
+            tip_position=tip.position,
+            tip_velocity=tip.jacobian[:3] @ self._state.v,
             refused=refused,
-            feedback_force=self._feedback.next(hand, refused, normal, nearness),
-            proven=chosen.end is not None,
+            feedback_force=force,
+            proven=proven,
             pace=pace,
         )
+
+    def _nearest(self, pair: int, margin: float) -> Obstruction | None:
+        """The tightest pair as an obstruction; None where it is beyond the influence distance."""
+        return self._site.obstruction(pair, margin, self.time) if margin < self._influence else None
 
     def _status(
         self, command: Command, request: VelocityWish, chosen: SafeVelocity, margin: float, *, singular: bool
     ) -> Status:
         held_back = self._refusal.remember(held_back=chosen.held_back)
-        moving = max(map(abs, chosen.v.tolist())) > _AT_REST
+        moving = max(map(abs, chosen.v.tolist())) > _CREEPS
         wishes = max(map(abs, request.v.tolist())) > _LEAST_WISH
         if chosen.evading:
             return Status.EVADING
@@ -400,35 +394,20 @@ class Servo:
             return Status.STOPPED
         if held_back and wishes:
             return Status.SLIDING
-        if margin < _WARN:
+        if margin < CLOSE:
             return Status.NEAR_OBSTACLE
         if request.range.cuts_wish:
             return Status.NEAR_LIMIT
         return Status.NEAR_SINGULARITY if singular else Status.OK
 
     def _brake(self, command: Command, *, moved: bool) -> ServoState:
-        """The way out where something failed: brake, unless the step was taken already."""
+        """Brake after a failure, unless the step was taken already."""
         if not moved:
             self._advance(self._joints.brake(self._state.v), None)
-        pair, margin = self._bounds.tightest_of_all()
-        near = margin < self._tip.law.influence
-        tip = self._tip.jacobian[:3] @ self._state.v
         wish = _ZERO if self._commands.tip is None else self._commands.tip
-        return ServoState(
-            time=self.time,
-            q=self.q,
-            v=self.v,
-            status=Status.STOPPED,
-            command=command,
-            margin=margin if near else math.inf,
-            link=self._separation.link(pair) if near else None,
-            obstacle=self._site.name_of(pair) if near else None,
-            tip_position=self._tip.position,
-            tip_velocity=tip,
-            refused=wish - tip,
-            feedback_force=self._feedback.next(wish, _ZERO, _ZERO, 0.0),
-            proven=False,
-        )
+        nearest, force = self._nearest(*self._bounds.tightest_of_all()), self._feedback.next(wish, _ZERO, _ZERO, 0.0)
+        refused = wish - self._tip.jacobian[:3] @ self._state.v
+        return self._state_after(command, Status.STOPPED, nearest, refused, force, proven=False, pace=1.0)
 
 
 _ZERO = np.zeros(3)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 from typing import NamedTuple
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.site import Obstruction
+
+HOLDS_WITHIN = 0.05  # m of margin within which an obstacle is said to hold the machine; chosen, half of `CLOSE`
 
 
 class Status(str, Enum):
-    """What the servo is doing; the first that holds, from the bottom up."""
+    """What the servo is doing. Where several hold, it is the last of them in this list."""
 
     OK = "ok"
     NEAR_SINGULARITY = "near_singularity"
@@ -21,7 +25,7 @@ class Status(str, Enum):
 
 
 class Command(str, Enum):
-    """What became of the last command."""
+    """Whether the command of a step was new, held from before, ended by the watchdog, or not understood."""
 
     NEW = "new"
     HELD = "held"
@@ -35,17 +39,16 @@ class ServoState(NamedTuple):
     Attributes
     ----------
     time: since the servo began [s].
-    q, v: (n,) joint positions, and the velocity that led there.
+    q, v: (n,) joint positions [rad or m], and the velocity that led there [rad/s or m/s].
     status: what the servo is doing.
-    command: whether the wish was new, is held from before, timed out, or could not be understood.
-    margin: of the tightest pair, a proven lower bound of distance minus clearance [m];
-        infinite where nothing is near.
-    link, obstacle: of that pair; None where nothing is near.
+    command: what became of the command of this step.
+    nearest: the tightest pair of a link and what it must not touch, with proven lower bounds of
+        distance and margin; None where nothing is within the influence distance.
     tip_position: (3,) at the beginning of the step [m], world.
-    tip_velocity: (3,) that v gives the tip [m/s], world.
+    tip_velocity: (3,) of the tip at `v` [m/s], world.
     refused: (3,) part of the wish that the tip does not follow [m/s], world.
     feedback_force: (3,) on the hand [N], world.
-    proven: whether this step's braking path was proven clear of all that stands still.
+    proven: whether the braking path after this step was proven clear of everything that stands still.
     pace: part of the wished speed that the zones leave, 1 where none is near.
     """
 
@@ -54,12 +57,15 @@ class ServoState(NamedTuple):
     v: Vector
     status: Status
     command: Command
-    margin: float
-    link: str | None
-    obstacle: str | None
+    nearest: Obstruction | None
     tip_position: Vector
     tip_velocity: Vector
     refused: Vector
     feedback_force: Vector
     proven: bool
-    pace: float = 1.0
+    pace: float
+
+    @property
+    def margin(self) -> float:
+        """Of `nearest` [m]; infinite where nothing is near."""
+        return math.inf if self.nearest is None else self.nearest.margin

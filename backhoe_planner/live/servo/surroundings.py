@@ -1,4 +1,4 @@
-"""What stands around the machine while it moves: obstacles that come, go and move, by name."""
+"""The obstacles around the machine while it moves: they come, go and move, by name."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.separation import MACHINE, Separation
 from backhoe_planner.machine import Robot, voxel_boxes
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site import Obstacle, Scene, build_obstacle, obstacle_from_dict, obstacle_shapes
+from backhoe_planner.site import Obstacle, Obstruction, Scene, build_obstacle, obstacle_from_dict, obstacle_shapes
 
-_FARTHEST = 1000.0  # m
-_VOXELS = (0.001, 100.0)  # m
+_FARTHEST = 1000.0  # m or m/s: chosen, beyond any site; a larger number is a slip
+_VOXELS = (0.001, 100.0)  # m: shortest and longest edge; chosen, beyond them it is a slip
 
 
 @dataclass
 class _Placed:
-    """An obstacle that is there: its number among the pairs, and how far it has moved since [m]."""
+    """An obstacle that is there: its number in `Separation`, velocity (3,) [m/s], and shift (3,) since it came [m]."""
 
     number: int
     obstacle: Obstacle
@@ -32,14 +32,14 @@ class _Placed:
 
 
 class Surroundings:
-    """The obstacles of a scene, and what becomes of them; their pairs are those of `separation`.
+    """The obstacles by name; `separation` holds their pairs, P in all.
 
     Attributes
     ----------
-    stands: (P,) of every pair whether its obstacle stands still.
-    speed: (P,) of every pair's obstacle [m/s].
-    anything_moves: whether any obstacle does, also one that no link minds.
-    revision: how often anything was put there, taken away, moved by hand or given another velocity.
+    stands: (P,) whether the pair's obstacle stands still.
+    speed: (P,) of the pair's obstacle [m/s].
+    anything_moves: whether any obstacle does, also one that has no pairs.
+    revision: how often an obstacle was put there, taken away, moved by hand or given another velocity.
     """
 
     def __init__(self, robot: Robot, scene: Scene, separation: Separation) -> None:
@@ -56,19 +56,13 @@ class Surroundings:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of what is there now."""
+        """Names of the obstacles that are there now."""
         return tuple(self._placed)
 
     def snapshot(self) -> tuple[Obstacle, ...]:
-        """What is there now, each where it is now, with its present velocity."""
+        """The obstacles that are there now, each where it is now, with its present velocity."""
         return tuple(
-            replace(
-                placed.obstacle,
-                pieces=tuple(_shifted(piece, placed.shift) for piece in placed.obstacle.pieces)
-                if placed.shift.any()
-                else placed.obstacle.pieces,
-                velocity=placed.velocity.copy(),
-            )
+            replace(shifted(placed.obstacle, placed.shift), velocity=placed.velocity.copy())
             for placed in self._placed.values()
         )
 
@@ -76,19 +70,23 @@ class Surroundings:
         """Whether there is an obstacle of that name, or any, that has a velocity."""
         return any(name is None or placed.obstacle.name == name for placed in self._movers)
 
-    def name_of(self, pair: int) -> str:
-        """What the machine's link must not touch in this pair, in words."""
-        owner = int(self._separation.owner[pair])
-        return f"the machine itself ({self._separation.inner_link(pair)})" if owner == MACHINE else self._name_of[owner]
+    def obstruction(self, pair: int, margin: float, now: float) -> Obstruction:
+        """A pair's link and what it must not touch, for a `margin` [m] that was found at the time `now` [s]."""
+        separation, pieces = self._separation, self._robot.pieces
+        owner, distance = int(separation.owner[pair]), margin + float(separation.clearance[pair])
+        link = pieces[separation.piece[pair]].link
+        if owner == MACHINE:
+            return Obstruction("machine", pieces[separation.other_piece[pair]].link, link, distance, margin, now)
+        return Obstruction("obstacle", self._name_of[owner], link, distance, margin, now)
 
     def shift_of(self, name: str) -> Vector:
         """(3,) how far an obstacle has moved from where it was put [m]; InputError if there is none of that name."""
         return self._find(name).shift.copy()
 
-    # --- what is to be put there -------------------------------------------------------
+    # --- new obstacles -----------------------------------------------------------------
 
     def build(self, obstacle: Obstacle | Mapping[str, Any]) -> Obstacle:
-        """An obstacle ready to be put there, see `Servo.add`."""
+        """An obstacle that can be put there, see `Servo.add`."""
         if isinstance(obstacle, Mapping):
             spec = obstacle_from_dict(obstacle)
             for link in spec.links or ():
@@ -100,7 +98,7 @@ class Surroundings:
         return obstacle
 
     def build_scan(self, name: str, points: object, *, resolution: float, clearance: float | None) -> Obstacle | None:
-        """Voxels in which points (k, 3) lie, as an obstacle; None without points. See `Servo.add_points`."""
+        """The voxels in which points (k, 3) lie, as an obstacle; None without points. See `Servo.add_points`."""
         if not isinstance(name, str) or not name:
             raise InputError("is no name", key="name", found=name)
         if self._is_waiting(name) or (
@@ -134,7 +132,7 @@ class Surroundings:
     # --- changes -----------------------------------------------------------------------
 
     def put(self, obstacle: Obstacle, *, now: float) -> Indices:
-        """Indices of the new pairs; none where the obstacle only appears after `now` [s]."""
+        """Put an obstacle there, and return the indices of its pairs; none where it only appears after `now` [s]."""
         if obstacle.appears_at > 0.0:
             self._waiting.append(replace(obstacle, appears_at=obstacle.appears_at + now))
             return np.zeros(0, dtype=np.intp)
@@ -149,7 +147,7 @@ class Surroundings:
         return pairs
 
     def due(self, now: float) -> list[Obstacle]:
-        """What appears by now, to be put there."""
+        """Take the obstacles that have appeared by `now` [s] off the waiting list, to be put there."""
         if not self._waiting:
             return []
         due = [replace(obstacle, appears_at=0.0) for obstacle in self._waiting if obstacle.appears_at <= now]
@@ -157,7 +155,7 @@ class Surroundings:
         return due
 
     def take_away(self, name: str) -> Flags:
-        """(P,) which of the pairs are left. What is still to appear is taken away as well."""
+        """Take an obstacle away, also one that has not appeared yet, and return which pairs are left, (P,)."""
         if self._is_waiting(name):
             self._waiting = [obstacle for obstacle in self._waiting if obstacle.name != name]
             return np.ones(len(self._separation), dtype=bool)
@@ -170,14 +168,14 @@ class Surroundings:
         return kept
 
     def move(self, name: str, by: object) -> Indices:
-        """Indices of the pairs of an obstacle that now stands elsewhere."""
+        """Move an obstacle by `by` (3,) [m], and return the indices of its pairs."""
         placed = self._find(name)
         placed.shift[:] = _three(placed.shift + _three(by, "by"), "by")
         self.revision += 1
         return self._pairs(placed)
 
     def set_velocity(self, name: str, velocity: object) -> Indices:
-        """Indices of the pairs of an obstacle that now moves otherwise."""
+        """Give an obstacle a velocity (3,) [m/s], and return the indices of its pairs."""
         placed = self._find(name)
         placed.velocity = _three(velocity, "velocity")
         self.revision += 1
@@ -187,7 +185,7 @@ class Surroundings:
         return pairs
 
     def drift(self, dt: float) -> None:
-        """Let what moves move on for dt [s]; the planes of its pairs with it."""
+        """Let the obstacles that move, and the planes of their pairs, move on for dt [s]."""
         self._separation.offset += dt * self._separation.drift
         self._shifts += dt * self._velocities
 
@@ -206,7 +204,7 @@ class Surroundings:
         return np.asarray((self._separation.owner == placed.number).nonzero()[0])
 
     def _sort(self) -> None:
-        """Tell what moves from what stands."""
+        """Find out which obstacles move."""
         velocity = self._separation.velocity
         self.stands = np.asarray(~velocity.any(axis=1))
         self.speed = np.sqrt((velocity**2).sum(axis=1))
@@ -214,7 +212,7 @@ class Surroundings:
             self._stands_at(placed, placed.shift.copy())
         self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
         self.anything_moves = len(self._movers) > 0
-        # one array for all that moves, of which each holds its row
+        # one array for all that move, so that a step moves them at once; each holds its row of it
         self._velocities = np.array([placed.velocity for placed in self._movers]).reshape(-1, 3)
         self._shifts = np.array([placed.shift for placed in self._movers]).reshape(-1, 3)
         for placed, shift in zip(self._movers, self._shifts, strict=True):
@@ -225,10 +223,19 @@ class Surroundings:
         self._separation.place_at(placed.number, shift)
 
 
-def _shifted(piece: shapes.Piece, by: Vector) -> shapes.Piece:
-    hull = piece.hull + by if len(piece.hull) else piece.hull
-    placement = pin.SE3(piece.placement.rotation, piece.placement.translation + by)
-    return replace(piece, placement=placement, hull=hull)
+def shifted(obstacle: Obstacle, by: Vector) -> Obstacle:
+    """The same obstacle, `by` (3,) from where it was built [m]."""
+    if not by.any():
+        return obstacle
+    pieces = tuple(
+        replace(
+            piece,
+            placement=pin.SE3(piece.placement.rotation, piece.placement.translation + by),
+            hull=piece.hull + by if len(piece.hull) else piece.hull,
+        )
+        for piece in obstacle.pieces
+    )
+    return replace(obstacle, pieces=pieces)
 
 
 def _three(values: object, key: str) -> Vector:
@@ -242,12 +249,7 @@ def _three(values: object, key: str) -> Vector:
 
 
 def number_within(key: str, value: object, least: float, most: float) -> float:
-    """A number between two bounds, or an error that names it.
-
-    Raises
-    ------
-    InputError: it is none.
-    """
+    """`value` as a number from `least` to `most`; InputError, which names it by `key`, where it is not one."""
     try:
         found = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):

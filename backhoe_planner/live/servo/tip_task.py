@@ -1,4 +1,4 @@
-"""What the servo's wish means for the joints: the completed law, live."""
+"""From the wish for the tip to a velocity of the joints, by the completed law."""
 
 from __future__ import annotations
 
@@ -9,29 +9,28 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.law import CompletedLaw, CriticalRows
-from backhoe_planner.live.braking.braking_path import Placements
-from backhoe_planner.live.braking.joint_bounds import JointBounds
 from backhoe_planner.live.braking.pair_bounds import Near
-from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.braking.path_check import PathCheck
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.machine import Configuration, Kinematics, Robot, movable_rows
 
-_INFLUENCE = 0.3  # m: further away the null space need not care
+_SIDEWAYS = 0.2  # part of the speed into an obstacle above which the wish itself says which way round; chosen
+_STEEP = 0.9  # size of a normal's z from which on its surface is level, with no "up" along it; chosen, 26 degrees
 _UP = np.array([0.0, 0.0, 1.0])
 _NOTHING = np.zeros((0, 3))
 _NOBODY = CriticalRows(np.zeros(0), _NOTHING, np.zeros(0))
 
 
 class JointWish(NamedTuple):
-    """What a command means for the joints.
+    """A command as a velocity of the joints.
 
     Attributes
     ----------
-    v: (n,) joint velocity that is wished, within the joints' rates.
-    tip: (3,) velocity that is wished for the tip [m/s], world.
-    task: (m, n) Jacobian of what is wished for the tip; None where joints are wished for.
-    null: (n,) the part of v in its null space.
-    singular: whether near a singularity.
+    v: (n,) wished velocity, within the joints' rates [rad/s or m/s].
+    tip: (3,) wished velocity of the tip [m/s], world.
+    task: (m, n) Jacobian of the wish for the tip; None where the wish is for the joints.
+    null: (n,) the part of v in its null space [rad/s or m/s].
+    singular: whether the machine is near a singularity.
     """
 
     v: Vector
@@ -42,35 +41,24 @@ class JointWish(NamedTuple):
 
 
 class TipTask:
-    """The tip of one machine, and how the joints serve it.
+    """The tip of one machine, and how the joints move it.
 
     Parameters
     ----------
+    check: of the machine's braking paths.
     influence: margin within which an obstacle acts on the null space [m].
-    at: placements, of which row 0 is where the machine is.
-    circulate: whether a tip that is pushed straight into an obstacle goes round it.
 
     Attributes
     ----------
-    circulate: as above; may be set.
+    law: the completed law.
     position: (3,) of the tip [m], world, after `place`.
     jacobian: (6, n) of the tip, world axes, after `place`.
     blocking: (3,) unit vector into what holds the tip back; zeros where nothing does.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        separation: Separation,
-        bounds: JointBounds,
-        at: Placements,
-        *,
-        influence: float,
-        circulate: bool,
-    ) -> None:
-        self._robot, self._separation, self._bounds, self._at = robot, separation, bounds, at
-        self.circulate = circulate
-        self.law = CompletedLaw(robot, influence=min(influence, _INFLUENCE))
+    def __init__(self, robot: Robot, check: PathCheck, *, influence: float) -> None:
+        self._robot, self._separation, self._bounds, self._at = robot, check.separation, check.joints, check.at
+        self.law = CompletedLaw(robot, influence=influence)
         frame = robot.model.frames[robot.tip_frame]
         self._joint = int(frame.parentJoint)
         self._t = np.append(frame.placement.translation, 1.0)
@@ -92,8 +80,11 @@ class TipTask:
         to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
         np.matmul(to, at.J[0], out=self.jacobian)
 
-    def wish(self, q: Vector, command: Commands, near: Near) -> JointWish:
-        """What a command asks of the joints at q (n,), where the machine was placed."""
+    def wish(self, q: Vector, command: Commands, near: Near, *, circulate: bool) -> JointWish:
+        """The velocity of the joints for a command at q (n,), where the machine must have been placed.
+
+        With `circulate` a tip that is pushed straight into an obstacle goes round it.
+        """
         n = self._robot.n
         if command.joints is not None:
             joints = command.joints
@@ -102,7 +93,7 @@ class TipTask:
             )
         if command.tip is None:
             return JointWish(np.zeros(n), np.zeros(3), self.jacobian[:3], np.zeros(n), False)
-        J, xdot = self.jacobian[:3], self._around(command.tip)
+        J, xdot = self.jacobian[:3], self._around(command.tip) if circulate else command.tip
         if not self._all_rows:
             J, xdot = J[self._rows], xdot[self._rows]
         if command.pitch is not None:
@@ -119,7 +110,7 @@ class TipTask:
             v, null = quick
         over = self._bounds.over_rates(q, v)
         if over > 1.0 and np.count_nonzero(null):
-            # the tip comes first here too: the null space has the rates that are left
+            # the tip comes first: the null space gets the rates that are left
             first = v - null
             first /= self._bounds.over_rates(q, first)
             null = self._bounds.room_for(null, first) * null
@@ -128,7 +119,7 @@ class TipTask:
         return JointWish(v / over, command.tip, J, null / over, damped)
 
     def _critical_points(self, near: Near) -> CriticalRows:
-        """What is near as the law wants it: one row each, of the nearest point."""
+        """The rows that the law takes: one for each near pair, at its nearest point."""
         acts = (near.margin < self.law.influence).nonzero()[0]
         if len(acts) == 0:
             return _NOBODY
@@ -140,9 +131,7 @@ class TipTask:
         )
 
     def _around(self, tip: Vector) -> Vector:
-        """The tip's wish, turned along the surface that blocks it where that is asked for."""
-        if not self.circulate:
-            return tip
+        """The wish for the tip (3,), turned along the surface that blocks it."""
         normal = self.blocking
         into = float(tip @ normal)
         if into <= 0.0:
@@ -150,20 +139,20 @@ class TipTask:
             return tip
         along = tip - into * normal
         size = math.sqrt(float(along @ along))
-        if size > 0.2 * into:
+        if size > _SIDEWAYS * into:
             self._sense = along / size
         else:
             sense = self._sense - (self._sense @ normal) * normal
             if not sense.any():
                 sense = _UP - normal[2] * normal
-                if abs(normal[2]) > 0.9 or not self._rows[2]:
+                if abs(normal[2]) > _STEEP or not self._rows[2]:
                     sense = np.array([-normal[1], normal[0], 0.0])
             self._sense = sense / max(math.sqrt(float(sense @ sense)), 1e-9)
         return np.asarray(tip + into * self._sense)
 
 
 def _movable_tip_rows(robot: Robot) -> Flags:
-    """(3,) which directions any joint can move the tip in at all."""
+    """(3,) in which directions of the world any joint can move the tip at all."""
     rng, kinematics = np.random.default_rng(0), Kinematics(robot)
     found = [movable_rows(kinematics.at(robot.random_q(rng)).jacobian[:3]) for _ in range(8)]
     return np.asarray(np.any(found, axis=0))

@@ -1,6 +1,6 @@
 """Facets, lines, animations, sky, lights and camera as meshcat's objects, and names of its nodes.
 
-meshcat's own mesh carries no normals and no opacity per vertex, and it has no lights;
+meshcat's own mesh has no normals and no opacity per vertex, and meshcat has no lights. But
 three.js, which reads the messages, knows all of them.
 """
 
@@ -19,15 +19,15 @@ from backhoe_planner.show.drawing.framing import FIELD_OF_VIEW, View
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets
 
-# A slash would start a new level; the viewer keeps children in a plain JavaScript
-# object, on which these names are taken before anything is added.
+# A slash would begin a new level. The viewer keeps children in a plain JavaScript object,
+# which has members of these names from the beginning.
 _SLASH = "\N{DIVISION SLASH}"
 _TAKEN = frozenset((
     "<object>", "__defineGetter__", "__defineSetter__", "__lookupGetter__", "__lookupSetter__", "__proto__",
     "constructor", "hasOwnProperty", "isPrototypeOf", "propertyIsEnumerable", "toLocaleString", "toString", "valueOf",
 ))  # fmt: skip
 _TYPES = {"position": "vector3", "scale": "vector3", "quaternion": "quaternion", "material.color": "color"}
-_FLOAT32 = 0x17  # meshcat's extension code
+_FLOAT32 = 0x17  # MessagePack extension code by which meshcat marks such arrays
 
 _SKY_TOP = [0.62, 0.76, 0.90]
 _SKY_BOTTOM = [0.95, 0.96, 0.96]
@@ -36,13 +36,13 @@ _UNWANTED = ("Lights/SpotLight", "Lights/PointLightNegativeX", "Lights/PointLigh
 
 
 def node_name(name: str) -> str:
-    """`name` so that it can be one level of a path in the viewer's tree."""
+    """`name` as one level of a path in the viewer's tree."""
     plain = name.replace("/", _SLASH).strip() or "_"
     return f"{plain}_" if plain in _TAKEN else plain
 
 
 def node_names(names: Iterable[str]) -> dict[str, str]:
-    """The node of every name; two names that would share one are kept apart."""
+    """The node of every name; names that would share a node get different ones."""
     found: dict[str, str] = {}
     for name in names:
         node, number = node_name(name), 2
@@ -60,7 +60,7 @@ class Track(NamedTuple):
     path: of the node in the viewer's tree.
     kind: ``position``, ``scale``, ``quaternion`` (x, y, z, w) or ``material.color``.
     time: (K,) rising [s].
-    values: (K, 3) or, for a quaternion, (K, 4).
+    values: (K, 3) [m, or 1 for a scale or colour], or (K, 4) for a quaternion.
     """
 
     path: str
@@ -70,9 +70,13 @@ class Track(NamedTuple):
 
 
 class PlanAnimation:
-    """Tracks that play together in the browser; stands where meshcat expects its own ``Animation``.
+    """Tracks that play together in the browser; meshcat takes it in place of its own ``Animation``.
 
-    Numbers are packed as 32 bits: a second of motion costs about 1 kB per moving link.
+    Numbers have 32 bits: a second of motion takes about 1 kB per moving link.
+
+    Parameters
+    ----------
+    duration: of the whole animation [s].
     """
 
     def __init__(self, tracks: Sequence[Track], duration: float) -> None:
@@ -80,7 +84,7 @@ class PlanAnimation:
         self.duration = duration
 
     def lower(self) -> list[dict[str, Any]]:
-        """As meshcat's viewer reads it: one clip per node."""
+        """The animation as meshcat's viewer reads it: one clip per node."""
         clips: dict[str, list[dict[str, Any]]] = {}
         for path, kind, time, values in self.tracks:
             track = {"name": f".{kind}", "type": _TYPES[kind], "times": _packed(time), "values": _packed(values)}
@@ -137,23 +141,38 @@ class _SetProperty(SetProperty):  # type: ignore[misc]
 def set_property(node: Any, key: str, value: object) -> None:
     """Set a property of the three.js object of a meshcat node.
 
-    meshcat's own method puts the key in lower case, so that ``castShadow`` is lost on it.
+    meshcat's own method puts the key in lower case, so that ``castShadow`` has no effect.
     """
     node.window.send(_SetProperty(key, value, node["<object>"].path))
+
+
+def draw(node: Any, drawn: Any, *, shadow: bool = True, order: int = 0) -> None:
+    """Draw something on a meshcat node.
+
+    Parameters
+    ----------
+    shadow: whether it casts one.
+    order: of see-through things; the higher is drawn over the lower.
+    """
+    node.set_object(drawn)
+    if not shadow:
+        set_property(node, "castShadow", False)
+    if order:
+        set_property(node, "renderOrder", order)
 
 
 def mesh(
     drawn: Facets, rgba: Rgba, *, lit: bool = True, one_sided: bool = False, behind: bool = False, through: bool = False
 ) -> Any:
-    """A mesh to be handed to ``set_object``.
+    """A mesh for ``set_object``.
 
     Parameters
     ----------
-    rgba: its colour; where the facets bring their own, only the opacity counts.
+    rgba: its colour; for facets with colours of their own only the opacity counts.
     lit: slightly glossy, with light and shade; else the same colour from all sides.
     one_sided: draw the outside only, for see-through shells.
-    behind: let what lies in the same plane win.
-    through: visible through whatever stands in front.
+    behind: draw other things that lie in the same plane over it.
+    through: draw it over whatever stands in front.
     """
     coloured, clear = drawn.rgba is not None, rgba[3] < 1.0
     extra: dict[str, Any] = {"depthWrite": not clear, "depthTest": not through}
@@ -174,7 +193,7 @@ def mesh(
 
 
 def line_segments(points: Matrix, rgba: Matrix) -> Any:
-    """Thin lines between points (2k, 3), two by two, with colours (2k, 4)."""
+    """Thin lines between pairs of points (2k, 3) [m], with colours (2k, 4)."""
     return g.LineSegments(
         g.PointsGeometry(position=points.T, color=rgba.T),
         g.LineBasicMaterial(vertexColors=True, transparent=True, depthWrite=False),
@@ -187,7 +206,7 @@ def set_stage(visualizer: Any, *, reach: float) -> None:
     Parameters
     ----------
     visualizer: a ``meshcat.Visualizer``.
-    reach: radius of what is shown, for the shadows [m].
+    reach: radius around the origin within which there are shadows [m].
     """
     for path in _UNWANTED:
         visualizer[f"/{path}"].set_property("visible", False)
@@ -196,29 +215,28 @@ def set_stage(visualizer: Any, *, reach: float) -> None:
     away = 2.0 * reach
     sunlight = _sun(np.array([0.35, -0.55, 1.0]) * away, colour=0xFFF6E6, intensity=0.62, reach=reach)
     visualizer["/Lights/sun"].set_object(sunlight)
-    visualizer["/Lights/sky"].set_object(_ambient(sky=0xF2F7FF, ground=0xB9AD98, intensity=0.58))
-    set_property(visualizer["/Lights/sky"], "castShadow", False)
+    from_all_sides = {"color": 0xF2F7FF, "groundColor": 0xB9AD98, "intensity": 0.58, "position": [0.0, 0.0, 1.0]}
+    draw(visualizer["/Lights/sky"], _Light("HemisphereLight", from_all_sides), shadow=False)
     back = _sun(np.array([-0.6, 0.8, 0.5]) * away, colour=0xDDE8FF, intensity=0.16, reach=reach)
-    visualizer["/Lights/back"].set_object(back)
-    set_property(visualizer["/Lights/back"], "castShadow", False)
+    draw(visualizer["/Lights/back"], back, shadow=False)
 
 
-def set_camera(visualizer: Any, view: View, *, aspect: float = 1.5) -> None:
+def set_camera(visualizer: Any, view: View) -> None:
     """Put meshcat's camera where `view` says.
 
-    meshcat's own page has no command for the point around which the camera turns: it
-    is the world's origin. Our page puts it at the view's target.
+    meshcat has no command for the point around which the camera turns, and takes the world's
+    origin. Our page puts it at the view's target.
     """
     camera = visualizer["/Cameras/default/rotated"]
     set_property(camera, "fov", float(np.degrees(FIELD_OF_VIEW)))
     set_property(camera, "near", 0.05)
     set_property(camera, "far", 400.0)
-    x, y, z = (float(part) for part in view.eye(aspect))
+    x, y, z = (float(part) for part in view.eye())
     set_property(camera, "position", [x, z, -y])  # y is up for this node
 
 
 def _sun(position: Matrix, *, colour: int, intensity: float, reach: float) -> Any:
-    """A light from `position` (3,) towards the origin, whose shadows reach `reach` [m] from there."""
+    """A light from `position` (3,) [m] towards the origin, with shadows up to `reach` [m] from there."""
     distance = float(np.linalg.norm(position))
     return _Light(
         "DirectionalLight",
@@ -234,24 +252,13 @@ def _sun(position: Matrix, *, colour: int, intensity: float, reach: float) -> An
                 "camera": {
                     "uuid": g.SceneElement().uuid,
                     "type": "OrthographicCamera",
-                    "left": -reach,
-                    "right": reach,
-                    "top": reach,
-                    "bottom": -reach,
+                    **{"left": -reach, "right": reach, "bottom": -reach, "top": reach},
                     "near": max(0.1, distance - 1.5 * reach),
                     "far": distance + 1.5 * reach,
                     "zoom": 1.0,
                 },
             },
         },
-    )
-
-
-def _ambient(*, sky: int, ground: int, intensity: float) -> Any:
-    """Light from all sides, one colour from above and one from below."""
-    return _Light(
-        "HemisphereLight",
-        {"color": sky, "groundColor": ground, "intensity": intensity, "position": [0.0, 0.0, 1.0]},
     )
 
 

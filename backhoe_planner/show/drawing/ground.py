@@ -10,10 +10,11 @@ from scipy.spatial import ConvexHull
 from trimesh.transformations import translation_matrix
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.show.drawing.drawing import line_segments, mesh, set_property
+from backhoe_planner.show.drawing.drawing import draw, line_segments, mesh
 from backhoe_planner.show.drawing.palette import Rgba
 from backhoe_planner.show.drawing.solids import Facets, sheet
 
+# Colours and what follows are chosen by eye.
 _COLOUR = (0.78, 0.76, 0.70)
 _LINE_COLOUR = (0.40, 0.40, 0.38)
 _LINE_STRENGTH = 0.3  # opacity in the middle: seen, but fainter than any machine or obstacle
@@ -37,10 +38,11 @@ def draw_ground(
     Parameters
     ----------
     visualizer: the node that becomes the ground.
-    centre: (2,) of the sheet [m].
-    opacity: below 1 where something beneath it is to be seen.
-    opening: (k, 2) convex and counterclockwise: where obstacles themselves are the
-        ground, so that none is drawn; None for a whole sheet.
+    centre: (2,) of the sheet [m], world.
+    radius: of the sheet [m].
+    opacity: below 1 where things beneath it should be seen.
+    opening: (k, 2) convex outline, counterclockwise [m], of obstacles that are the ground there, so that
+        none is drawn; None for a whole sheet.
     height: z of the ground [m].
     """
     if opening is not None and np.linalg.norm(opening - centre, axis=1).max() > 0.9 * radius:
@@ -48,19 +50,15 @@ def draw_ground(
     rgba: Rgba = (*colour, min(opacity, 0.999))
     level = translation_matrix([0.0, 0.0, height])
     surface = visualizer["sheet"]
-    surface.set_object(mesh(_sheet(centre, radius, rgba, opening), rgba, behind=True))
+    draw(surface, mesh(_sheet(centre, radius, rgba, opening), rgba, behind=True), shadow=False, order=-2)
     surface.set_transform(level)
-    set_property(surface, "castShadow", False)
-    set_property(surface, "renderOrder", -2)
     lines = visualizer["lines"]
-    lines.set_object(line_segments(*_lines(centre, 0.85 * radius, opening)))
+    draw(lines, line_segments(*_lines(centre, 0.85 * radius, opening)), shadow=False, order=-1)
     lines.set_transform(level)
-    set_property(lines, "castShadow", False)
-    set_property(lines, "renderOrder", -1)
 
 
 def _strength(off: Vector) -> Vector:
-    """1 near the middle, 0 from `off` = 1 on."""
+    """From 1 near the middle to 0 at the rim, where `off` is 1."""
     part = np.clip((1.0 - off) / 0.6, 0.0, 1.0)
     return np.asarray(part * part * (3.0 - 2.0 * part))
 

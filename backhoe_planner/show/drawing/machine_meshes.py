@@ -34,27 +34,19 @@ class LinkMesh:
 
 
 def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]:
-    """What is drawn of the machine, and what could not be drawn as its URDF asks.
+    """What is drawn of the machine, and in words what could not be drawn as its URDF asks.
 
-    A visual whose mesh cannot be read is replaced by the link's collision pieces, as is
-    the whole machine where its URDF has no visuals.
+    A visual whose mesh cannot be read is replaced by the link's collision pieces. So is the whole
+    machine where its URDF has no visuals.
     """
     warnings: list[str] = []
     parts: dict[tuple[str, int, Rgba], list[trimesh.Trimesh]] = {}
     replaced: set[str] = set()
-
-    def draw_pieces(link: str) -> None:
-        for piece in robot.pieces:
-            if piece.link == link:
-                parts.setdefault((link, piece.joint, _PLAIN), []).append(solid(piece.piece))
-
     for visual in robot.visuals:
         try:
             drawn = _visual(visual)
-        except Exception as error:  # noqa: BLE001 (trimesh raises whatever its format readers run into)
-            if visual.link not in replaced:
-                replaced.add(visual.link)
-                draw_pieces(visual.link)
+        except Exception as error:  # noqa: BLE001 (trimesh passes on whatever its format readers raise)
+            replaced.add(visual.link)
             named = "not found" if visual.mesh is None else f"{visual.mesh.name}: {error}"
             warnings.append(
                 f"link {visual.link}: the visual mesh cannot be read ({named}); its collision shape is drawn"
@@ -64,8 +56,10 @@ def machine_meshes(robot: Robot) -> tuple[tuple[LinkMesh, ...], tuple[str, ...]]
             parts.setdefault((visual.link, visual.joint, rgba), []).append(mesh)
     if not robot.visuals:
         warnings.append("the URDF has no visuals; the collision shapes are drawn")
-        for link in robot.link_names:
-            draw_pieces(link)
+        replaced.update(robot.link_names)
+    for piece in robot.pieces:
+        if piece.link in replaced:
+            parts.setdefault((piece.link, piece.joint, _PLAIN), []).append(solid(piece.piece))
     found = tuple(
         LinkMesh(link, joint, rgba, facets(trimesh.util.concatenate(meshes)))
         for (link, joint, rgba), meshes in parts.items()
@@ -125,5 +119,5 @@ def _rgba(colour: tuple[float, ...] | None) -> Rgba:
     if colour is None:
         return _PLAIN
     r, g, b, *rest = (round(float(part), 3) for part in colour)
-    # an opacity of 0 in a URDF is a slip far more often than a wish
+    # an opacity of 0 in a URDF is more likely a slip than a wish
     return (r, g, b, rest[0] if rest and rest[0] > 0.0 else 1.0)

@@ -2,9 +2,9 @@
 
     machine/<link>              one node per link, moved by one transform
     site/<obstacle>
-    clearance/<obstacle>        the surface that must not be crossed, hidden at first
+    clearance/<obstacle>        the surface at its clearance, hidden at first
     task/path, task/goal, task/trace
-    critical points/<obstacle>  from the link to its nearest point on the obstacle
+    critical points/<obstacle>  a rod from the link to the obstacle where they are nearest
     ground
 
 Names are those of the URDF and of the scene file.
@@ -12,7 +12,7 @@ Names are those of the URDF and of the scene file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from backhoe_planner.motion import Problem
 from backhoe_planner.show.drawing.drawing import (
     PlanAnimation,
     Track,
+    draw,
     mesh,
     node_name,
     node_names,
@@ -34,19 +35,20 @@ from backhoe_planner.show.drawing.drawing import (
 )
 from backhoe_planner.show.drawing.framing import View, frame
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
-from backhoe_planner.show.drawing.machine_meshes import LinkMesh, machine_meshes
+from backhoe_planner.show.drawing.machine_meshes import machine_meshes
 from backhoe_planner.show.drawing.palette import FAR, GOAL, PATH, TRACE, Rgba, margin_rgb
 from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
-from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, Timeline
+from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline
 from backhoe_planner.site import Obstacle
 
-GROUPS = ("machine", "site", "clearance", "task", "critical points", "ground")
-
-_LINE_WIDTH = 0.0011  # radius of path and trace, of the distance to the camera
-_UP = np.array([0.0, 0.0, 1.0])
+UP = np.array([0.0, 0.0, 1.0])
+HIDDEN = 1e-5  # scale of what is hidden: too small to be seen, while 0 has no inverse
+_GROUPS = ("machine", "site", "clearance", "task", "critical points", "ground")
+_LINE_WIDTH = 0.0011  # radius of path and trace, as part of the distance to the camera; chosen, a few pixels
 _NOWHERE = np.zeros((4, 4))
-_HIDDEN = 1e-5  # scale of what is not to be seen; 0 has no inverse
+_SHALLOW = 0.05  # m below the ground that does not count as beneath it; chosen
+_ROWS_IN_VIEW = 24  # frames of a motion that are to be in view; chosen
 
 
 class SceneGraph:
@@ -54,18 +56,18 @@ class SceneGraph:
 
     Parameters
     ----------
-    visualizer: a ``meshcat.Visualizer``; nothing but this node's children, and
-        meshcat's own sky, lights and camera, is changed.
+    visualizer: a ``meshcat.Visualizer``. Only this node's children and meshcat's own sky, lights
+        and camera are changed.
     problem: machine, site and task.
-    q: (n,) the posture that is drawn first; by default the start, or the middle of the
-        joints' ranges.
+    q: (n,) the posture that is drawn first [rad or m]; by default the start, or the middle of
+        the joints' ranges.
 
     Attributes
     ----------
-    warnings: what could not be drawn as asked.
+    warnings: what could not be drawn as the URDF asks, in words.
     problem: what is drawn.
-    anchors: where the name of each obstacle is written, (3,) [m], world.
-    has_ground: whether level ground is drawn, as no obstacle is the ground.
+    anchors: (3,) where the name of each obstacle is written [m], world.
+    has_ground: whether level ground is drawn, because no obstacle is the ground.
     """
 
     def __init__(self, visualizer: Any, problem: Problem, *, q: Vector | None = None) -> None:
@@ -81,10 +83,10 @@ class SceneGraph:
         self._prefix = visualizer.path.lower().rstrip("/")
         rest = problem.start_q if q is None else q
         posture = np.array(robot.middle if rest is None else rest)
-        self._machine_points = self._machine_corners(meshes, [posture])
         self._meshes = meshes
+        self._machine_points = self._machine_corners([posture])
         centre = np.array([*(0.5 * (self._machine_points.min(axis=0) + self._machine_points.max(axis=0)))[:2], 0.0])
-        # what is drawn of a plane or the ground
+        # up to here a plane is drawn
         self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
         self.has_ground = not any(is_ground(obstacle) for obstacle in problem.obstacles)
         self._site = tuple(
@@ -92,15 +94,15 @@ class SceneGraph:
         )
         self.anchors = {drawn.name: drawn.anchor for drawn in self._site}
         away = self.view()
-        # what looks right on a picture of the whole
+        # sizes that look right where everything is in view
         self._width = _LINE_WIDTH * float(np.linalg.norm(away.eye() - away.target))
         self._scale = self._width / 0.02
-        for group in GROUPS:
+        for group in _GROUPS:
             visualizer[group].delete()
         self._shown_colour: dict[str, tuple[float, ...]] = {}
         self._placed: dict[tuple[str, str], Matrix] = {}
         self._draw_stage(centre)
-        self._draw_machine(meshes)
+        self._draw_machine()
         self._draw_site(centre)
         self._draw_task()
         for name in self._obstacles:
@@ -125,14 +127,14 @@ class SceneGraph:
         for drawn in self._site:
             if drawn.bounds is None:
                 continue
-            if abs(drawn.bounds[1, 2]) <= 0.05:  # its top is level with the ground
+            if abs(drawn.bounds[1, 2]) <= _SHALLOW:  # its top is level with the ground
                 outlines.append(drawn.facets.vertices[:, :2])
             elif drawn.bounds[1, 2] < 0.0:
                 lows.append(drawn)
         points = [self.problem.goal.position] if self.problem.goal is not None else []
         points += [] if self.problem.path is None else list(self.problem.path.points)
         if not outlines:
-            return None, bool(lows) or any(point[2] < -0.05 for point in points)
+            return None, bool(lows) or any(point[2] < -_SHALLOW for point in points)
         opening = opening_of(np.vstack(outlines))
         low, high = opening.min(axis=0), opening.max(axis=0)
 
@@ -140,17 +142,15 @@ class SceneGraph:
             return bool(np.any(corners[:, :2] < low - 0.01) or np.any(corners[:, :2] > high + 0.01))
 
         buried = any(beside(drawn.bounds) for drawn in lows if drawn.bounds is not None)
-        return opening, buried or any(point[2] < -0.05 and beside(point[None, :]) for point in points)
+        return opening, buried or any(point[2] < -_SHALLOW and beside(point[None, :]) for point in points)
 
-    def _draw_machine(self, meshes: tuple[LinkMesh, ...]) -> None:
+    def _draw_machine(self) -> None:
         number: dict[str, int] = {}
-        for drawn in meshes:
+        for drawn in self._meshes:
             part = number.setdefault(drawn.link, 0)
             number[drawn.link] += 1
             node = self._tree["machine"][self._links[drawn.link]][f"{part}"]
-            node.set_object(mesh(drawn.facets, drawn.rgba))
-            if drawn.rgba[3] < 1.0:
-                set_property(node, "castShadow", False)
+            draw(node, mesh(drawn.facets, drawn.rgba), shadow=drawn.rgba[3] == 1.0)
 
     def _draw_site(self, centre: Vector) -> None:
         for order, (obstacle, drawn) in enumerate(zip(self.problem.obstacles, self._site, strict=True)):
@@ -166,17 +166,13 @@ class SceneGraph:
 
     def _draw_solid(self, name: str, drawn: SiteMesh, *, order: int) -> None:
         """One obstacle and its clearance shell."""
-        node = self._tree["site"][name]
-        node.set_object(mesh(drawn.facets, drawn.rgba, lit=drawn.bounds is not None or drawn.rgba[3] > 0.5))
-        if drawn.rgba[3] < 1.0:
-            set_property(node, "castShadow", False)
+        solid = mesh(drawn.facets, drawn.rgba, lit=drawn.bounds is not None or drawn.rgba[3] > 0.5)
+        draw(self._tree["site"][name], solid, shadow=drawn.rgba[3] == 1.0)
         if drawn.shell is None:
             return
-        shell = self._tree["clearance"][name]
-        shell.set_object(mesh(drawn.shell, drawn.shell_rgba, lit=False, one_sided=drawn.bounds is not None))
-        set_property(shell, "castShadow", False)
-        set_property(shell, "receiveShadow", False)
-        set_property(shell, "renderOrder", 2 + order)
+        shell = mesh(drawn.shell, drawn.shell_rgba, lit=False, one_sided=drawn.bounds is not None)
+        draw(self._tree["clearance"][name], shell, shadow=False, order=2 + order)
+        set_property(self._tree["clearance"][name], "receiveShadow", False)
 
     def _draw_task(self) -> None:
         problem, task = self.problem, self._tree["task"]
@@ -197,8 +193,7 @@ class SceneGraph:
                 self._draw_triad(task["goal"], goal.rotation, goal.position)
             elif goal.pitch is not None:
                 fan = _pitch_fan(problem, goal.position, goal.pitch, 0.55 * self._scale)
-                task["goal"]["pitch"].set_object(mesh(facets(fan), (*GOAL, 0.4), lit=False))
-                set_property(task["goal"]["pitch"], "castShadow", False)
+                draw(task["goal"]["pitch"], mesh(facets(fan), (*GOAL, 0.4), lit=False), shadow=False)
 
     def _draw_triad(self, node: Any, rotation: Matrix, position: Vector) -> None:
         length = 0.3 * self._scale
@@ -207,18 +202,17 @@ class SceneGraph:
             _draw_line(node["xyz"[axis]], np.array([position, end]), 0.05 * length, rgba)
 
     def _draw_critical_point(self, name: str) -> None:
-        """A rod of length 1, hidden until there is something to be shown."""
+        """A rod of length 1, hidden until there is a critical point."""
         rod = trimesh.creation.cylinder(radius=0.022 * self._scale, height=1.0, sections=12)
         rod.apply_translation([0.0, 0.0, 0.5])
         node = self._tree["critical points"][self._obstacles[name]]
-        node.set_object(mesh(facets(rod), (*FAR, 1.0), lit=False))
-        set_property(node, "castShadow", False)
+        draw(node, mesh(facets(rod), (*FAR, 1.0), lit=False), shadow=False)
         self.point(name, None)
 
     # --- camera -----------------------------------------------------------------------
 
     def view(self, points: Matrix | None = None) -> View:
-        """The view that has the site and all `points` (k, 3) in it."""
+        """The view that has the site and all `points` (k, 3) in it [m], world; by default those of the machine."""
         seen = [self._machine_points if points is None else points]
         middle = self._machine_points.mean(axis=0)
         side = 0.0
@@ -229,12 +223,12 @@ class SceneGraph:
                 if normal[2] < -0.7 and drawn.anchor[2] < 2.0 * self._reach:
                     ceiling = float(drawn.anchor[2])
                     seen.append(drawn.anchor[None, :])
-                if abs(normal[1]) > 0.5:  # never from behind a wall
+                if abs(normal[1]) > 0.5:  # a wall: look from before it
                     side -= 1e3 * float(normal[1])
                 continue
             if is_ground(obstacle):
                 continue
-            # of something endless only what is near
+            # of something very large only the near part
             low = np.clip(drawn.bounds[0], middle - self._radius, middle + self._radius)
             high = np.clip(drawn.bounds[1], middle - self._radius, middle + self._radius)
             corners = _box_corners(low, high)
@@ -248,45 +242,41 @@ class SceneGraph:
         # what is large and tall belongs behind the machine
         return frame(np.vstack(seen), side=-1.0 if side >= 0.0 else 1.0, ceiling=ceiling)
 
-    def look(self, points: Matrix | None = None) -> View:
-        """Point the camera so that the site and all `points` (k, 3) are in view."""
+    def look(self, points: Matrix) -> View:
+        """Point the camera so that the site and all `points` (k, 3) are in view [m], world."""
         view = self.view(points)
         set_camera(self._tree, view)
         return view
 
     def look_at_motion(self, timeline: Timeline) -> View:
         """Point the camera so that the whole motion is in view."""
-        rows = np.unique(np.linspace(0, len(timeline.time) - 1, 24).astype(int))
-        swept = self._machine_corners(self._meshes, list(timeline.q[rows]))
-        return self.look(np.vstack((swept, timeline.tip)))
+        rows = np.unique(np.linspace(0, len(timeline.time) - 1, _ROWS_IN_VIEW).astype(int))
+        return self.look(np.vstack((self._machine_corners(timeline.q[rows]), timeline.tip)))
 
     def look_at_postures(self, postures: Sequence[Vector]) -> View:
         """Point the camera so that the machine is in view in all `postures` (n,)."""
-        return self.look(self._machine_corners(self._meshes, list(postures)))
+        return self.look(self._machine_corners(postures))
 
-    def _machine_corners(self, meshes: tuple[LinkMesh, ...], postures: list[Vector]) -> Matrix:
-        """Corners of the boxes around every drawn part, in all `postures`, world."""
-        model = self.problem.robot.model
-        boxes = []
-        for drawn in meshes:
-            low, high = drawn.facets.vertices.min(axis=0), drawn.facets.vertices.max(axis=0)
-            boxes.append(_box_corners(low, high))
+    def _machine_corners(self, postures: Iterable[Vector]) -> Matrix:
+        """(k, 3) corners of the boxes around every drawn part, in all `postures` (n,) [m], world."""
+        parts = [(drawn.joint, drawn.facets.vertices) for drawn in self._meshes]
+        boxes = [(joint, _box_corners(points.min(axis=0), points.max(axis=0))) for joint, points in parts]
         found = []
         for q in postures:
-            pin.forwardKinematics(model, self._data, q)
-            for drawn, corners in zip(meshes, boxes, strict=True):
-                placement = self._data.oMi[drawn.joint]
+            pin.forwardKinematics(self.problem.robot.model, self._data, q)
+            for joint, corners in boxes:
+                placement = self._data.oMi[joint]
                 found.append(corners @ placement.rotation.T + placement.translation)
         return np.vstack(found)
 
     # --- what moves -------------------------------------------------------------------
 
-    def move(self, q: Vector, *, time: float = 0.0, nearest: Sequence[Nearest | None] = ()) -> None:
+    def move(self, q: Vector, *, time: float = 0.0, nearest: Sequence[CriticalPoint | None] = ()) -> None:
         """Show the machine at `q` (n,) and the site at `time` [s].
 
         Parameters
         ----------
-        nearest: critical points to be shown, in the order of the obstacles.
+        nearest: critical points to show, in the order of the obstacles.
         """
         pin.forwardKinematics(self.problem.robot.model, self._data, q)
         for link, joint in self._joint_of.items():
@@ -294,11 +284,11 @@ class SceneGraph:
         for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
                 self.place(obstacle.name, None if time < obstacle.appears_at else _offset(obstacle, time))
-        for name, spot in zip(self._obstacles, nearest, strict=False):
-            self.point(name, spot)
+        for name, point in zip(self._obstacles, nearest, strict=False):
+            self.point(name, point)
 
     def add(self, obstacle: Obstacle) -> None:
-        """Draw an obstacle that was not there before."""
+        """Draw a new obstacle."""
         drawn = site_mesh(obstacle, self.problem.scene, centre=np.zeros(3), reach=self._radius)
         node = node_name(obstacle.name)
         while node in self._obstacles.values():
@@ -321,14 +311,14 @@ class SceneGraph:
         """Show an obstacle `shift` (3,) from where it was drawn [m]; None hides it."""
         transform = np.eye(4)
         if shift is None:
-            transform[:3, :3] *= _HIDDEN
+            transform[:3, :3] *= HIDDEN
         else:
             transform[:3, 3] = shift
         for group in ("site", "clearance"):
             self._place(group, self._obstacles[name], transform)
 
     def node_of(self, name: str) -> str:
-        """Under which name an obstacle stands in the viewer's tree, below ``site``."""
+        """The name of an obstacle's node in the viewer's tree, below ``site``."""
         return self._obstacles[name]
 
     def _place(self, group: str, node: str, transform: Matrix) -> None:
@@ -338,32 +328,32 @@ class SceneGraph:
             self._placed[key] = transform
             self._tree[group][node].set_transform(transform)
 
-    def point(self, name: str, spot: Nearest | None) -> None:
-        """Show the nearest spot to an obstacle, or to the machine itself; None hides it."""
-        position, quaternion, scale = self._rod(spot)
+    def point(self, name: str, nearest: CriticalPoint | None) -> None:
+        """Show the critical point to an obstacle, or to the machine itself; None hides it."""
+        position, quaternion, scale = self._rod(nearest)
         x, y, z, w = quaternion
         transform = np.eye(4)
         transform[:3, :3] = pin.Quaternion(w, x, y, z).toRotationMatrix() * scale
         transform[:3, 3] = position
         self._place("critical points", self._obstacles[name], transform)
-        if spot is None or scale[2] == _HIDDEN:
+        if nearest is None or scale[2] == HIDDEN:
             return
-        colour = tuple(round(part, 1) for part in margin_rgb(spot.margin, self.problem.scene.influence))
+        colour = tuple(round(part, 1) for part in margin_rgb(nearest.margin, self.problem.scene.influence))
         if self._shown_colour.get(name) != colour:
             self._shown_colour[name] = colour
             self._tree["critical points"][self._obstacles[name]].set_property("color", [*colour, 1.0])
 
-    def _rod(self, spot: Nearest | None) -> tuple[Vector, Vector, Vector]:
+    def _rod(self, nearest: CriticalPoint | None) -> tuple[Vector, Vector, Vector]:
         """Position, quaternion (x, y, z, w) and scale that put the unit rod between two points."""
-        if spot is None or spot.margin > self.problem.scene.influence:
-            return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.full(3, _HIDDEN)
-        along = spot.point_obstacle - spot.point_link
+        if nearest is None or nearest.margin > self.problem.scene.influence:
+            return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), np.full(3, HIDDEN)
+        along = nearest.point_obstacle - nearest.point_link
         length = max(float(np.linalg.norm(along)), 1e-4)
-        turn = pin.Quaternion.FromTwoVectors(_UP, along / length if length > 1e-4 else _UP)
-        return spot.point_link, np.array(turn.coeffs()), np.array([1.0, 1.0, length])
+        turn = pin.Quaternion.FromTwoVectors(UP, along / length if length > 1e-4 else UP)
+        return nearest.point_link, np.array(turn.coeffs()), np.array([1.0, 1.0, length])
 
     def draw_trace(self, tips: Matrix) -> None:
-        """Draw the way of the tip, (T, 3) [m]."""
+        """Draw the way of the tip through (T, 3) points [m], world."""
         _draw_line(self._tree["task"]["trace"], tips, 0.75 * self._width, (*TRACE, 1.0))
 
     def animation(self, timeline: Timeline) -> PlanAnimation:
@@ -378,19 +368,19 @@ class SceneGraph:
         for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
                 offset = np.array([_offset(obstacle, moment) for moment in timeline.time])
-                size = np.where(timeline.time < obstacle.appears_at, _HIDDEN, 1.0)
+                size = np.where(timeline.time < obstacle.appears_at, HIDDEN, 1.0)
                 for group in ("site", "clearance"):
                     path = f"{self._prefix}/{group}/{self._obstacles[obstacle.name]}"
                     tracks.append(Track(path, "position", time, offset))
                     tracks.append(Track(path, "scale", time, np.repeat(size[:, None], 3, axis=1)))
         influence = self.problem.scene.influence
         for index, name in enumerate(timeline.obstacles):
-            spots = [row[index] for row in timeline.nearest]
-            if all(spot is None or spot.margin > influence for spot in spots):
+            points = [row[index] for row in timeline.nearest]
+            if all(point is None or point.margin > influence for point in points):
                 continue
             path = f"{self._prefix}/critical points/{self._obstacles[name]}"
-            rods = [self._rod(spot) for spot in spots]
-            colours = np.array([FAR if spot is None else margin_rgb(spot.margin, influence) for spot in spots])
+            rods = [self._rod(point) for point in points]
+            colours = np.array([FAR if point is None else margin_rgb(point.margin, influence) for point in points])
             for column, kind in enumerate(("position", "quaternion", "scale")):
                 tracks.append(Track(path, kind, time, np.array([rod[column] for rod in rods])))
             tracks.append(Track(f"{path}/<object>", "material.color", time, colours))
@@ -410,13 +400,11 @@ def _draw_line(node: Any, points: Matrix, radius: float, rgba: Rgba) -> None:
     """A line as a tube, and faintly where something stands in front of it."""
     drawn = facets(tube(points, radius, tolerance=0.25 * radius))
     node.set_object(mesh(drawn, rgba, lit=False))
-    node["behind"].set_object(mesh(drawn, (*rgba[:3], 0.4), lit=False, through=True))
-    set_property(node["behind"], "castShadow", False)
-    set_property(node["behind"], "renderOrder", 100)
+    draw(node["behind"], mesh(drawn, (*rgba[:3], 0.4), lit=False, through=True), shadow=False, order=100)
 
 
 def _tip_reach(problem: Problem) -> float:
-    """How far the tip gets from the first joint, roughly [m]."""
+    """About how far the tip gets from the first joint [m]."""
     robot = problem.robot
     bound = tip_travel_bound(robot)
     turning = bound[~robot.prismatic]
@@ -425,7 +413,7 @@ def _tip_reach(problem: Problem) -> float:
 
 
 def _pitch_fan(problem: Problem, tip: Vector, pitch: tuple[float, float], radius: float) -> trimesh.Trimesh:
-    """A sector behind the tip, in the arm's plane, from the lowest to the highest allowed pitch."""
+    """A sector behind the tip (3,), in the arm's plane, from the lowest to the highest allowed pitch [rad]."""
     centre = Kinematics(problem.robot).at(problem.robot.middle).points[0]
     heading = np.arctan2(tip[1] - centre[1], tip[0] - centre[0])
     low, high = pitch if pitch[1] - pitch[0] > 0.04 else (sum(pitch) / 2.0 - 0.02, sum(pitch) / 2.0 + 0.02)

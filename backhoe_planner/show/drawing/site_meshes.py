@@ -14,8 +14,9 @@ from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
 from backhoe_planner.site import Obstacle, Scene, obstacle_shapes, read_heights
 
-_MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; each costs milliseconds
+_MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; chosen, each costs milliseconds
 
+# colours, chosen by eye
 _SLATE = (0.45, 0.52, 0.60)
 _STEEL = (0.56, 0.59, 0.63)
 _TIMBER = (0.52, 0.40, 0.29)
@@ -28,8 +29,8 @@ _SCAN = (0.36, 0.56, 0.58)
 _COLOURS = {
     "mesh": SOIL, "pointcloud": _SCAN, "sphere": _ROCK, "cylinder": _STEEL, "capsule": _STEEL,
 }  # any other shape is slate  # fmt: skip
-_LEVEL, _PIPE = 0.05, 0.3  # m: a box that ends below the one is ground, a capsule below the other a pipe
-_SLENDER = 6.0  # times as high as wide: a pole
+_LEVEL, _PIPE = 0.05, 0.3  # m: a box that ends below the one is ground, a capsule below the other a pipe; chosen
+_SLENDER = 6.0  # times as high as wide: what is more slender looks like a pole; chosen
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,12 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import Piece
 from backhoe_planner.show.drawing.palette import Rgba
 
-_CREASE = np.radians(40.0)  # a sharper edge is drawn as an edge; sides of a 32-sided cylinder meet at 11 degrees
-_LINE = 0.03  # m: width of a line, seen from 10 m a few pixels
+_CREASE = np.radians(40.0)  # rad: a sharper edge is drawn sharp; chosen, sides of a 32-sided cylinder meet at 11 deg
+_LINE = 0.03  # m: width of a line; chosen, a few pixels from 10 m away
+_SPACING = 1.0  # m between lines of a grid, so that lengths can be read
 _ROUND = 2  # subdivisions of the ball that fattens: its facets cut off 1 % of its volume
-_FLAT = 1e-4  # m given to a hull that has no volume; too little to be seen
+_FLAT = 1e-4  # m of thickness for a hull that has no volume; chosen, too little to be seen
+_SIDES = 8  # of a tube; chosen, it is a few pixels wide
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,9 @@ class Facets:
 
     Attributes
     ----------
-    vertices, normals: (V, 3) [m].
-    faces: (F, 3) indices.
-    rgba: (V, 4) in 0..1, or None where one colour serves all.
+    vertices, normals: (V, 3) positions [m], and unit vectors.
+    faces: (F, 3) indices of vertices.
+    rgba: (V, 4) colours in 0..1, or None where all have one colour.
     """
 
     vertices: Matrix
@@ -47,7 +49,7 @@ def solid(piece: Piece) -> trimesh.Trimesh:
 
 
 def fattened(points: Matrix, radius: float) -> trimesh.Trimesh:
-    """The convex hull of (k, 3) points, grown by `radius` [m] to all sides."""
+    """The convex hull of (k, 3) points [m], grown by `radius` [m] to all sides."""
     if radius > 0.0:
         ball = trimesh.creation.icosphere(subdivisions=_ROUND + (len(points) <= 2)).vertices * radius
         corners = points if len(points) < 5 else _hull(points).vertices
@@ -80,16 +82,16 @@ def facets(mesh: trimesh.Trimesh) -> Facets:
     )
 
 
-def tube(points: Matrix, radius: float, *, sides: int = 8, tolerance: float = 0.003) -> trimesh.Trimesh:
-    """A tube of `radius` [m] along a line through (k, 3) points.
+def tube(points: Matrix, radius: float, *, tolerance: float) -> trimesh.Trimesh:
+    """A tube of `radius` [m] along a line through (k, 3) points [m].
 
-    Matrix nearer than `tolerance` [m] to the line between their neighbours are left out.
+    Points nearer than `tolerance` [m] to the line between their neighbours are left out.
     """
     line = _simplified(points, tolerance)
     if len(line) < 2:
         return trimesh.creation.icosphere(subdivisions=2, radius=radius).apply_translation(points[0])
     parts = []
-    rod = trimesh.creation.cylinder(radius=radius, height=1.0, sections=sides)
+    rod = trimesh.creation.cylinder(radius=radius, height=1.0, sections=_SIDES)
     ball = trimesh.creation.icosphere(subdivisions=1, radius=radius)
     for a, b in pairwise(line):
         along = b - a
@@ -107,7 +109,7 @@ def tube(points: Matrix, radius: float, *, sides: int = 8, tolerance: float = 0.
 
 
 def _simplified(points: Matrix, tolerance: float) -> Matrix:
-    """Douglas and Peucker's subset of a line, without repeated points."""
+    """The points (k, 3) of a line that Douglas and Peucker's algorithm keeps, without repeated ones."""
     points = np.asarray(points, dtype=float)
     keep = np.zeros(len(points), dtype=bool)
     keep[[0, -1]] = True
@@ -142,9 +144,9 @@ def sheet(lattice: Matrix, normal: Matrix, rgba: Rgba, strength: Matrix) -> Face
 
     Parameters
     ----------
-    lattice: (..., rows, columns, 3) points; every row and column is drawn up to its neighbour [m].
-    normal: (3,) of the surface.
-    strength: (..., rows, columns) by which the opacity of `rgba` is multiplied.
+    lattice: (..., rows, columns, 3) points [m]; there are triangles between neighbouring rows and columns.
+    normal: (3,) unit vector of the surface.
+    strength: (..., rows, columns) factors of the opacity of `rgba`.
     """
     vertices = lattice.reshape(-1, 3)
     return Facets(
@@ -155,8 +157,11 @@ def sheet(lattice: Matrix, normal: Matrix, rgba: Rgba, strength: Matrix) -> Face
     )
 
 
-def grid(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba, *, spacing: float = 1.0) -> Facets:
-    """Lines across `normal` every `spacing` [m], level and upright where the plane is upright, fading to the rim."""
+def grid(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba) -> Facets:
+    """Lines in a plane across `normal` (3,) every metre, up to `radius` [m] from `centre` (3,), fading to the rim.
+
+    Where the plane is upright, the lines are level and upright.
+    """
     along = np.cross([0.0, 0.0, 1.0], normal) if abs(normal[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     along = along / np.linalg.norm(along)
     across = np.cross(normal, along)
@@ -165,7 +170,8 @@ def grid(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba, *, spacing: 
     for first, second in ((along, across), (across, along)):
         # on round numbers of the site, so that the lines of parallel planes meet
         middle = float(second @ centre)
-        for at in np.arange(np.ceil((middle - radius) / spacing), (middle + radius) / spacing) * spacing - middle:
+        first_line, last_line = np.ceil((middle - radius) / _SPACING), (middle + radius) / _SPACING
+        for at in np.arange(first_line, last_line) * _SPACING - middle:
             half = np.sqrt(max(radius * radius - at * at, 0.0))
             line = centre + at * second + half * stations[:, None] * first
             strips.append(np.stack((line - 0.5 * _LINE * second, line + 0.5 * _LINE * second), axis=1))
@@ -185,12 +191,10 @@ def together(*parts: Facets) -> Facets:
     )
 
 
-def disc(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba, *, fade_from: float = 0.45) -> Facets:
-    """A round sheet across `normal` that fades out towards its rim.
+def disc(centre: Matrix, normal: Matrix, radius: float, rgba: Rgba, *, fade_from: float) -> Facets:
+    """A round sheet of `radius` [m] around `centre` (3,) across `normal` (3,), fading out towards its rim.
 
-    Parameters
-    ----------
-    fade_from: part of the radius up to which it keeps its full opacity.
+    It has its full opacity up to the part `fade_from` of the radius.
     """
     rings = radius * np.array([0.0, fade_from, 0.6 * fade_from + 0.4, 0.25 * fade_from + 0.75, 1.0])
     angle = np.linspace(2.0 * np.pi, 0.0, 73)  # rows run outward: this way round the faces look along the normal

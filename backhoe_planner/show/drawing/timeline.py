@@ -1,4 +1,4 @@
-"""A motion as frames to be shown: poses, tip, and the nearest spot to every obstacle."""
+"""A motion as frames to be shown: poses, tip, and the critical point to every obstacle."""
 
 from __future__ import annotations
 
@@ -9,24 +9,26 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.site import Proximity
 
 ITSELF = "the machine itself"
-_MOST_FRAMES = 3000
+_RATE = 30.0  # frames a second: chosen, fluent for the eye
+FRAME = 1.0 / _RATE  # s between two frames
+_MOST_FRAMES = 3000  # of a page: chosen, 100 s of motion; a longer one has fewer a second
 
 
 @dataclass(frozen=True)
-class Nearest:
-    """The tightest spot between the machine and one obstacle.
+class CriticalPoint:
+    """Where the machine's margin to an obstacle is least.
 
     Attributes
     ----------
     margin: distance minus the clearance to be kept [m].
-    distance: signed [m].
+    distance: signed, negative inside [m].
     link: name of the link.
-    point_link, point_obstacle: (3,) its two ends [m], world.
+    point_link, point_obstacle: (3,) the nearest points of the two [m], world.
     """
 
     margin: float
@@ -45,10 +47,10 @@ class Timeline:
     time: (F,) [s].
     q: (F, n) joint positions [rad or m].
     tip: (F, 3) [m], world.
-    poses: (F, joints, 7) position [m] and quaternion (x, y, z, w) of every joint's
-        frame, the resting one first.
-    obstacles: names, in the order of the scene; last, where it applies, the machine.
-    nearest: per frame and obstacle the tightest spot, None where it is far.
+    poses: (F, joints, 7) position [m] and quaternion (x, y, z, w) of every joint's frame in the
+        world; joint 0 is the world.
+    obstacles: names in the order of the scene; the machine itself is the last, if it can touch itself.
+    nearest: per frame and obstacle the critical point, None where the obstacle is far.
     """
 
     time: Vector
@@ -56,64 +58,69 @@ class Timeline:
     tip: Matrix
     poses: NDArray[np.float64]
     obstacles: tuple[str, ...]
-    nearest: tuple[tuple[Nearest | None, ...], ...]
+    nearest: tuple[tuple[CriticalPoint | None, ...], ...]
 
     def margins(self, obstacle: int) -> Vector:
-        """(F,) margin to one obstacle [m]; NaN where it is far."""
+        """(F,) margins to the obstacle of this index [m]; NaN where it is far."""
         return np.array([np.nan if row[obstacle] is None else row[obstacle].margin for row in self.nearest])  # type: ignore[union-attr]
 
 
-def timeline(problem: Problem, trajectory: Trajectory, *, rate: float = 30.0) -> Timeline:
-    """Frames of `trajectory`, `rate` a second, the last sample included."""
-    count = 1 if trajectory.duration == 0.0 else int(np.ceil(trajectory.duration * rate)) + 1
+def timeline(problem: Problem, trajectory: Trajectory) -> Timeline:
+    """Frames of `trajectory`, at most `FRAME` apart unless they are too many; the last is its end."""
+    count = 1 if trajectory.duration == 0.0 else int(np.ceil(trajectory.duration * _RATE)) + 1
     time = trajectory.time[0] + np.linspace(0.0, trajectory.duration, min(count, _MOST_FRAMES))
     q = np.column_stack([np.interp(time, trajectory.time, column) for column in trajectory.q.T])
     robot = problem.robot
     kinematics, data = Kinematics(robot), robot.model.createData()
     proximity = Proximity(robot, problem.obstacles)
-    names = obstacle_names(problem, proximity)
-    within = sight(problem)
+    names, within = obstacle_names(problem, proximity), sight(problem)
+
+    def link_poses(q: Vector) -> list[Vector]:
+        pin.forwardKinematics(robot.model, data, q)
+        return [pin.SE3ToXYZQUAT(placement) for placement in data.oMi]
+
     return Timeline(
         time=time,
         q=q,
         tip=np.array([kinematics.at(row).tip_position for row in q]),
-        poses=np.array([link_poses(robot, data, row) for row in q]),
+        poses=np.array([link_poses(row) for row in q]),
         obstacles=names,
         nearest=tuple(
-            nearest_spots(proximity, names, row, time=float(moment), within=within)
+            critical_points(proximity, names, row, time=float(moment), within=within)
             for moment, row in zip(time, q, strict=True)
         ),
     )
 
 
 def sight(problem: Problem) -> float:
-    """How far spots are looked for [m]."""
+    """The distance within which critical points are searched [m]."""
     return max([0.0, *(obstacle.clearance for obstacle in problem.obstacles)]) + 2.0 * problem.scene.influence
 
 
 def obstacle_names(problem: Problem, proximity: Proximity) -> tuple[str, ...]:
-    """What margins are shown for."""
+    """Names of what margins are shown for: the obstacles, and the machine itself if it can touch itself."""
     itself = (ITSELF,) if any(owner < 0 for owner in proximity.owner) else ()
     return tuple(obstacle.name for obstacle in problem.obstacles) + itself
 
 
-def link_poses(robot: Robot, data: pin.Data, q: Vector) -> Matrix:
-    """(joints, 7) position and quaternion (x, y, z, w) of every joint's frame."""
-    pin.forwardKinematics(robot.model, data, q)
-    return np.array([pin.SE3ToXYZQUAT(placement) for placement in data.oMi])
-
-
-def nearest_spots(
+def critical_points(
     proximity: Proximity, names: tuple[str, ...], q: Vector, *, time: float, within: float
-) -> tuple[Nearest | None, ...]:
-    """The tightest spot to everything in `names`, None where nothing is within `within` [m]."""
+) -> tuple[CriticalPoint | None, ...]:
+    """The critical points of the machine at q (n,) to everything in `names`, None where it is far.
+
+    Parameters
+    ----------
+    names: the obstacles of `proximity` in its order, and then the machine itself if it has such pairs.
+    time: at which the obstacles are where they are [s].
+    within: distance beyond which they are far [m].
+    """
     near = proximity.at(q, time=time, within=within)
-    found: list[Nearest | None] = [None] * len(names)
+    found: list[CriticalPoint | None] = [None] * len(names)
     for row in np.argsort(near.margin, kind="stable"):
         pair = int(near.pair[row])
         owner = int(proximity.owner[pair])
         if found[owner] is None:  # -1, the machine itself, is the last one
-            found[owner] = Nearest(
+            found[owner] = CriticalPoint(
                 margin=float(near.margin[row]),
                 distance=float(near.distance[row]),
                 link=proximity.pairs[pair].link,

@@ -1,7 +1,7 @@
-"""What has been drawn and told, as messages for the page in the browser.
+"""Drawing commands and numbers as messages for the page in the browser.
 
-A `Display` stands where ``meshcat.Visualizer`` expects its window, so that drawing needs
-no server: the messages go into a page, or to browsers that are connected.
+``meshcat.Visualizer`` takes a `Display` in place of its window, so that drawing needs no
+server: the messages go into a page, or to the browsers that are connected.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import meshcat
 import numpy as np
 import umsgpack
 
-Key = tuple[str, str, str]  # kind, path or what is told, property
+Key = tuple[str, str, str]  # what a message is about: its kind, a path or a name, a property
 Message = bytes | str
 
-_DIGITS = 4  # after the point: 0.1 mm, 0.1 ms and 0.006 degrees are finer than a page shows
+_DIGITS = 4  # after the point; chosen, 0.1 mm, 0.1 ms and 0.006 degrees are finer than a page shows
 
 
 class Messages(dict[Key, Message]):
     """Of several messages about the same thing only the newest, in the order in which they came."""
 
     def put(self, key: Key, message: Message) -> None:
-        """Keep a message; one that deletes a node replaces all that were about it or below it."""
+        """Keep a message. If it deletes a node, it replaces all messages about it or what is below it."""
         kind, path, _ = key
         if kind == "delete":
             below = path.rstrip("/") + "/"
@@ -38,14 +38,14 @@ class Messages(dict[Key, Message]):
 
 
 class Display:
-    """Keeps the messages that lead to the present picture.
+    """Keeps the messages that make the present picture.
 
-    Drawing commands are bytes, for meshcat's viewer; what is told is JSON, for the
-    page around it. One thread may write while others read.
+    Drawing commands are bytes, for meshcat's viewer; numbers are JSON, for the page around it.
+    One thread may write while others read.
 
     Parameters
     ----------
-    listener: is handed every message as it comes.
+    listener: is called with every message as it comes.
     """
 
     def __init__(self, listener: Callable[[Key, Message], None] | None = None) -> None:
@@ -54,12 +54,12 @@ class Display:
         self._lock = threading.Lock()
 
     def messages(self) -> Messages:
-        """All that a browser needs to show the present picture."""
+        """All messages that a browser needs to show the present picture."""
         with self._lock:
             return Messages(self._messages)
 
     def visualizer(self) -> Any:
-        """A ``meshcat.Visualizer`` that draws on this display, at the root of the tree."""
+        """A ``meshcat.Visualizer`` that draws on this display, at the root of its tree."""
         return meshcat.Visualizer(window=self)["/"]
 
     def send(self, command: Any) -> None:
@@ -69,12 +69,12 @@ class Display:
         self._post(key, umsgpack.packb(content))
 
     def tell(self, kind: str, content: Mapping[str, Any]) -> None:
-        """Tell the page something of a `kind`: names and values as `plain` takes them."""
-        told = plain({"type": kind, **content})
-        self._post(("tell", kind, ""), json.dumps(told, allow_nan=False, separators=(",", ":")))
+        """Send the page a message of a `kind`, which replaces the last of this kind; values as for `plain`."""
+        text = json.dumps(plain({"type": kind, **content}), allow_nan=False, separators=(",", ":"))
+        self._post(("tell", kind, ""), text)
 
     def forget(self, *kinds: str) -> None:
-        """No longer tell what was told under these kinds."""
+        """Drop the messages of these kinds."""
         with self._lock:
             for kind in kinds:
                 self._messages.pop(("tell", kind, ""), None)
@@ -83,15 +83,15 @@ class Display:
         with self._lock:
             self._messages.put(key, message)
             if key[0] == "delete":
-                del self._messages[key]  # a browser that comes later has nothing to delete
+                del self._messages[key]  # a later browser has nothing to delete
         if self._listener is not None:
             self._listener(key, message)
 
 
 def plain(value: Any) -> Any:
-    """`value` as JSON has it.
+    """`value` in the types of JSON.
 
-    Numbers are rounded, those that are not finite become null. Arrays, tuples and sets become
+    Numbers are rounded; those that are not finite become null. Arrays, tuples and sets become
     lists, sets in order. A record becomes an object with its fields.
     """
     if isinstance(value, (np.ndarray, np.generic)):

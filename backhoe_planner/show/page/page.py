@@ -44,7 +44,7 @@ def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
 
 def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
-    """The page as text, and what could not be drawn as the URDF asks."""
+    """The page as text, and what could not be drawn as the URDF asks, in words."""
     display = Display()
     graph = show_plan(display, plan)
     messages = display.messages().values()
@@ -56,17 +56,17 @@ def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
 
 
 def live_page(*, css: str = "", body: str = "", script: str = "") -> str:
-    """The page that a live viewer serves; it asks its server for what to show.
+    """The page that a live viewer serves; its server sends what it shows.
 
     Parameters
     ----------
-    css, body, script: what it has beyond the plain live view.
+    css, body, script: what the page has beyond the plain live view.
     """
     return _page("backhoe_planner", None, connect="'self' ws: wss:", css=css, body=body, script=script)
 
 
 def read_parts(package: str, *names: str) -> tuple[str, ...]:
-    """The texts of files in the folder ``parts`` of a package."""
+    """The texts of the named files in the folder ``parts`` of a package."""
     parts = resources.files(package).joinpath("parts")
     return tuple(parts.joinpath(name).read_text(encoding="utf-8") for name in names)
 
@@ -88,7 +88,7 @@ def _page(title: str, content: Any, *, connect: str, css: str = "", body: str = 
 
 
 def _json_in_script(content: Any) -> str:
-    """JSON that cannot end the script in which it stands, whatever its strings hold."""
+    """JSON that cannot end the script around it, whatever its strings hold."""
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

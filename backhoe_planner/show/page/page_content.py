@@ -1,4 +1,4 @@
-"""What the page shows of a problem, a posture and a plan, beside the picture."""
+"""The numbers that the page shows beside the picture: of a problem, a posture and a plan."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.timeline import Nearest, timeline
+from backhoe_planner.show.drawing.timeline import CriticalPoint, timeline
 from backhoe_planner.show.page.display import Display
 
 
 def show_plan(display: Display, plan: Plan) -> SceneGraph:
-    """Draw a plan and its animation, and tell its verdict, numbers and frames."""
+    """Draw a plan and its animation, and tell the page its verdict, numbers and frames."""
     problem = problem_to_show(plan)
     visualizer = display.visualizer()
     frames = timeline(problem, plan.trajectory)
@@ -26,8 +26,7 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
     view = graph.look_at_motion(frames)
     visualizer.set_animation(graph.animation(frames), play=False)
     tell_problem(display, problem, graph, view, frames.obstacles)
-    rows = list(zip(*frames.nearest, strict=True))  # by obstacle
-    links = {name: index for index, name in enumerate(plan.robot.link_names)}
+    numbers = [_numbers(row, plan.robot.link_names) for row in zip(*frames.nearest, strict=True)]  # by obstacle
     content = {
         "verdict": plan.verdict,
         "reason": plan.reason,
@@ -35,8 +34,8 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
         "facts": _facts(plan),
         "time": frames.time - frames.time[0],
         "q": frames.q.T,
-        "margins": [_margins(row) for row in rows],
-        "links": [_links(row, links) for row in rows],
+        "margins": [margins for margins, _ in numbers],
+        "links": [links for _, links in numbers],
         "view": view,
     }
     display.tell("plan", content)
@@ -46,27 +45,23 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
 def tell_problem(
     display: Display, problem: Problem, graph: SceneGraph, view: View, obstacles: tuple[str, ...], *, task: str = ""
 ) -> None:
-    """Tell what stands on the site and what the machine is: names, limits, where names are written.
+    """Tell the page of the site and the machine: names and where they are written, clearances, limits.
 
     Parameters
     ----------
+    graph, view: the picture and its camera.
     obstacles: names of what margins are shown for.
-    task: what the machine does, in words; by default what its task says.
+    task: what the machine does, in words; by default from its task.
     """
     robot, scene = problem.robot, problem.scene
-    built = {obstacle.name: obstacle for obstacle in problem.obstacles}
-    listed = []
-    for name in obstacles:
-        obstacle = built.get(name)
-        listed.append(
-            {
-                "name": name,
-                "clearance": 0.0 if obstacle is None else obstacle.clearance,
-                "anchor": graph.anchors.get(name),
-                "appears_at": 0.0 if obstacle is None else obstacle.appears_at,
-                "velocity": None if obstacle is None or not obstacle.moves else obstacle.velocity,
-            }
-        )
+    listed = {
+        name: {"name": name, "clearance": 0.0, "anchor": graph.anchors.get(name), "appears_at": 0.0, "velocity": None}
+        for name in obstacles
+    }
+    for obstacle in problem.obstacles:
+        velocity = obstacle.velocity if obstacle.moves else None
+        more = {"clearance": obstacle.clearance, "appears_at": obstacle.appears_at, "velocity": velocity}
+        listed[obstacle.name].update(more)
     joints = []
     for name, slides, low, high in zip(
         robot.joint_names, robot.prismatic, problem.limits.lower, problem.limits.upper, strict=True
@@ -74,18 +69,12 @@ def tell_problem(
         bounded = np.isfinite(low) and np.isfinite(high) and high > low
         lower, upper = (low, high) if bounded else (None, None)
         joints.append({"name": name, "angular": not slides, "lower": lower, "upper": upper})
-    if not task:
-        task = (
-            "to a goal"
-            if problem.goal is not None
-            else "along a path"
-            if problem.path is not None
-            else "driven by hand"
-        )
+    of_problem = "along a path" if problem.path is not None else "driven by hand"
+    of_problem = "to a goal" if problem.goal is not None else of_problem
     content = {
         "title": scene.name or "untitled scene",
-        "subtitle": f"{robot.name}, {task}",
-        "obstacles": listed,
+        "subtitle": f"{robot.name}, {task or of_problem}",
+        "obstacles": list(listed.values()),
         "joints": joints,
         "links": robot.link_names,
         "influence": scene.influence,
@@ -99,15 +88,21 @@ def tell_problem(
 
 
 def tell_step(
-    display: Display, q: Any, *, time: float, nearest: tuple[Nearest | None, ...], links: tuple[str, ...]
+    display: Display, q: Any, *, time: float, nearest: tuple[CriticalPoint | None, ...], links: tuple[str, ...]
 ) -> None:
-    """Tell the numbers of one posture: joint positions (n,) and margins, as of `time` [s]."""
-    index = {name: number for number, name in enumerate(links)}
-    display.tell("step", {"time": time, "q": q, "margins": _margins(nearest), "links": _links(nearest, index)})
+    """Tell the page the numbers of one posture: joint positions q (n,) and margins, at `time` [s].
+
+    Parameters
+    ----------
+    nearest: critical points, in the order of the obstacles that `tell_problem` named.
+    links: names of the robot's links.
+    """
+    margins, numbers = _numbers(nearest, links)
+    display.tell("step", {"time": time, "q": q, "margins": margins, "links": numbers})
 
 
 def _facts(plan: Plan) -> list[tuple[str, str, str]]:
-    """Name, value and remark of what is told of a plan."""
+    """The facts that the page lists of a plan: name, value and remark of each."""
     certificate, metrics = plan.certificate, plan.metrics
     facts = []
     tightest = certificate.min_clearance
@@ -142,9 +137,7 @@ def _length(value: float) -> str:
     return f"{1000.0 * value:.1f} mm" if value < 0.1 else f"{value:.2f} m"
 
 
-def _margins(spots: tuple[Nearest | None, ...]) -> list[float | None]:
-    return [None if spot is None else round(spot.margin, 3) for spot in spots]
-
-
-def _links(spots: tuple[Nearest | None, ...], index: dict[str, int]) -> list[int]:
-    return [-1 if spot is None else index[spot.link] for spot in spots]
+def _numbers(nearest: tuple[CriticalPoint | None, ...], links: tuple[str, ...]) -> tuple[list[float | None], list[int]]:
+    """Margins [m], and indices of the links; None and -1 where there is no critical point."""
+    margins = [None if point is None else round(point.margin, 3) for point in nearest]
+    return margins, [-1 if point is None else links.index(point.link) for point in nearest]

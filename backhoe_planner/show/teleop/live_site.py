@@ -1,35 +1,30 @@
-"""What stands around the machine while it is driven: put there, moved, and taken away.
+"""The obstacles around the machine while it is driven: put there, moved, and taken away.
 
-An obstacle is let in only where the machine keeps its clearance on the whole way that
-it needs to brake; so what a person drops or drags never ends up inside the machine.
+An obstacle is accepted only where the machine keeps its clearance on the whole way that it
+needs to brake. So what a person drops or drags never ends up inside the machine.
 
-What the site itself is made of stays: zones, planes, terrain and scans.
+Zones, planes, terrain and scans belong to the site itself and stay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.live import Servo
+from backhoe_planner.live import Servo, shifted
 from backhoe_planner.proof import segment_is_clear
-from backhoe_planner.show.drawing.timeline import ITSELF, Nearest, nearest_spots
+from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, critical_points
 from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, obstacle_shapes
 
-_MOST = 40  # obstacles, each of which costs time in every step
-_BRAKING = 0.6  # part of the acceleration that is counted on; the servo plans with more
-_SPARE = 0.004  # m beyond the clearance, so that the servo does not begin with a violation by rounding
-_LAND = (
-    obstacle_shapes.HalfSpace,
-    obstacle_shapes.HeightMap,
-    obstacle_shapes.PointCloud,
-)  # what the site itself is made of
+_MOST = 40  # obstacles; chosen, each costs time in every step
+_BRAKING = 0.6  # part of the acceleration; chosen, less than the servo's `BRAKING`, so that it can brake sooner
+_SPARE = 0.004  # m beyond the clearance; chosen, twice the servo's `BUFFER`, so that it begins with no violation
+_DEPTH = 10  # halvings of the way to where it can stop, in the proof that there is room; 1024 parts
+_LAND = (obstacle_shapes.HalfSpace, obstacle_shapes.HeightMap, obstacle_shapes.PointCloud)  # the site itself
 
 
 @dataclass
@@ -39,8 +34,9 @@ class _Standing:
     Attributes
     ----------
     obstacle: as it was put there first.
-    since: when it came to where it is now; 0 where it was there from the beginning [s].
-    gauge, gauged_at: measures distances to it, where it has moved so far (3,) [m].
+    since: when it came to where it is now; 0 if it was there from the beginning [s].
+    gauge: measures distances to it.
+    gauged_at: (3,) how far it had moved when the gauge was made [m].
     """
 
     obstacle: Obstacle
@@ -60,14 +56,14 @@ class LiveSite:
         self._itself = Proximity(servo.robot, ())
         self._standing: dict[str, _Standing] = {}
         for obstacle in build_obstacles(servo.scene, servo.robot):
-            self._standing[obstacle.name] = self._stand(obstacle, 0.0)
+            self._standing[obstacle.name] = self._stand(obstacle, 0.0, np.zeros(3))
         self._zones = frozenset(zone.name for zone in servo.scene.zones)
         self._of_scene = frozenset(self._standing)
-        self._taken: dict[str, tuple[Obstacle, Vector]] = {}  # and how far each had moved (3,) [m]
+        self._taken: dict[str, tuple[Obstacle, Vector]] = {}  # each with how far it had moved (3,) [m]
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """All of them, as they were put there first; also those that have not appeared yet."""
+        """All obstacles as they were put there first, also those that have not appeared yet."""
         return tuple(standing.obstacle for standing in self._standing.values())
 
     def shift_of(self, name: str) -> Vector | None:
@@ -75,7 +71,7 @@ class LiveSite:
         return self._servo.shift_of(name) if name in self._servo.obstacles else None
 
     def may_be_moved(self, name: str) -> bool:
-        """Whether it is no part of the site itself, does not move by itself, and has appeared."""
+        """Whether an obstacle has appeared, does not move by itself, and is no part of the site itself."""
         return name in self._servo.obstacles and not self._stays(name) and not self._standing[name].obstacle.moves
 
     @property
@@ -88,8 +84,8 @@ class LiveSite:
 
         Raises
         ------
-        InputError: its name is taken, a link is not the machine's, there are too many,
-            or it leaves the machine no room.
+        InputError: the name is in use, a link is not the machine's, there are too many
+            obstacles, or this one leaves the machine no room.
         """
         self._check_new(spec.name, "add")
         if spec.name in self._taken:
@@ -98,26 +94,22 @@ class LiveSite:
             if link not in self._servo.robot.all_link_names:
                 raise InputError("the machine has no such link", key="add", found=link)
         obstacle = build_obstacle(spec, folder=self._servo.scene.folder, clearance=self._servo.scene.clearance)
-        standing = self._stand(obstacle, self._servo.time)
-        self._check_room(standing)
-        self._servo.add(obstacle)
-        self._standing[obstacle.name] = standing
+        self._put(obstacle, np.zeros(3))
 
     def move(self, name: str, to: object) -> None:
-        """Put an obstacle `to` (3,) from where it first was [m].
+        """Put an obstacle at `to` (3,) from where it first was [m].
 
         Raises
         ------
-        InputError: there is none of that name, it is not to be moved, or it would leave
-            the machine no room.
+        InputError: there is none of that name, it may not be moved, or it would leave the
+            machine no room.
         """
         self._check_free(name, "move")
         shift = np.array(to, dtype=float)
         obstacle = self._standing[name].obstacle
         if obstacle.moves:
             raise InputError("moves by itself", key=name)
-        moved = self._stand(obstacle, self._servo.time, shift)
-        self._check_room(moved)
+        moved = self._with_room(obstacle, shift)
         self._servo.move(name, shift - self._servo.shift_of(name))
         self._standing[name] = moved
 
@@ -140,30 +132,32 @@ class LiveSite:
 
         Raises
         ------
-        InputError: none of that name was taken away, there are too many, or it would
-            leave the machine no room.
+        InputError: none of that name was taken away, there are too many obstacles, or this one
+            would leave the machine no room.
         """
         if name not in self._taken:
             raise InputError("no obstacle of that name was taken away", key="put_back", found=name)
         self._check_new(name, "put_back")
-        obstacle, shift = self._taken[name]
-        standing = self._stand(obstacle, self._servo.time, shift)
-        self._check_room(standing)
-        self._servo.add(replace(obstacle, appears_at=0.0))
-        self._servo.move(name, shift)
-        self._standing[name] = standing
+        self._put(*self._taken[name])
         del self._taken[name]
 
-    def nearest(self, q: Vector) -> dict[str, Nearest | None]:
-        """The tightest spot to every obstacle and to the machine itself; None where nothing is within sight."""
+    def _put(self, obstacle: Obstacle, shift: Vector) -> None:
+        standing = self._with_room(obstacle, shift)
+        self._servo.add(replace(obstacle, appears_at=0.0))
+        if shift.any():
+            self._servo.move(obstacle.name, shift)
+        self._standing[obstacle.name] = standing
+
+    def nearest(self, q: Vector) -> dict[str, CriticalPoint | None]:
+        """The critical points at q (n,) to every obstacle and to the machine itself; None where they are far."""
         within = 2.0 * self._servo.scene.influence
-        found: dict[str, Nearest | None] = dict.fromkeys(self._standing)
+        found: dict[str, CriticalPoint | None] = dict.fromkeys(self._standing)
         for name in self._servo.obstacles:
             standing = self._standing[name]
-            sight, moment = within + standing.obstacle.clearance, self._gauge_time(standing)
-            found[name] = nearest_spots(standing.gauge, (name,), q, time=moment, within=sight)[0]
+            time, sight = self._gauge_time(standing), within + standing.obstacle.clearance
+            found[name] = critical_points(standing.gauge, (name,), q, time=time, within=sight)[0]
         if self._itself.pairs:
-            found[ITSELF] = nearest_spots(self._itself, (ITSELF,), q, time=0.0, within=within)[0]
+            found[ITSELF] = critical_points(self._itself, (ITSELF,), q, time=0.0, within=within)[0]
         return found
 
     def records(self, begun: float) -> tuple[list[dict[str, Any]], list[str]]:
@@ -171,7 +165,7 @@ class LiveSite:
 
         Returns
         -------
-        The records; and in words what a scene file cannot say of them.
+        The records, and in words the changes that a scene file cannot hold.
         """
         records, notes = [], []
         for name, standing in self._standing.items():
@@ -182,7 +176,7 @@ class LiveSite:
             appears = max(obstacle.appears_at, standing.since)
             shift = self.shift_of(name)
             if shift is not None:
-                # where it was when the recording began, or came to where it stands
+                # back to where it was when the recording began, or when it came to where it stands
                 shift = shift - obstacle.velocity * (self._servo.time - max(appears, begun))
                 _displace(content, shift)
             content["appears_at"] = max(appears - begun, 0.0)
@@ -193,30 +187,29 @@ class LiveSite:
 
     # --- room -----------------------------------------------------------------------
 
-    def _stand(self, obstacle: Obstacle, since: float, shift: Vector | None = None) -> _Standing:
-        shift = np.zeros(3) if shift is None else shift
-        there = replace(obstacle, appears_at=0.0, pieces=tuple(_moved(obstacle, shift)))
+    def _stand(self, obstacle: Obstacle, since: float, shift: Vector) -> _Standing:
+        there = replace(shifted(obstacle, shift), appears_at=0.0)
         return _Standing(obstacle, since, Proximity(self._servo.robot, (there,), self_collision=False), shift)
 
     def _gauge_time(self, standing: _Standing) -> float:
-        """Time at which the gauge's obstacle is where the servo's is [s]."""
+        """The time at which the obstacle in the gauge is where the servo's is [s]."""
         velocity = standing.obstacle.velocity
         speed = float(velocity @ velocity)
         if speed == 0.0:
             return 0.0
         return float((self._servo.shift_of(standing.obstacle.name) - standing.gauged_at) @ velocity) / speed
 
-    def _check_room(self, standing: _Standing) -> None:
+    def _with_room(self, obstacle: Obstacle, shift: Vector) -> _Standing:
+        """An obstacle that comes `shift` (3,) from where it first was now [m]; InputError without room for it."""
         servo = self._servo
+        standing = self._stand(obstacle, servo.time, shift)
         q, v = servo.q, servo.v
         time = float((np.abs(v) / (_BRAKING * servo.limits.acceleration)).max())
         end = q + (0.5 * time + servo.dt) * v
-        if not segment_is_clear(standing.gauge, q, end, depth=10, spare=_SPARE):
-            raise InputError(
-                "is too close to the machine, or to where it can stop",
-                key=standing.obstacle.name,
-                allowed=f"{standing.obstacle.clearance:.2f} m of clearance",
-            )
+        if not segment_is_clear(standing.gauge, q, end, depth=_DEPTH, spare=_SPARE):
+            problem, allowed = "is too close to the machine, or to where it can stop", f"{obstacle.clearance:.2f} m"
+            raise InputError(problem, key=obstacle.name, allowed=f"{allowed} of clearance")
+        return standing
 
     def _stays(self, name: str) -> bool:
         return name in self._zones or isinstance(self._standing[name].obstacle.spec, _LAND)
@@ -228,7 +221,7 @@ class LiveSite:
             raise InputError("there is an obstacle of that name", key=key, found=name)
 
     def _check_free(self, name: str, key: str) -> None:
-        """That an obstacle is there and is no part of the site itself."""
+        """Check that an obstacle is there and is no part of the site itself."""
         if name not in self._servo.obstacles:
             raise InputError("there is no obstacle of that name", key=key, found=name)
         if self._stays(name):
@@ -236,15 +229,8 @@ class LiveSite:
             raise InputError(f"is {what} of the scene, which stays where it is", key=name)
 
 
-def _moved(obstacle: Obstacle, shift: Vector) -> Iterable[Any]:
-    for piece in obstacle.pieces:
-        hull = piece.hull + shift if len(piece.hull) else piece.hull
-        placement = pin.SE3(piece.placement.rotation, piece.placement.translation + shift)
-        yield replace(piece, placement=placement, hull=hull)
-
-
 def _displace(record: dict[str, Any], shift: Vector) -> None:
-    """Move an obstacle's record in place."""
+    """Move an obstacle's record by `shift` (3,) [m]; the record itself is changed."""
     if not shift.any():
         return
     keys = {"capsule": ("from", "to"), "halfspace": ("point",)}.get(record["shape"], ("position",))

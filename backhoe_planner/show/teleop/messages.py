@@ -1,7 +1,7 @@
-"""What a page may say to a tele-operation session, and what its joysticks mean.
+"""The messages that a page may send to a driving session, and what its joysticks command.
 
-A message is one JSON object with a `type`. What cannot be understood is answered with a
-sentence that says why; it changes nothing.
+A message is one JSON object with a `type`. A message that cannot be understood changes
+nothing and is answered with a sentence that says why.
 """
 
 from __future__ import annotations
@@ -15,21 +15,23 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.site import obstacle_shapes
 
-LARGEST = 16_384  # characters or bytes of a message; what the page itself sends has a few hundred
-_LONGEST_NAME = 60  # characters, so that a row of the panel can show it
-_SMALLEST, _LARGEST_SIZE = 0.001, 1000.0  # m: of what is dropped in; beyond that it is a slip
-_FARTHEST = 1000.0  # m from the world's origin
+LARGEST = 16_384  # characters or bytes of a message; chosen, those of the page itself have a few hundred
+_LONGEST_NAME = 60  # characters; chosen, so that a row of the panel can show it
+_SMALLEST, _FARTHEST = 0.001, 1000.0  # m: sizes and coordinates of a new obstacle; chosen, beyond them it is a slip
+_FASTEST = 10.0  # m/s or rad/s; chosen, faster than any machine
 
 _Part = Annotated[float, Field(strict=True, ge=-1.0, le=1.0, allow_inf_nan=False)]
-_Rate = Annotated[float, Field(strict=True, ge=-10.0, le=10.0, allow_inf_nan=False)]
-_Near = Annotated[float, Field(strict=True, ge=-1000.0, le=1000.0, allow_inf_nan=False)]
+_Rate = Annotated[float, Field(strict=True, ge=-_FASTEST, le=_FASTEST, allow_inf_nan=False)]
+_Near = Annotated[float, Field(strict=True, ge=-_FARTHEST, le=_FARTHEST, allow_inf_nan=False)]
 _Name = Annotated[str, Field(strict=True, min_length=1, max_length=_LONGEST_NAME)]
+_Number = Annotated[int, Field(strict=True, ge=0, le=2**53)]  # as large as JavaScript's are exact
+_Switch = Annotated[bool, Field(strict=True)]
 
 
 class _Message(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
-    id: Annotated[int, Field(strict=True, ge=0, le=2**53)] | None = None
+    id: _Number | None = None
     """Comes back with the answer."""
 
 
@@ -49,12 +51,12 @@ class HandOver(_Message):
     """The driver lets another page drive."""
 
     type: Literal["hand_over"]
-    to: Annotated[int, Field(strict=True, ge=0, le=2**53)]
+    to: _Number
     """The other page's number."""
 
 
 class Tip(_Message):
-    """A wish for the tip; it holds until the next one, or until the watchdog ends it."""
+    """A wish for the tip. It holds until the next wish, or until the watchdog ends it."""
 
     type: Literal["tip"]
     velocity: tuple[_Rate, _Rate, _Rate]
@@ -65,7 +67,7 @@ class Tip(_Message):
 
 
 class Sticks(_Message):
-    """Where two joysticks stand; holds like a wish for the tip."""
+    """The deflections of two joysticks. They hold like a wish for the tip."""
 
     type: Literal["sticks"]
     pattern: Literal["iso", "sae"]
@@ -80,22 +82,23 @@ class Sticks(_Message):
 def joint_rates(sticks: Sticks, velocity: Vector) -> Vector:
     """(n,) joint rates that an excavator's joysticks command [rad/s or m/s].
 
-    Both patterns have the swing (left stick, sideways) and the bucket (right stick, sideways:
-    curled in to the left, dumped to the right). They differ in which hand has the boom:
+    In both patterns the left stick moved sideways is the swing, and the right stick moved
+    sideways is the bucket (curl to the left, dump to the right). They differ in which hand has
+    the boom:
 
         ISO:  left stick forward and back: the stick;  right: the boom
         SAE:  left stick forward and back: the boom;   right: the stick
 
-    Forward puts the boom down and the stick out, in both.
+    In both, forward lowers the boom and puts the stick out.
 
     Parameters
     ----------
-    velocity: (n,) the joints' greatest rates. Swing, boom, stick and bucket are the
-        first four of them; further joints stand still.
+    velocity: (n,) the joints' greatest rates [rad/s or m/s]. The first four joints are swing,
+        boom, stick and bucket; further joints stand still.
     """
     (left_x, left_y), (right_x, right_y) = sticks.left, sticks.right
     boom, stick = (right_y, left_y) if sticks.pattern == "iso" else (left_y, right_y)
-    # positive raises what is outboard: the boom comes up as its stick is pulled back
+    # positive joint rates raise what is outboard: the boom comes up when its stick is pulled back
     roles = np.array([-left_x, -boom, stick, right_x])[: len(velocity)]
     parts = np.pad(roles, (0, len(velocity) - len(roles)))
     return np.asarray(sticks.speed * parts * velocity)
@@ -121,12 +124,12 @@ class Add(_Message):
 
 
 class Move(_Message):
-    """Put an obstacle elsewhere."""
+    """Move an obstacle."""
 
     type: Literal["move"]
     name: _Name
     to: tuple[_Near, _Near, _Near]
-    """How far it is to be from where it first was [m], world."""
+    """From where it first was to where it shall be [m], world."""
 
 
 class Remove(_Message):
@@ -137,7 +140,7 @@ class Remove(_Message):
 
 
 class PutBack(_Message):
-    """Put an obstacle of the scene back that was taken away."""
+    """Put back an obstacle of the scene that was taken away."""
 
     type: Literal["put_back"]
     name: Annotated[str, Field(strict=True, min_length=1)]
@@ -147,14 +150,14 @@ class Record(_Message):
     """Begin a recording, or bring the machine to rest and write it."""
 
     type: Literal["record"]
-    on: Annotated[bool, Field(strict=True)]
+    on: _Switch
 
 
 class Circulate(_Message):
     """Whether a tip that is pushed straight into an obstacle goes round it."""
 
     type: Literal["circulate"]
-    on: Annotated[bool, Field(strict=True)]
+    on: _Switch
 
 
 Message = Take | Release | HandOver | Tip | Sticks | Stop | Add | Move | Remove | PutBack | Record | Circulate
@@ -166,7 +169,7 @@ def parse(text: str | bytes) -> Message:
 
     Raises
     ------
-    InputError: it is too long, not JSON, or not one of the messages; says what is wrong.
+    InputError: the text is too long, not JSON, or not one of the messages.
     """
     if len(text) > LARGEST:
         raise InputError("is too long", key="message", found=f"{len(text)} characters", allowed=f"up to {LARGEST}")
@@ -182,21 +185,20 @@ def parse(text: str | bytes) -> Message:
 
 
 def _check(spec: Droppable) -> None:
+    """Check what the types of the fields do not say."""
     if len(spec.name) > _LONGEST_NAME:
         raise InputError("is too long", key="obstacle.name", allowed=f"up to {_LONGEST_NAME} characters")
     if any(spec.velocity) or spec.appears_at > 0.0:
-        raise InputError("what is dropped in stands still, and is there at once", key="obstacle")
+        raise InputError("a new obstacle stands still and is there at once", key="obstacle")
     lengths = (
         [("size", edge) for edge in spec.size] if isinstance(spec, obstacle_shapes.Box) else [("radius", spec.radius)]
     )
     if isinstance(spec, obstacle_shapes.Cylinder):
         lengths.append(("length", spec.length))
     for key, value in lengths:
-        if not _SMALLEST <= value <= _LARGEST_SIZE:
-            raise InputError(
-                "is not a length that can be dropped in", key=f"obstacle.{key}", found=value,
-                allowed=f"{_SMALLEST:g} to {_LARGEST_SIZE:g} m",
-            )  # fmt: skip
+        if not _SMALLEST <= value <= _FARTHEST:
+            allowed = f"{_SMALLEST:g} to {_FARTHEST:g} m"
+            raise InputError("is not the size of an obstacle", key=f"obstacle.{key}", found=value, allowed=allowed)
     at = (*spec.start, *spec.end) if isinstance(spec, obstacle_shapes.Capsule) else spec.position
     if max(map(abs, at)) > _FARTHEST:
         raise InputError("is too far away", key="obstacle", allowed=f"up to {_FARTHEST:g} m")

@@ -1,4 +1,4 @@
-"""Draws a session, thirty times a second, and tells the page its numbers."""
+"""Draws a session thirty times a second, and sends the page its numbers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pinocchio as pin
 import trimesh
 
 from backhoe_planner.motion import build_problem
-from backhoe_planner.show.drawing.drawing import mesh, set_property
-from backhoe_planner.show.drawing.scene_graph import SceneGraph
+from backhoe_planner.show.drawing.drawing import draw, mesh
+from backhoe_planner.show.drawing.scene_graph import HIDDEN, UP, SceneGraph
 from backhoe_planner.show.drawing.solids import facets
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.page_content import tell_problem, tell_step
@@ -19,37 +19,34 @@ from backhoe_planner.show.teleop.session import LARGEST_FORCE, Session, Snapshot
 from backhoe_planner.show.teleop.wording import Wording
 from backhoe_planner.site import Obstacle
 
-_FORCE = (0.72, 0.11, 0.48, 1.0)
-_LONGEST_ARROW = 1.2  # m, for the largest force
-_LEAST_SHOWN = 0.3  # N
-_HIDDEN = 1e-5
-_POSTURES = 16  # that are to be in view
-_TOLD = (  # fields of a snapshot that the page gets as they are
-    "asked", "zones", "movable", "taken", "driver", "pages", "asking", "recording", "recorded", "circulate", "failure",
+_FORCE = (0.72, 0.11, 0.48, 1.0)  # colour of the arrow: unlike anything else in the picture
+_LONGEST_ARROW = 1.2  # m, for the largest force; chosen, about the length of a bucket
+_LEAST_SHOWN = 0.3  # N: a hundredth of the largest force
+_POSTURES = 16  # random ones, half-way to which the machine is to be in view; chosen
+_PLAIN = (  # fields of a snapshot that the page gets as they are
+    "zones", "movable", "taken", "driver", "asking", "recording", "recorded", "circulate", "failure",
 )  # fmt: skip
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 class Picture:
     """What the pages of a session show.
 
+    An obstacle that cannot be drawn is left out of the picture, and the pages are told.
+
     Parameters
     ----------
-    session: of which the first snapshot is drawn at once.
-    display: to draw and tell through.
+    session: its first snapshot is drawn at once.
+    display: on which it is drawn.
 
     Attributes
     ----------
     warnings: what could not be drawn as the URDF asks, in words.
-
-    An obstacle that cannot be drawn is left out of the picture, and the pages are told.
     """
 
     def __init__(self, session: Session, display: Display) -> None:
         self._display = display
         self._tree = display.visualizer()
-        problem = build_problem(session.robot, session.scene)
-        self._problem = replace(problem, goal=None, path=None)
+        self._problem = replace(build_problem(session.robot, session.scene), goal=None, path=None)
         first = session.snapshot()
         self._graph = SceneGraph(self._tree, self._problem, q=first.state.q)
         self.warnings = self._graph.warnings
@@ -83,6 +80,7 @@ class Picture:
         self._display.tell("teleop", self._content(snapshot))
 
     def _take_up(self, obstacles: tuple[Obstacle, ...]) -> None:
+        """Draw the obstacles that are new, and take out those that are gone."""
         there = {obstacle.name: obstacle for obstacle in obstacles}
         drawn = set(self._known) - self._undrawn
         for name in drawn - there.keys():
@@ -91,13 +89,13 @@ class Picture:
         for name in [name for name in there if name not in drawn and name not in self._undrawn]:
             try:
                 self._graph.add(there[name])
-            except Exception as error:  # noqa: BLE001  it is there all the same, and the rest is still to be seen
+            except Exception as error:  # noqa: BLE001  the obstacle is there all the same, and the rest can be drawn
                 self._undrawn |= {name}
                 self._display.tell("trouble", {"text": f"{name} cannot be drawn: {type(error).__name__}"})
         self._known = tuple(there)
 
     def _tell_problem(self, snapshot: Snapshot) -> None:
-        # where an obstacle is, is told step by step
+        # every step says where an obstacle is
         still = tuple(replace(o, velocity=np.zeros(3), appears_at=0.0) for o in snapshot.obstacles)
         problem = replace(self._problem, obstacles=still)
         tell_problem(self._display, problem, self._graph, self._view, tuple(snapshot.nearest), task="driven live")
@@ -105,14 +103,10 @@ class Picture:
     def _content(self, snapshot: Snapshot) -> dict[str, Any]:
         state, anchors = snapshot.state, self._graph.anchors
         shifts = {name: shift for name, shift in snapshot.shifts.items() if shift is not None}
-        return {name: getattr(snapshot, name) for name in _TOLD} | {
+        return {name: getattr(snapshot, name) for name in _PLAIN} | {
             "time": state.time,
-            "status": state.status.value,
-            "told": self._wording.next(state, asked=snapshot.asked)._asdict(),
+            "caption": self._wording.next(state, has_wish=snapshot.has_wish)._asdict(),
             "pace": state.pace,
-            "margin": state.margin,
-            "link": state.link,
-            "obstacle": state.obstacle,
             "tip": state.tip_position,
             "speed": np.linalg.norm(state.tip_velocity),
             "force": np.linalg.norm(state.feedback_force),
@@ -130,19 +124,17 @@ class Picture:
         shaft.apply_translation([0.0, 0.0, 0.36])
         head = trimesh.creation.cone(radius=0.085, height=0.28, sections=28)
         head.apply_translation([0.0, 0.0, 0.72])
-        arrow = self._tree["force"]
-        arrow.set_object(mesh(facets(trimesh.util.concatenate([shaft, head])), _FORCE, lit=False, through=True))
-        set_property(arrow, "castShadow", False)
-        set_property(arrow, "renderOrder", 200)
+        arrow = mesh(facets(trimesh.util.concatenate([shaft, head])), _FORCE, lit=False, through=True)
+        draw(self._tree["force"], arrow, shadow=False, order=200)
 
     def _place_arrow(self, snapshot: Snapshot) -> None:
         force = snapshot.state.feedback_force
         size = float(np.linalg.norm(force))
         transform = np.eye(4)
         if size < _LEAST_SHOWN:
-            transform[:3, :3] *= _HIDDEN
+            transform[:3, :3] *= HIDDEN
         else:
-            turn = pin.Quaternion.FromTwoVectors(_UP, force / size).toRotationMatrix()
+            turn = pin.Quaternion.FromTwoVectors(UP, force / size).toRotationMatrix()
             length = _LONGEST_ARROW * (0.2 + 0.8 * size / LARGEST_FORCE)
             transform[:3, :3] = turn * length
             transform[:3, 3] = snapshot.state.tip_position

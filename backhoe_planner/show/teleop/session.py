@@ -1,8 +1,8 @@
 """A machine that is driven live by one of several pages: the state machine, without any network.
 
-pages     join, leave; one of them drives: the first that takes, until it releases,
-          hands over or leaves. A machine without a driver stops, and so does one whose
-          driver says nothing: the watchdog goes by the clock, not by the machine's steps.
+pages     join and leave. One of them drives: the first that takes the controls, until it
+          releases them, hands them over or leaves. The machine stops when it has no driver,
+          and when its driver says nothing: the watchdog uses the clock, not the steps.
 wishes    go to the servo, which does the nearest safe thing
 site      obstacles come, move and go, as far as the machine keeps its clearance
 trouble   a step that fails makes the machine brake to rest, and it stays there
@@ -21,43 +21,27 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
+import backhoe_planner.show.teleop.messages as messages
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.live import Feedback, Servo, ServoState, plan_from_recording
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Drive, Trajectory
 from backhoe_planner.planning import Plan, RecordingNotes
-from backhoe_planner.show.drawing.timeline import Nearest
+from backhoe_planner.show.drawing.timeline import CriticalPoint
 from backhoe_planner.show.teleop.live_site import LiveSite
-from backhoe_planner.show.teleop.messages import (
-    Add,
-    Circulate,
-    HandOver,
-    Message,
-    Move,
-    PutBack,
-    Record,
-    Release,
-    Remove,
-    Sticks,
-    Stop,
-    Take,
-    Tip,
-    joint_rates,
-    parse,
-)
+from backhoe_planner.show.teleop.messages import Message, Sticks, Stop, Tip
 from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog, zone_log
 
 Phase = Literal["idle", "arming", "on", "ending"]
 Wish = Tip | Sticks | Stop
 
-LARGEST_FORCE = 30.0  # N on the hand; ours
-_LONGEST_RECORDING = 600.0  # s; its file has 120,000 samples then
-_FULL = 0.8  # of the oil and the power that is asked for: cylinders change their arms on the way
-_AT_REST = 1e-9  # rad/s or m/s: below rounding of what the servo integrates
-_PATIENCE = (
-    5.0  # s to come to rest in, after which a recording ends all the same; what is evaded may keep it from resting
-)
+LARGEST_FORCE = 30.0  # N on the hand; chosen, the default of `Feedback`
+AT_REST = 1e-9  # rad/s or m/s: chosen, below it nothing is left but rounding
+_LONGEST_RECORDING = 600.0  # s: chosen, 120,000 samples in the file
+_FULL = 0.8  # part of the oil and the power that wishes may use; chosen, lever arms of cylinders change on the way
+_PATIENCE = 5.0  # s to come to rest, after which a recording ends all the same; chosen, evading may prevent rest
+_UPRIGHT = 0.99  # size of the z of an axis from which on it counts as vertical; chosen, 8 degrees
 
 
 @dataclass(frozen=True)
@@ -66,10 +50,10 @@ class Recording:
 
     Attributes
     ----------
-    dt: between samples [s].
+    dt: time between samples [s].
     q: (T, n) joint positions [rad or m].
-    obstacles: as in a scene file, times from the beginning of the recording.
-    notes: what a scene file cannot say of them.
+    obstacles: records as in a scene file, times from the beginning of the recording.
+    notes: changes of the obstacles that a scene file cannot hold, in words.
     """
 
     dt: float
@@ -79,7 +63,7 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """From the first sample to the last [s]."""
         return (len(self.q) - 1) * self.dt
 
     def plan(self, robot: Robot, scene: Scene) -> Plan:
@@ -92,31 +76,31 @@ class Recording:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All that is to be shown of one moment.
+    """What is shown of one moment.
 
     Attributes
     ----------
     state: of the servo.
-    asked: whether somebody asks for a motion now.
-    obstacles: all there are, as they were put there.
-    shifts: of each, how far it has moved (3,) [m]; None where it has not appeared yet.
+    has_wish: whether somebody wishes for a motion now.
+    obstacles: all of them, as they were put there.
+    shifts: how far each has moved (3,) [m]; None where it has not appeared yet.
     movable: names of those that a page may move and take away.
-    taken: names of those of the scene that were taken away and may be put back.
-    nearest: tightest spot to each and to the machine itself.
-    zones: distances of zones that are passed.
-    driver, pages, asking: numbers of pages: who drives, who is there, who wants to drive.
-    recording, recorded: phase, and how long it is so far [s].
-    circulate: whether a blocked tip goes round.
-    failure: why the machine was stopped for good; empty where it was not.
+    taken: names of the scene's obstacles that were taken away and may be put back.
+    nearest: the critical point to each obstacle and to the machine itself.
+    zones: level of every zone whose warning, slow or stop distance is passed.
+    driver, pages, asking: numbers of the page that drives, of all pages, of those that want to drive.
+    recording, recorded: phase of the recording, and its length so far [s].
+    circulate: whether a tip that is pushed straight into an obstacle goes round it.
+    failure: why the machine was stopped for good; else empty.
     """
 
     state: ServoState
-    asked: bool
+    has_wish: bool
     obstacles: tuple[Obstacle, ...]
     shifts: dict[str, Vector | None]
     movable: frozenset[str]
     taken: tuple[str, ...]
-    nearest: dict[str, Nearest | None]
+    nearest: dict[str, CriticalPoint | None]
     zones: dict[str, Level]
     driver: int | None
     pages: tuple[int, ...]
@@ -132,10 +116,10 @@ class Session:
 
     Parameters
     ----------
-    robot, scene: the machine, and the site. Of the scene's task only the start is used.
+    robot, scene: the machine, and the site with the start. The scene's task is not used.
     dt: length of a step [s].
-    watchdog: without a wish for this long the machine stops [s].
-    now: the clock by which it goes [s].
+    watchdog: the machine stops when no wish came for this long [s].
+    now: the clock of the watchdog [s].
 
     Raises
     ------
@@ -173,8 +157,7 @@ class Session:
         self._wished_at = now()
         self._failure = ""
         self._upright, self._axis_at = _first_axis(self.robot)
-        self._phase: Phase = "idle"
-        self._waited = 0.0
+        self._begin_phase("idle")
         self._samples: list[Vector] = []  # of the recording that is going on
         self._begun = 0.0
         self._recordings: list[Recording] = []
@@ -184,7 +167,7 @@ class Session:
     # --- pages -----------------------------------------------------------------------
 
     def join(self) -> int:
-        """A page has come; its number."""
+        """Take in a page that has come, and return its number."""
         with self._lock:
             page = self._next_page
             self._next_page += 1
@@ -194,24 +177,21 @@ class Session:
     def leave(self, page: int) -> None:
         """A page has gone. If it drove, nobody does, and the machine stops."""
         with self._lock:
-            if page in self._pages:
-                self._pages.remove(page)
-            if page in self._asking:
-                self._asking.remove(page)
+            self._pages = [other for other in self._pages if other != page]
             if self._driver == page:
-                self._driver = None
-                self._wish = Stop(type="stop")
+                self._let_drive(None)
+            self._asking = [other for other in self._asking if other != page]
 
     def hear(self, page: int, text: str | bytes) -> dict[str, Any]:
-        """Do what a page says; the answer to it, as plain data. Nothing is raised about what it says."""
+        """Do what a page says, and return the answer as plain data. Whatever it says, nothing is raised."""
         message: Message | None = None
         try:
-            message = parse(text)
+            message = messages.parse(text)
             with self._lock:
                 said = self._obey(page, message)
         except InputError as error:
             return _answer(message, error=str(error))
-        except Exception as error:  # noqa: BLE001  whoever said it is told; the machine is driven on
+        except Exception as error:  # noqa: BLE001  the page gets the error; the machine is driven on
             return _answer(message, error=f"could not be done: {_in_one_line(error)}")
         return _answer(message, said=said)
 
@@ -220,7 +200,7 @@ class Session:
             raise InputError("is not here any more", key="page", found=page)
         if self._failure:
             raise InputError(self._failure)
-        if isinstance(message, Take):
+        if isinstance(message, messages.Take):
             return self._take(page)
         if self._driver is None:
             raise InputError("nobody drives", hint="take the controls first")
@@ -230,58 +210,60 @@ class Session:
             if isinstance(message, Tip) and message.pitch_rate is not None and not self.robot.has_pitch:
                 raise InputError("is not defined for this machine", key="pitch_rate")
             self._wish, self._wished_at = message, self._now()
-        elif isinstance(message, Release):
-            self._driver = None
-            self._wish = Stop(type="stop")
-        elif isinstance(message, HandOver):
-            self._hand_over(message.to)
-        elif isinstance(message, Add):
+        elif isinstance(message, messages.Release):
+            self._let_drive(None)
+        elif isinstance(message, messages.HandOver):
+            if message.to not in self._pages:
+                there = ", ".join(map(str, self._pages))
+                raise InputError("there is no such page", key="to", found=message.to, allowed=there)
+            self._let_drive(message.to)
+        elif isinstance(message, messages.Add):
             self._site.add(message.obstacle)
-        elif isinstance(message, Move):
+        elif isinstance(message, messages.Move):
             self._site.move(message.name, message.to)
-        elif isinstance(message, Remove):
+        elif isinstance(message, messages.Remove):
             self._site.remove(message.name)
             self._changes.append((self._servo.time, message.name, "taken away at", " and is left out"))
-        elif isinstance(message, PutBack):
+        elif isinstance(message, messages.PutBack):
             self._site.put_back(message.name)
             self._changes.append((self._servo.time, message.name, "put back at", "; where it was before is left out"))
-        elif isinstance(message, Circulate):
+        elif isinstance(message, messages.Circulate):
             self._servo.circulate = message.on
         else:
             return self._record(message)
         return ""
 
     def _take(self, page: int) -> str:
-        if self._driver in (None, page):
-            self._driver = page
-            if page in self._asking:
-                self._asking.remove(page)
+        if self._driver is None:
+            self._let_drive(page)
+        if self._driver == page:
             return "you drive"
         if page not in self._asking:
             self._asking.append(page)
-        raise InputError(f"page {self._driver} drives; it was told that you ask")
+        raise InputError(f"page {self._driver} drives, and sees that you ask")
 
-    def _hand_over(self, to: int) -> None:
-        if to not in self._pages:
-            raise InputError("there is no such page", key="to", found=to, allowed=", ".join(map(str, self._pages)))
-        self._driver = to
-        self._wish = Stop(type="stop")  # the other one begins anew
-        if to in self._asking:
-            self._asking.remove(to)
+    def _let_drive(self, page: int | None) -> None:
+        """Give the controls to a page, or to none. The machine stops: the new driver begins anew."""
+        self._driver, self._wish = page, Stop(type="stop")
+        self._asking = [other for other in self._asking if other != page]
 
-    def _record(self, message: Record) -> str:
+    def _record(self, message: messages.Record) -> str:
         if message.on and self._phase == "idle":
-            self._phase, self._waited = "arming", 0.0
+            self._begin_phase("arming")
         elif not message.on and self._phase == "on":
-            self._phase, self._waited = "ending", 0.0
+            self._begin_phase("ending")
         elif not message.on and self._phase == "arming":
-            self._phase = "idle"
+            self._begin_phase("idle")
         return f"recording: {self._phase}"
+
+    def _begin_phase(self, phase: Phase) -> None:
+        self._phase: Phase = phase
+        self._waited = 0.0
 
     # --- the loop --------------------------------------------------------------------
 
     def step(self) -> ServoState:
-        """Move on by dt. Where that fails the machine brakes to rest from here on, and `failure` says why."""
+        """Move on by dt. If that fails, the machine brakes to rest and stays there, and `failure` says why."""
         with self._lock:
             if not self._failure:
                 try:
@@ -293,7 +275,7 @@ class Session:
 
     @property
     def failure(self) -> str:
-        """Why the machine was stopped for good; empty where it was not."""
+        """Why the machine was stopped for good; else empty."""
         return self._failure
 
     def _step(self) -> ServoState:
@@ -308,17 +290,18 @@ class Session:
     def _fail(self, error: Exception) -> None:
         self._failure = f"the machine was stopped, as a step failed: {_in_one_line(error)}"
         self._driver, self._wish, self._held = None, None, None
-        self._samples, self._phase = [], "idle"
+        self._samples = []
+        self._begin_phase("idle")
 
     def _held_wish(self, wish: Wish | None) -> Wish | None:
-        """The wish, or the last one as long as the watchdog lets it count, and then to stop."""
+        """The wish, or else the last one; once the watchdog's time is over, the wish to stop."""
         self._held = wish or self._held
         if self._held is not None and self._now() - self._wished_at >= self._watchdog:
             self._held = Stop(type="stop")
         return self._held
 
     def _load(self, q: Vector, v: Vector) -> float:
-        """The part of what may be asked of pump, rods and engine that joint velocities v (n,) at q (n,) take."""
+        """The part that joint velocities v (n,) at q (n,) take of what wishes may use of pump, rods and engine."""
         if self._drive.hydraulics is None:
             return 0.0
         used = self._drive.use(q[None], v[None], np.zeros((1, len(v))))
@@ -330,14 +313,14 @@ class Session:
         if isinstance(wish, Stop):
             return self._servo.step(joint_velocity=np.zeros(self.robot.n))
         if isinstance(wish, Sticks):
-            return self._servo.step(joint_velocity=joint_rates(wish, self._servo.limits.velocity))
+            return self._servo.step(joint_velocity=messages.joint_rates(wish, self._servo.limits.velocity))
         velocity = np.array(wish.velocity)
         if wish.frame == "arm":
             velocity = self._arm_frame() @ velocity
         return self._servo.step(velocity, pitch_rate=wish.pitch_rate)
 
     def _arm_frame(self) -> Matrix:
-        """(3, 3) outward, left and up as columns; the world's own where the first joint is not upright."""
+        """(3, 3) outward, left and up as columns; the world's axes where the first joint's axis is not vertical."""
         x, y = (self._state.tip_position - self._axis_at)[:2]
         far = math.hypot(x, y)
         if not self._upright or far < 1e-3:
@@ -349,20 +332,21 @@ class Session:
         if self._samples:
             self._samples.append(np.array(state.q))
             if self._phase == "on" and self._recorded >= _LONGEST_RECORDING:
-                self._phase, self._waited = "ending", 0.0
+                self._begin_phase("ending")
         if self._phase == "on":
             return
         self._waited += self.dt
-        at_rest = float(np.abs(state.v).max()) < _AT_REST
+        at_rest = float(np.abs(state.v).max()) < AT_REST
         if self._phase == "arming" and at_rest:
             self._begun, self._samples = state.time, [np.array(state.q)]
             self._changes.clear()
-            self._phase = "on"
+            self._begin_phase("on")
         elif self._phase == "ending" and (at_rest or self._waited > _PATIENCE):
             obstacles, notes = self._site.records(self._begun)
             notes += [f"{name} was {what} {at - self._begun:.2f} s{so}" for at, name, what, so in self._changes]
             self._recordings.append(Recording(self.dt, np.array(self._samples), obstacles, notes))
-            self._samples, self._phase = [], "idle"
+            self._samples = []
+            self._begin_phase("idle")
 
     @property
     def _recorded(self) -> float:
@@ -370,18 +354,18 @@ class Session:
         return max(len(self._samples) - 1, 0) * self.dt
 
     def take_recording(self) -> Recording | None:
-        """A recording that has ended and was not handed out yet, or None."""
+        """Take out a recording that has ended, or None where there is none."""
         with self._lock:
             return self._recordings.pop(0) if self._recordings else None
 
     def snapshot(self) -> Snapshot:
-        """What is to be shown now."""
+        """What is shown of the present moment."""
         with self._lock:
             state, site = self._state, self._site
             obstacles = site.obstacles
             return Snapshot(
                 state=state,
-                asked=_asks(self._held),
+                has_wish=_is_for_motion(self._held),
                 obstacles=obstacles,
                 shifts={obstacle.name: site.shift_of(obstacle.name) for obstacle in obstacles},
                 movable=frozenset(o.name for o in obstacles if site.may_be_moved(o.name)),
@@ -398,15 +382,15 @@ class Session:
             )
 
 
-def _asks(wish: Wish | None) -> bool:
-    """Whether a wish is one for a motion."""
+def _is_for_motion(wish: Wish | None) -> bool:
+    """Whether a wish is one for a motion, and not for rest."""
     if isinstance(wish, Tip):
         return any(wish.velocity) or bool(wish.pitch_rate)
     return isinstance(wish, Sticks) and wish.speed > 0.0 and any((*wish.left, *wish.right))
 
 
 def _in_one_line(error: Exception) -> str:
-    """An error in one short line; some say a page full."""
+    """An error in one short line; the text of some fills a page."""
     lines = str(error).strip().splitlines()
     return f"{type(error).__name__}: {lines[0][:200]}" if lines else type(error).__name__
 
@@ -426,4 +410,4 @@ def _first_axis(robot: Robot) -> tuple[bool, Vector]:
     """Whether the first joint turns about the vertical, and a point (3,) on its axis [m]."""
     data = robot.model.createData()
     J = pin.computeJointJacobians(robot.model, data, robot.middle).reshape(6, robot.n)
-    return bool(abs(J[5, 0]) > 0.99), np.array(data.oMi[1].translation)
+    return bool(abs(J[5, 0]) > _UPRIGHT), np.array(data.oMi[1].translation)

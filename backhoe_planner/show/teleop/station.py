@@ -1,4 +1,4 @@
-"""Runs a session: the loop, the server, the picture, and the writer of recordings."""
+"""Runs a session in real time: the loop, the server, the picture, and the writer of recordings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import queue
 import threading
 import time as clock
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,14 @@ import numpy as np
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.machine import Robot
+from backhoe_planner.show.drawing.timeline import FRAME
 from backhoe_planner.show.page.page import live_page, read_parts
 from backhoe_planner.show.teleop.picture import Picture
-from backhoe_planner.show.teleop.session import Recording, Session
+from backhoe_planner.show.teleop.session import AT_REST, Recording, Session
 from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 from backhoe_planner.site import Scene
 
-_FRAME = 1.0 / 30.0  # s between pictures: fluent for the eye
-_AT_REST = 1e-9  # rad/s or m/s: below rounding of what the servo integrates
-_LATEST = 0.1  # s behind the clock at which the loop stops catching up: a longer burst of steps would be seen
+_LATEST = 0.1  # s behind the clock at which the loop stops catching up; chosen, a longer burst would be seen
 
 
 class _Socket(LiveSocket):
@@ -37,7 +35,7 @@ class _Socket(LiveSocket):
     def on_message(self, message: str | bytes) -> None:
         if message == "drawn":
             super().on_message(message)
-        elif self.heeds():
+        elif self.accepts():
             self.answer(self.server.session.hear(self.page, message))
 
     def on_close(self) -> None:
@@ -46,11 +44,11 @@ class _Socket(LiveSocket):
 
 
 class TeleopServer(LiveServer):
-    """A web server in a thread of its own; see `LiveServer`.
+    """The server of a driving page; see `LiveServer`.
 
     Parameters
     ----------
-    session: that the pages watch and drive.
+    session: what the pages watch and drive.
     """
 
     def __init__(self, session: Session, *, host: str = "127.0.0.1", port: int | None = None) -> None:
@@ -58,7 +56,7 @@ class TeleopServer(LiveServer):
         super().__init__(host=host, port=port)
 
     def routes(self) -> list[Any]:
-        """What is served; tornado's rules."""
+        """The addresses that are served, as tornado's rules."""
         css, body, script = read_parts("backhoe_planner.show.teleop", "teleop.css", "teleop.html", "teleop.js")
         page = live_page(css=css, body=body, script=script)
         return [("/", LivePage, {"page": page, "server": self}), ("/socket", _Socket, {"server": self})]
@@ -70,20 +68,19 @@ class TeleopStation:
     Parameters
     ----------
     robot, scene: the machine, and the site with the start.
-    host: the address on which it listens; by default this machine alone can connect.
-    port: None takes the first free one from 7000 on, 0 any.
-    output: where recordings are written; nothing is overwritten: a second one gets a number.
+    host, port: see `LiveServer`.
+    output: file for recordings. It is never overwritten: further recordings get a number.
     dt: length of a step [s].
 
     Attributes
     ----------
-    session: what is driven.
+    session: the machine and its driver.
     warnings: what could not be drawn as the URDF asks, in words.
 
     Raises
     ------
     InputError, SceneError, RobotError: the scene does not fit the machine.
-    OutputError: the port is taken, or recordings cannot be written there.
+    OutputError: the port is in use, or recordings cannot be written there.
     """
 
     def __init__(
@@ -106,7 +103,7 @@ class TeleopStation:
             self._server.close()
             raise
         self.warnings = self._picture.warnings
-        self._told_failure = self._told_unshown = False
+        self._reported: set[str] = set()
         self._ending = threading.Event()
         self._writing = threading.Lock()
         self._recordings: queue.SimpleQueue[Recording | None] = queue.SimpleQueue()
@@ -117,7 +114,7 @@ class TeleopStation:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return self._server.url
 
     @property
@@ -127,11 +124,11 @@ class TeleopStation:
 
     @property
     def failure(self) -> str:
-        """Why the machine was stopped for good; empty where it was not."""
+        """Why the machine was stopped for good; else empty."""
         return self.session.failure
 
     def close(self) -> None:
-        """End everything; what is being written is finished, nothing else is begun. May be called again."""
+        """End everything; a file that is being written is finished first. May be called again."""
         self._ending.set()
         self._recordings.put(None)
         self._loop.join(timeout=2.0)
@@ -142,9 +139,7 @@ class TeleopStation:
     def __enter__(self) -> TeleopStation:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _run(self) -> None:
@@ -154,7 +149,7 @@ class TeleopStation:
             state = session.step()
             due += dt
             now = clock.monotonic()
-            at_an_end = bool(session.failure) and float(np.abs(state.v).max()) < _AT_REST
+            at_an_end = bool(session.failure) and float(np.abs(state.v).max()) < AT_REST
             if now >= frame_due or at_an_end:
                 self._draw()
                 if at_an_end:
@@ -162,25 +157,27 @@ class TeleopStation:
                 recording = session.take_recording()
                 if recording is not None:
                     self._recordings.put(recording)
-                frame_due = now + _FRAME
+                frame_due = now + FRAME
                 now = clock.monotonic()
             if now < due:
                 self._ending.wait(due - now)
-            elif now - due > _LATEST:  # the computer is too slow or was asleep: time is lost, not made up
+            elif now - due > _LATEST:  # the computer is too slow or was asleep: the lost time is not made up
                 due = now
 
     def _draw(self) -> None:
-        """Show what is; a picture that fails is told once, and the machine is driven on."""
-        if self.session.failure and not self._told_failure:
-            self._told_failure = True
-            self._server.display.tell("trouble", {"text": self.session.failure})
+        """Show the present state. If that fails, the pages are told once, and the machine is driven on."""
+        if self.session.failure:
+            self._report("failure", self.session.failure)
         try:
             self._picture.show(self.session.snapshot())
         except Exception as error:  # noqa: BLE001  whatever it was, the machine must be stepped on
-            if not self._told_unshown:
-                self._told_unshown = True
-                text = f"the picture cannot be drawn ({type(error).__name__}) and may be out of date"
-                self._server.display.tell("trouble", {"text": text})
+            self._report("picture", f"the picture cannot be drawn ({type(error).__name__}) and may be out of date")
+
+    def _report(self, trouble: str, text: str) -> None:
+        """Tell the pages of a kind of trouble, once."""
+        if trouble not in self._reported:
+            self._reported.add(trouble)
+            self._server.display.tell("trouble", {"text": text})
 
     def _write(self) -> None:
         while (recording := self._recordings.get()) is not None:
@@ -192,24 +189,21 @@ class TeleopStation:
                         return
                     file = free_name(self._output)
                     plan.save(file)
+                notes, zones = recording.notes, len(plan.findings.zones)
+                self._tell(
+                    file=str(file), verdict=plan.verdict, seconds=recording.duration, zones=zones, left_out=notes
+                )
             except InputError as error:
                 self._tell(error=str(error))
-                continue
             except Exception as error:  # noqa: BLE001  the next recording is written all the same
                 self._tell(error=f"the recording could not be written: {type(error).__name__}")
-                continue
-            visits = len(plan.findings.zones)
-            self._tell(
-                file=str(file), verdict=plan.verdict, seconds=recording.duration, zones=visits,
-                left_out=recording.notes,
-            )  # fmt: skip
 
     def _tell(self, **content: object) -> None:
         self._server.display.tell("recorded", content)
 
 
 def free_name(path: Path) -> Path:
-    """`path`, or where that is taken, the first of ``name-2``, ``name-3``, ... that is not."""
+    """`path`, or, where that exists, the first of ``name-2``, ``name-3``, ... that does not."""
     found, number = path, 2
     while found.exists():
         found = path.with_name(f"{path.stem}-{number}{path.suffix}")

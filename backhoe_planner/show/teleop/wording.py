@@ -1,13 +1,12 @@
 """What the machine does, in a few words for the page.
 
-    rest    nobody asks for anything: grey
-    free    it does what is asked: green
-    near    it does, and something is near: yellow
-    held    what is asked is refused, wholly or in part: red
+    rest    nobody wishes for a motion: grey
+    free    the machine follows the wish: green
+    near    it follows the wish, and something is near: yellow
+    held    the wish is refused, wholly or in part: red
 
-What is worse is told at once; what is better only once it has lasted, so that the words
-do not flicker where the machine slides along something. Where nobody asks any more it is
-at rest at once.
+A worse state is shown at once. A better one is shown only once it has lasted, so that the
+words do not flicker where the machine slides along something. Rest is shown at once.
 """
 
 from __future__ import annotations
@@ -16,25 +15,24 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from backhoe_planner.live import ServoState, Status
+from backhoe_planner.live import HOLDS_WITHIN, ServoState, Status
 
 Kind = Literal["rest", "free", "near", "held"]
 
-_LASTS = 0.5  # s
-_MOVES = 1e-3  # rad/s or m/s
-_NEAR = 0.3  # m of margin within which the nearest thing is named
-_TOUCHES = 0.05  # m of margin within which it is the nearest thing that holds the machine
+_LASTS = 0.5  # s: chosen, about the time in which a word is read
+_MOVES = 1e-3  # rad/s or m/s: slower than that nobody sees a motion
+_NEAR = 0.3  # m of margin within which the nearest thing is named; chosen, beyond where the servo slides along it
 _WORSE: tuple[Kind, ...] = ("rest", "free", "near", "held")
 
 
-class Telling(NamedTuple):
-    """What is told.
+class Caption(NamedTuple):
+    """The words that the page shows.
 
     Attributes
     ----------
-    kind: how it is coloured.
+    kind: how they are coloured.
     word: what the machine does.
-    more: of what is nearest; may be empty.
+    more: the nearest thing and its margin; empty where none is near.
     """
 
     kind: Kind
@@ -43,42 +41,41 @@ class Telling(NamedTuple):
 
 
 class Wording:
-    """Words for one state after the other."""
+    """Captions for one state after the other."""
 
     def __init__(self) -> None:
-        self._told = Telling("rest", "At rest", "")
+        self._shown = Caption("rest", "At rest", "")
         self._since = 0.0
 
-    def next(self, state: ServoState, *, asked: bool) -> Telling:
-        """What is told of a state; `asked` says whether somebody asks for a motion."""
-        found = _telling(state, asked=asked)
-        better = _WORSE.index(found.kind) < _WORSE.index(self._told.kind)
+    def next(self, state: ServoState, *, has_wish: bool) -> Caption:
+        """The caption of a state; `has_wish` says whether somebody wishes for a motion."""
+        found = _caption(state, has_wish=has_wish)
+        better = _WORSE.index(found.kind) < _WORSE.index(self._shown.kind)
         if better and found.kind != "rest" and state.time - self._since < _LASTS:
-            return self._told._replace(more=found.more)
-        self._told, self._since = found, state.time
+            return self._shown._replace(more=found.more)
+        self._shown, self._since = found, state.time
         return found
 
 
-def _telling(state: ServoState, *, asked: bool) -> Telling:
-    status, name = state.status, state.obstacle
-    close = name is not None and state.margin < _NEAR
-    distance = f"{state.margin:.2f} m".replace("-", "\N{MINUS SIGN}")
-    more = f"{state.link}, {distance}" if close else ""
+def _caption(state: ServoState, *, has_wish: bool) -> Caption:
+    status, nearest = state.status, state.nearest
+    name, more, distance = "", "", f"{state.margin:.2f} m".replace("-", "\N{MINUS SIGN}")
+    if nearest is not None and nearest.margin < _NEAR:
+        name, more = nearest.name, f"{nearest.link}, {distance}"
     if status is Status.EVADING:
-        return Telling("held", f"Evading {name}" if close else "Evading", more)
-    if not asked:
+        return Caption("held", f"Evading {name}".rstrip(), more)
+    if not has_wish:
         rests = float(np.abs(state.v).max()) < _MOVES
-        return Telling("rest", "At rest" if rests else "Coming to rest", f"near {name}, {distance}" if close else "")
-    holds = close and state.margin < _TOUCHES
+        return Caption("rest", "At rest" if rests else "Coming to rest", f"near {name}, {distance}" if name else "")
+    holds = bool(name) and state.margin < HOLDS_WITHIN
     if status is Status.STOPPED:
-        return Telling("held", f"Held by {name}" if holds else "Held by a limit", more)
+        return Caption("held", f"Held by {name}" if holds else "Held by a limit", more)
     if status is Status.SLIDING:
-        word = f"Sliding along {name}" if holds else f"Slowed before {name}" if close else "Slowed"
-        return Telling("held" if holds else "near", word, more)
-    if status is Status.NEAR_OBSTACLE:
-        return Telling("near", f"Near {name}", more)
-    if status is Status.NEAR_LIMIT:
-        return Telling("near", "At a joint limit", more)
-    if status is Status.NEAR_SINGULARITY:
-        return Telling("near", "Stretched out", more)
-    return Telling("free", "Free", more)
+        word = f"Sliding along {name}" if holds else f"Slowed before {name}" if name else "Slowed"
+        return Caption("held" if holds else "near", word, more)
+    words = {
+        Status.NEAR_OBSTACLE: f"Near {name}",
+        Status.NEAR_LIMIT: "At a joint limit",
+        Status.NEAR_SINGULARITY: "Stretched out",
+    }
+    return Caption("near", words[status], more) if status in words else Caption("free", "Free", more)

@@ -1,8 +1,8 @@
-"""Serves the live page, and brings to every open page what is drawn.
+"""Serves the live page, and sends to every open page what is drawn.
 
-It runs in a thread of this process: nothing is left behind when the process ends, and
-handing it a message costs microseconds. A browser that is slow does not pile messages
-up: of those about the same thing only the newest waits for it.
+The server runs in a thread of this process: nothing is left behind when the process ends,
+and giving it a message costs microseconds. Messages do not pile up for a slow browser: of
+several about the same thing only the newest waits.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from backhoe_planner.errors import OutputError
 from backhoe_planner.show.page.display import Display, Key, Message, Messages
 from backhoe_planner.show.page.page import live_page
 
-_FIRST_PORT, _PORTS = 7000, 100  # where meshcat's own server begins, too
-_FLUSH_EVERY = 0.02  # s between deliveries: less than a frame at 30 a second
-_LARGEST_MESSAGE = 4 << 20  # bytes; a page that sends more is cut off. A driving one sends some hundred
-_MOST_PAGES = 64  # each costs memory for what waits for it
-_MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; a driving one needs some 60
-_MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread: thousands of answers
-_FAREWELL = 0.5  # s within which a page that is shut out may still read why
+_FIRST_PORT, _PORTS = 7000, 100  # meshcat's own server begins at the same port; how many are tried is chosen
+_FLUSH_EVERY = 0.02  # s between deliveries; chosen, less than a frame
+_LARGEST_MESSAGE = 4 << 20  # bytes that a page may send at once; chosen, a driving one sends some hundred
+_MOST_PAGES = 64  # chosen: each costs memory for what waits for it
+_MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; chosen, a driving one needs some 60
+_MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread; chosen, thousands of answers
+_FAREWELL = 0.5  # s for a page that is shut out to read why; chosen
 
 
 class LivePage(tornado.web.RequestHandler):
@@ -38,11 +38,10 @@ class LivePage(tornado.web.RequestHandler):
 
     def initialize(self, page: str, server: LiveServer) -> None:
         """Take what the route gives."""
-        self.page = page
-        self.server = server
+        self.page, self.server = page, server
 
     def prepare(self) -> None:
-        """Answer only to a name of this server's own: another one may have been made to point here."""
+        """Refuse requests by a name that is not this server's."""
         if not self.server.answers_to(self.request.host):
             raise tornado.web.HTTPError(403)
 
@@ -53,10 +52,10 @@ class LivePage(tornado.web.RequestHandler):
 
 
 class LiveSocket(tornado.websocket.WebSocketHandler):
-    """The connection to one page; what is drawn and told goes out through it."""
+    """The connection to one page, through which drawings and numbers are sent."""
 
     def prepare(self) -> None:
-        """Answer only to a name of this server's own, to its own page, and while there is room."""
+        """Refuse requests by another name, from other pages, and beyond the greatest number of pages."""
         origin = self.request.headers.get("Origin")
         if not self.server.answers_to(self.request.host) or not (origin is None or self.check_origin(origin)):
             raise tornado.web.HTTPError(403)
@@ -85,26 +84,26 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
         self.server.add(self)
 
     def on_message(self, message: str | bytes) -> None:
-        """A page says that it has drawn the picture; there is nothing else that it may say."""
-        if self.heeds() and message == "drawn":
+        """A page says that it has drawn the picture. Other messages are ignored."""
+        if self.accepts() and message == "drawn":
             self.server.somebody_watches.set()
 
     def on_close(self) -> None:
         """A page has gone."""
         self.server.remove(self)
 
-    def bring(self) -> None:
-        """Write what waits, unless the browser is still busy with what it got before."""
+    def send_waiting(self) -> None:
+        """Send the messages that wait, unless the browser is still busy with earlier ones."""
         connection = self.ws_connection
         if not self.waiting or connection is None or connection.stream is None or connection.stream.writing():
             return
         messages, self.waiting = self.waiting, Messages()
         for message in messages.values():
-            if not self.hand_out(message):
+            if not self.send(message):
                 return
 
-    def heeds(self) -> bool:
-        """Whether a message that came is to be heeded; a page that floods is shut out."""
+    def accepts(self) -> bool:
+        """Count a message that came, and say whether to follow it. A page that sends too many is shut out."""
         if self._shut_out:
             return False
         now = time.monotonic()
@@ -116,16 +115,16 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
         return True
 
     def answer(self, content: dict[str, Any]) -> None:
-        """Write what this page alone is to know; one that does not read its answers is shut out."""
+        """Send something to this page alone. A page that does not read its answers is shut out."""
         if self._shut_out:
             return
         if self._unread > _MOST_UNREAD:
             self.shut_out("answers are not read")
         else:
-            self.hand_out(json.dumps(content, allow_nan=False), answer=True)
+            self.send(json.dumps(content, allow_nan=False), answer=True)
 
     def shut_out(self, reason: str) -> None:
-        """End the connection: at once for what comes in, soon for what goes out."""
+        """End the connection: for incoming messages at once, for outgoing ones soon, so that `reason` is read."""
         self._shut_out = True
         connection = self.ws_connection
         self.close(1008, reason)
@@ -134,8 +133,8 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
             asyncio.get_running_loop().call_later(_FAREWELL, stream.close)
         self.on_close()
 
-    def hand_out(self, message: Message, *, answer: bool = False) -> bool:
-        """Write a message; False where the page has gone, and `on_close` follows."""
+    def send(self, message: Message, *, answer: bool = False) -> bool:
+        """Send a message; False where the page has gone, and `on_close` follows."""
         size = len(message) if answer else 0
         try:
             written = asyncio.ensure_future(self.write_message(message, binary=isinstance(message, bytes)))
@@ -146,7 +145,7 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
         def read(done: asyncio.Future[None]) -> None:
             self._unread -= size
             if not done.cancelled():
-                done.exception()  # that the page has gone meanwhile is told by on_close
+                done.exception()  # if the page has gone meanwhile, on_close follows
 
         written.add_done_callback(read)
         return True
@@ -158,18 +157,18 @@ class LiveServer:
     Parameters
     ----------
     host: the address on which it listens; by default this machine alone can connect.
-    port: None takes the first free one from 7000 on, 0 any.
+    port: where it listens; None takes the first free one from 7000 on, 0 any free one.
 
     Attributes
     ----------
-    display: draw and tell through it.
-    url: where the page is.
+    display: what is drawn on it, the pages show.
+    url: address of the page.
     somebody_watches: set while at least one page is open that has drawn the picture.
-    left_at: when the last page was closed, by `time.monotonic` [s]; None before that.
+    left_at: when the last page was closed, by `time.monotonic` [s]; None while one is open, or none was yet.
 
     Raises
     ------
-    OutputError: the port is taken.
+    OutputError: the port is in use.
     """
 
     def __init__(self, *, host: str = "127.0.0.1", port: int | None = None) -> None:
@@ -195,13 +194,13 @@ class LiveServer:
             self._thread.join(timeout=5.0)
 
     def add(self, page: LiveSocket) -> None:
-        """A page has connected; it is brought up to date."""
+        """Take in a page that has connected, and bring it up to date."""
         page.waiting = self.display.messages()
         self._pages.add(page)
         self.left_at = None
 
     def remove(self, page: LiveSocket) -> None:
-        """A page has gone."""
+        """Forget a page that has gone."""
         self._pages.discard(page)
         if not self._pages:
             self.left_at = time.monotonic()
@@ -210,8 +209,8 @@ class LiveServer:
     def answers_to(self, host: str) -> bool:
         """Whether a request's Host header names this server.
 
-        Other names may be made to point to this machine by whoever owns them, so that
-        a page from elsewhere would count as ours.
+        The owner of another name can make it point to this machine. A page from there would then
+        count as one of this server.
         """
         try:
             name = urlsplit(f"//{host}").hostname or ""
@@ -226,12 +225,12 @@ class LiveServer:
         return address.is_loopback or self._host in ("", "0.0.0.0", "::") or name == self._host
 
     def routes(self) -> list[Any]:
-        """What is served; tornado's rules."""
+        """The addresses that are served, as tornado's rules."""
         return [("/", LivePage, {"page": live_page(), "server": self}), ("/socket", LiveSocket, {"server": self})]
 
     @property
     def full(self) -> bool:
-        """Whether there are as many pages as there may be."""
+        """Whether no further page may connect."""
         return len(self._pages) >= _MOST_PAGES
 
     @property
@@ -279,22 +278,18 @@ class LiveServer:
         for page in list(self._pages):
             for key, message in fresh:
                 page.waiting.put(key, message)
-            page.bring()
+            page.send_waiting()
 
 
 def _listen(host: str, port: int | None) -> socket.socket:
     tried: Any = range(_FIRST_PORT, _FIRST_PORT + _PORTS) if port is None else [port]
     for number in tried:
-        listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.setblocking(False)
         try:
-            listening.bind((host, number))
-            listening.listen(64)
+            listening = socket.create_server((host, number), backlog=_MOST_PAGES)
         except OSError as error:
-            listening.close()
             if port is not None:
                 raise OutputError("the port cannot be used", key="port", found=port, hint=str(error)) from error
             continue
+        listening.setblocking(False)
         return listening
     raise OutputError("no free port", key="port", allowed=f"{_FIRST_PORT} to {_FIRST_PORT + _PORTS - 1}")

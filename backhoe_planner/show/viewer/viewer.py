@@ -4,38 +4,35 @@ from __future__ import annotations
 
 import threading
 import time as clock
-from types import TracebackType
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.timeline import nearest_spots, obstacle_names, sight
+from backhoe_planner.show.drawing.timeline import FRAME, critical_points, obstacle_names, sight
 from backhoe_planner.show.page.page_content import show_plan, tell_problem, tell_step
 from backhoe_planner.show.viewer.live_server import LiveServer
 from backhoe_planner.site import Proximity
 
-_FRAME = 1.0 / 30.0  # s between drawn steps: fluent for the eye
-_GRACE = 4.0  # s within which a page may be loaded again; a slow browser takes one or two
-_SHARE = 0.04  # of the caller's time that drawing may take, so that planning is not noticeably slower
+_GRACE = 4.0  # s within which a page may be loaded again; chosen, a slow browser takes one or two
+_SHARE = 0.04  # part of the caller's time that drawing may take; chosen, so that planning is hardly slower
 
 
 class Viewer:
     """Shows problems, steps and plans in every browser that opens `url`.
 
-    It is a consumer: nothing is handed back, and a browser that is slow, or none at
-    all, does not hold the caller up. It belongs to the thread that made it; call its
-    methods from there. Close it, or use it in a ``with`` block.
+    It only shows: nothing comes back from it, and a slow browser, or none at all, does not
+    delay the caller. Call its methods from the thread that made it. Close it, or use it in a
+    ``with`` block.
 
     Parameters
     ----------
-    host: the address on which it listens; by default this machine alone can connect.
-    port: None takes the first free one from 7000 on, 0 any.
+    host, port: see `LiveServer`.
 
     Raises
     ------
-    OutputError: the port is taken.
+    OutputError: the port is in use.
 
     Examples
     --------
@@ -54,55 +51,34 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         return self._server.url
 
-    @property
-    def watched(self) -> bool:
-        """Whether a page is open that shows the present picture."""
-        return self._server.somebody_watches.is_set()
-
     def wait_for_browser(self, timeout: float | None = None) -> bool:
-        """Wait until a page is open that has drawn what was shown so far.
+        """Wait until a page has drawn the picture, for at most `timeout` [s]; whether one has.
 
-        Parameters
-        ----------
-        timeout: after which to give up [s]; None waits until interrupted.
-
-        Returns
-        -------
-        Whether there is one.
+        Without a timeout it waits until it is interrupted.
         """
         return self._server.somebody_watches.wait(timeout)
 
     def alive(self) -> bool:
-        """Whether anybody may still be watching: False once closed, or once every page is.
-
-        A page may be loaded again within a few seconds.
-        """
+        """Whether anybody may still be watching: False once it is closed, or some seconds after the last page is."""
         left = self._server.left_at
         return self._server.running and (left is None or clock.monotonic() - left < _GRACE)
 
     def show_problem(self, problem: Problem) -> tuple[str, ...]:
-        """Show machine, site and task.
-
-        Returns
-        -------
-        What could not be drawn as the URDF asks, in words.
-        """
-        self._check_thread()
+        """Show machine, site and task, and return what could not be drawn as the URDF asks, in words."""
+        self._clear()
         display = self._server.display
-        display.forget("problem", "plan", "step")
-        graph = SceneGraph(display.visualizer(), problem)
-        self._take_up(graph)
+        graph = self._keep(SceneGraph(display.visualizer(), problem))
         tell_problem(display, problem, graph, graph.view(), self._obstacles)
         return graph.warnings
 
     def show_step(self, q: Vector, time: float = 0.0) -> bool:
         """Show the machine at `q` (n,) and `time` [s], unless a step was drawn just before.
 
-        Up to 30 steps a second are drawn, fewer where drawing would take more than 4 %
-        of the time; the others return at once. Call it as often as you like.
+        Up to 30 steps a second are drawn, fewer where drawing would take more than 4 % of the
+        time. The other calls return at once.
 
         Returns
         -------
@@ -120,45 +96,40 @@ class Viewer:
             raise InputError("show a problem first", key="show_step")
         problem = self._graph.problem
         posture = problem.robot.check_q(q)
-        spots = nearest_spots(self._proximity, self._obstacles, posture, time=time, within=sight(problem))
-        self._graph.move(posture, time=time, nearest=spots)
-        tell_step(self._server.display, posture, time=time, nearest=spots, links=problem.robot.link_names)
+        nearest = critical_points(self._proximity, self._obstacles, posture, time=time, within=sight(problem))
+        self._graph.move(posture, time=time, nearest=nearest)
+        tell_step(self._server.display, posture, time=time, nearest=nearest, links=problem.robot.link_names)
         ended = clock.perf_counter()
-        self._next_frame = ended + max(_FRAME, (ended - begun) / _SHARE)
+        self._next_frame = ended + max(FRAME, (ended - begun) / _SHARE)
         return True
 
     def play(self, plan: Plan) -> tuple[str, ...]:
-        """Show a plan, with its verdict and a scrubber, and play it.
-
-        Returns
-        -------
-        What could not be drawn as the URDF asks, in words.
-        """
-        self._check_thread()
-        display = self._server.display
-        display.forget("problem", "plan", "step")
-        graph = show_plan(display, plan)
-        self._take_up(graph)
-        return graph.warnings
+        """Play a plan, with its verdict and a scrubber, and return what could not be drawn as the URDF asks."""
+        self._clear()
+        return self._keep(show_plan(self._server.display, plan)).warnings
 
     def close(self) -> None:
-        """End the connection to every page; the pages keep their picture."""
+        """Close the connection to every page; the pages keep their picture."""
         self._server.close()
 
     def __enter__(self) -> Viewer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _take_up(self, graph: SceneGraph) -> None:
-        problem = graph.problem
-        self._graph = graph
+    def _clear(self) -> None:
+        """Forget the numbers of what was shown before."""
+        self._check_thread()
+        self._server.display.forget("problem", "plan", "step")
+
+    def _keep(self, graph: SceneGraph) -> SceneGraph:
+        """Let further steps move what was drawn."""
+        problem, self._graph = graph.problem, graph
         self._proximity = Proximity(problem.robot, problem.obstacles)
         self._obstacles = obstacle_names(problem, self._proximity)
         self._next_frame = 0.0
+        return graph
 
     def _check_thread(self) -> None:
         if threading.get_ident() != self._thread:

@@ -1,5 +1,5 @@
 "use strict";
-// The overlay around meshcat's viewer. `recording` is the page's own content, or null
+// The page around meshcat's viewer. `recording` is the page's own content; it is null
 // where drawing commands and numbers come through a socket.
 function show(recording) {
   const get = (id) => document.getElementById(id);
@@ -287,7 +287,12 @@ function show(recording) {
       live = true;
       showNumbers(content.q, content.margins, content.links);
     }
-    dispatchEvent(new CustomEvent("told", { detail: content }));
+    dispatchEvent(new CustomEvent("backhoe", { detail: content }));
+  }
+
+  function notice(text) {
+    get("notice").hidden = false;
+    get("notice").textContent = text;
   }
 
   function draw(bytes) { viewer.handle_command_bytearray(bytes); }
@@ -301,20 +306,16 @@ function show(recording) {
       if (typeof message.data !== "string") { draw(new Uint8Array(message.data)); return; }
       hear(JSON.parse(message.data));
       if (reported) return;
-      reported = true;  // the first telling comes after the drawing of it
+      reported = true;  // the first numbers come after the drawing that they belong to
       requestAnimationFrame(() => requestAnimationFrame(() => { if (socket.readyState === 1) socket.send("drawn"); }));
     };
-    socket.onclose = () => {
-      get("notice").hidden = false;
-      get("notice").textContent = "The program that shows this has ended. The picture stays; it can be turned and played.";
-    };
+    socket.onclose = () => notice("The program that shows this has ended. The picture stays; it can be turned and played.");
   }
 
-  window.backhoe = { viewer, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },
+  window.backhoe = { viewer, element, number, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },
     get problem() { return problem; } };
   if (recording === null) {
-    get("notice").hidden = false;
-    get("notice").textContent = "Waiting for the planner…";
+    notice("Waiting for the planner…");
     connect();
   } else {
     for (const code of recording.draw) draw(Uint8Array.from(atob(code), (letter) => letter.charCodeAt(0)));

@@ -1,9 +1,9 @@
 "use strict";
-// Driving: what the hands do goes to the session as wishes; what it says is shown.
+// Driving: the hands' wishes go to the session, and its state is shown.
 (() => {
   const get = (id) => document.getElementById(id);
-  const { viewer } = backhoe, THREE = MeshCat.THREE, pane = get("meshcat-pane"), stage = get("stage");
-  let page = null, told = null, toastUntil = 0;
+  const { viewer, element, number } = backhoe, THREE = MeshCat.THREE, pane = get("meshcat-pane"), stage = get("stage");
+  let page = null, state = null, toastUntil = 0;
 
   // ---- where things stand on the page --------------------------------------------
   get("app").append(get("drive"));
@@ -14,8 +14,7 @@
   for (const id of ["drive", "hand-section", "site-section"]) get(id).hidden = false;
 
   const send = (content) => backhoe.send && backhoe.send(content);
-  const driving = () => told !== null && told.driver !== null && told.driver === page;
-  const signed = (value, digits) => value.toFixed(digits).replace("-", "\u2212");
+  const driving = () => state !== null && state.driver !== null && state.driver === page;
 
   function toast(text) {
     get("toast").textContent = text;
@@ -26,12 +25,12 @@
   // ---- hands -----------------------------------------------------------------------
 
   const held = new Set();
+  const sticks = (left, right) => [["A / D", "swing"], ["W / S", left], ["\u2191 / \u2193", right],
+    ["\u2190 / \u2192", "curl, dump"], ["Space", "stop"]];
   const KEYS = {
     tip: [["W / S", "out, in"], ["A / D", "left, right"], ["E / Q", "up, down"], ["Z / X", "curl, dump"], ["Space", "stop"]],
-    iso: [["A / D", "swing"], ["W / S", "stick out, in"], ["\u2191 / \u2193", "boom down, up"], ["\u2190 / \u2192", "curl, dump"],
-      ["Space", "stop"]],
-    sae: [["A / D", "swing"], ["W / S", "boom down, up"], ["\u2191 / \u2193", "stick out, in"], ["\u2190 / \u2192", "curl, dump"],
-      ["Space", "stop"]],
+    iso: sticks("stick out, in", "boom down, up"),
+    sae: sticks("boom down, up", "stick out, in"),
   };
   const USED = new Set(["KeyW", "KeyS", "KeyA", "KeyD", "KeyE", "KeyQ", "KeyZ", "KeyX",
     "ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight", "Space"]);
@@ -63,7 +62,7 @@
     const content = { type: "tip", frame: "arm", velocity: [
       speed * clamp(both("KeyW", "KeyS") - ly), speed * clamp(both("KeyA", "KeyD") - lx),
       speed * clamp(both("KeyE", "KeyQ") - ry)] };
-    if (turn !== 0 && told !== null && told.has_pitch) content.pitch_rate = speed * turn;
+    if (turn !== 0 && state !== null && state.has_pitch) content.pitch_rate = speed * turn;
     return content;
   }
 
@@ -71,13 +70,13 @@
     ? content.velocity.some((x) => x !== 0) || content.pitch_rate !== undefined
     : [...content.left, ...content.right].some((x) => x !== 0);
 
-  let moving = false, asked = 0;
+  let moving = false, askedAt = 0;
   function drive() {
     if (performance.now() > toastUntil) get("toast").hidden = true;
     const content = wish();
     if (something(content)) {
-      if (driving()) { send(content); moving = true; } else if (told !== null && performance.now() - asked > 1500) {
-        asked = performance.now();
+      if (driving()) { send(content); moving = true; } else if (state !== null && performance.now() - askedAt > 1500) {
+        askedAt = performance.now();
         send({ type: "take" });
       }
     } else if (moving) {
@@ -108,10 +107,7 @@
     const keys = get("keys");
     keys.replaceChildren();
     for (const [key, does] of KEYS[get("mode").value]) {
-      const name = document.createElement("b"), text = document.createElement("span");
-      name.textContent = key;
-      text.textContent = does;
-      keys.append(name, text);
+      keys.append(element("b", "", key), element("span", "", does));
     }
     const speed = Number(get("drive-speed").value);
     get("drive-speed-value").textContent = get("mode").value === "tip" ? `${speed.toFixed(2)} m/s` : `${Math.round(100 * speed)} %`;
@@ -119,8 +115,8 @@
   get("mode").addEventListener("change", () => { get("mode").blur(); letGo(); showMode(); });
   get("drive-speed").addEventListener("input", showMode);
   get("take").addEventListener("click", () => send({ type: driving() ? "release" : "take" }));
-  get("hand-over").addEventListener("click", () => send({ type: "hand_over", to: told.asking[0] }));
-  get("record").addEventListener("click", () => send({ type: "record", on: told.recording === "idle" }));
+  get("hand-over").addEventListener("click", () => send({ type: "hand_over", to: state.asking[0] }));
+  get("record").addEventListener("click", () => send({ type: "record", on: state.recording === "idle" }));
   get("circulate").addEventListener("change", (event) => send({ type: "circulate", on: event.target.checked }));
   showMode();
 
@@ -157,13 +153,13 @@
     ray.setFromCamera(new THREE.Vector2(2 * (event.clientX - box.left) / box.width - 1,
       1 - 2 * (event.clientY - box.top) / box.height), viewer.camera);
   }
-  const site = (name) => viewer.scene_tree.find(["site", told.nodes[name]]).object;
+  const site = (name) => viewer.scene_tree.find(["site", state.nodes[name]]).object;
   const world = (v) => [v.x, -v.z, v.y];  // y is up for the camera
 
   function hit() {
-    if (told === null) return null;
+    if (state === null) return null;
     let best = null;
-    for (const name of Object.keys(told.nodes)) {
+    for (const name of Object.keys(state.nodes)) {
       const [found] = ray.intersectObject(site(name), true);
       if (found && (best === null || found.distance < best.distance)) best = { name, point: found.point.clone(), distance: found.distance };
     }
@@ -176,7 +172,7 @@
   }
 
   pane.addEventListener("pointerdown", (event) => {
-    if (event.button !== 0 || told === null) return;
+    if (event.button !== 0 || state === null) return;
     aim(event);
     if (armed !== null) {
       event.stopImmediatePropagation();
@@ -191,7 +187,7 @@
     if (found === null) return;
     event.stopImmediatePropagation();
     pane.setPointerCapture(event.pointerId);
-    drag = { ...found, shift: told.shifts[found.name], sent: 0 };
+    drag = { ...found, shift: state.shifts[found.name], sent: 0 };
   }, true);
   pane.addEventListener("pointermove", (event) => {
     if (drag === null) {
@@ -214,14 +210,11 @@
   function dressRows() {
     const rows = document.querySelectorAll("#margins .margin");
     backhoe.problem.obstacles.forEach((obstacle, k) => {
-      const may = driving() && told.movable.includes(obstacle.name), row = rows[k];
+      const may = driving() && state.movable.includes(obstacle.name), row = rows[k];
       if (!row || row.classList.contains("removable") === may) return;
       row.classList.toggle("removable", may);
       if (!may) { row.querySelector(".remove").remove(); return; }
-      const button = document.createElement("button");
-      button.className = "remove";
-      button.type = "button";
-      button.textContent = "✕";
+      const button = element("button", "remove", "✕");
       button.title = `Take ${obstacle.name} away`;
       button.addEventListener("click", () => send({ type: "remove", name: obstacle.name }));
       row.insertBefore(button, row.querySelector(".bar"));
@@ -230,18 +223,15 @@
 
   let listed = "";
   function listTaken() {
-    const key = JSON.stringify([driving(), told.taken]);
+    const key = JSON.stringify([driving(), state.taken]);
     if (key === listed) return;
     listed = key;
     const list = get("taken");
-    list.hidden = told.taken.length === 0;
+    list.hidden = state.taken.length === 0;
     list.replaceChildren();
-    for (const name of told.taken) {
-      const row = document.createElement("div"), text = document.createElement("span"), button = document.createElement("button");
-      text.textContent = `${name}, taken away`;
+    for (const name of state.taken) {
+      const row = element("div"), text = element("span", "", `${name}, taken away`), button = element("button", "", "Put back");
       text.title = text.textContent;
-      button.type = "button";
-      button.textContent = "Put back";
       button.disabled = !driving();
       button.addEventListener("click", () => send({ type: "put_back", name }));
       row.append(text, button);
@@ -249,27 +239,25 @@
     }
   }
 
-  // ---- what is told ------------------------------------------------------------------
+  // ---- messages from the session --------------------------------------------------------
 
   function showState(content) {
-    told = content;
-    get("status").className = content.told.kind;
-    get("status-word").textContent = content.told.word;
-    get("status-more").textContent = content.told.more;
-    get("status").title = [content.told.word, content.told.more].filter(Boolean).join(", ");
+    state = content;
+    const { kind, word, more } = content.caption;
+    get("status").className = kind;
+    get("status-word").textContent = word;
+    get("status-more").textContent = more;
+    get("status").title = [word, more].filter(Boolean).join(", ");
     get("force-value").textContent = `${content.force.toFixed(0)} N`;
     get("force-fill").style.transform = `scaleX(${Math.min(content.force / content.largest_force, 1)})`;
     get("pace-value").textContent = `${Math.round(100 * content.pace)} %`;
     get("pace-fill").style.transform = `scaleX(${content.pace})`;
     const [x, y, z] = content.tip;
-    get("tip-line").textContent = `Tip ${signed(x, 2)}, ${signed(y, 2)}, ${signed(z, 2)} m at ${content.speed.toFixed(2)} m/s`;
+    get("tip-line").textContent = `Tip ${number(x, 2)}, ${number(y, 2)}, ${number(z, 2)} m at ${content.speed.toFixed(2)} m/s`;
     const zones = get("zones");
     zones.replaceChildren();
     for (const [name, level] of Object.entries(content.zones)) {
-      const chip = document.createElement("span");
-      chip.className = level;
-      chip.textContent = `${name}: ${level}`;
-      zones.append(chip);
+      zones.append(element("span", level, `${name}: ${level}`));
     }
     if (backhoe.problem !== null) {
       for (const obstacle of backhoe.problem.obstacles) {
@@ -309,7 +297,7 @@
     get("trouble").hidden = false;
   }
 
-  addEventListener("told", ({ detail: content }) => {
+  addEventListener("backhoe", ({ detail: content }) => {
     if (content.type === "you") page = content.page;
     else if (content.type === "teleop") showState(content);
     else if (content.type === "recorded") showRecorded(content);
@@ -320,5 +308,5 @@
     }
   });
 
-  backhoe.teleop = { drop, get state() { return told; }, get page() { return page; }, get driving() { return driving(); }, answers: 0 };
+  backhoe.teleop = { drop, get state() { return state; }, get page() { return page; }, get driving() { return driving(); }, answers: 0 };
 })();
