@@ -59,7 +59,7 @@ def poses(draw: st.DrawFn) -> Data:
 
 COMMON: dict[str, st.SearchStrategy[Any]] = {
     "clearance": amounts,
-    "links": st.lists(names, max_size=3),
+    "links": st.lists(names, min_size=1, max_size=3),
     "appears_at": amounts,
     "velocity": vectors,
 }

@@ -228,7 +228,9 @@ def _against_itself(
     time: NDArray[np.float64],
     floor: Callable[[str, float], float],
 ) -> list[Least]:
-    links = {(robot.pieces[a].link, robot.pieces[b].link) for a, b in self_pairs(robot)}
+    pairs = self_pairs(robot)
+    links = {(robot.pieces[a].link, robot.pieces[b].link) for a, b in pairs.kept}
+    links -= {(pair.link, pair.other) for pair in pairs.left_out if pair.touch}
     links |= {(b, a) for a, b in links}
     present = np.ones(len(time), dtype=bool)
     found = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import defaultdict
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,7 @@ from rich.table import Table
 
 import backhoe_planner as bp
 from backhoe_planner import machine, show
-from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf
+from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_writable
 
 
@@ -21,11 +22,13 @@ def inspect(
     tip: Annotated[str | None, typer.Option(metavar="LINK", help="The link that is moved.")] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the working envelope.")] = None,
 ) -> int:
-    """Show joints, limits, frames, Denavit-Hartenberg table, working envelope and cylinders."""
+    """Show joints, limits, links, which may touch, Denavit-Hartenberg table, working envelope and cylinders."""
     if plot is not None:
         check_writable(plot)
     robot = bp.load_robot(urdf, tip=tip)
+    print_warnings(robot.warnings)
     _print_joints(robot)
+    _print_self_collision(robot)
     _print_dh_table(robot)
     _print_envelope(robot)
     _print_hydraulics(robot)
@@ -58,6 +61,20 @@ def _print_joints(robot: bp.Robot) -> None:
         )
     OUT.print(table)
     OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
+
+
+def _print_self_collision(robot: bp.Robot) -> None:
+    pairs = machine.self_pairs(robot)
+    kept = {(robot.pieces[outer].link, robot.pieces[inner].link) for outer, inner in pairs.kept}
+    touching = {(pair.link, pair.other) for pair in pairs.left_out if pair.touch}
+    reasons: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    for pair in pairs.left_out:
+        if pair.touch or (pair.link, pair.other) not in touching:
+            some = " (in part)" if (pair.link, pair.other) in kept else ""
+            reasons[pair.why, pair.link].append(pair.other + some)
+    OUT.print(f"\nself-collision: {len(kept)} pairs of links must not touch{'; left out are' * bool(reasons)}")
+    for (why, link), others in reasons.items():
+        OUT.print(f"  {link} and {', '.join(others)}: {why}")
 
 
 def _print_dh_table(robot: bp.Robot) -> None:

@@ -35,7 +35,7 @@ def teleop(
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
     with show.TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
-        print_warnings(station.warnings)
+        print_warnings((*robot.warnings, *station.warnings))
         ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
         if not no_browser:
             webbrowser.open(station.url)

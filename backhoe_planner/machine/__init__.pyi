@@ -5,7 +5,6 @@ from .capability.data_sheet import reachable_points as reachable_points
 from .capability.data_sheet import working_envelope as working_envelope
 from .capability.denavit_hartenberg import dh_table as dh_table
 from .collision_model import geometry_model as geometry_model
-from .collision_model import self_pairs as self_pairs
 from .collision_model import tip_travel_bound as tip_travel_bound
 from .collision_model import travel_bounds as travel_bounds
 from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
@@ -36,6 +35,9 @@ from .kinematics.target import movable_rows as movable_rows
 from .robot import JointLimits as JointLimits
 from .robot import Robot as Robot
 from .robot import load_robot as load_robot
+from .self_collision import LeftOut as LeftOut
+from .self_collision import SelfPairs as SelfPairs
+from .self_collision import self_pairs as self_pairs
 from .shape.convex import convex_cover as convex_cover
 from .shape.convex import load_mesh as load_mesh
 from .shape.convex import terrain_columns as terrain_columns

@@ -67,6 +67,7 @@ class Robot:
     model: Pinocchio's model of them (nq = nv = n). Not to be written on.
     pieces: the collision shape of every link.
     visuals: what to draw.
+    warnings: what the URDF does not say about its shape, in words.
     hydraulics: cylinders and pump, where the machine has a description of them.
     """
 
@@ -79,6 +80,7 @@ class Robot:
     model: pin.Model
     pieces: tuple[LinkPiece, ...]
     visuals: tuple[Visual, ...]
+    warnings: tuple[str, ...] = ()
     hydraulics: Hydraulics | None = None
 
     def __repr__(self) -> str:
@@ -93,6 +95,11 @@ class Robot:
     def link_names(self) -> tuple[str, ...]:
         """Links with a collision shape, in the order of the URDF."""
         return tuple(dict.fromkeys(piece.link for piece in self.pieces))
+
+    @cached_property
+    def moving_links(self) -> tuple[str, ...]:
+        """Links with a shape that the joints move, in the order of the URDF."""
+        return tuple(dict.fromkeys(piece.link for piece in self.pieces if piece.joint > 0))
 
     @cached_property
     def all_link_names(self) -> tuple[str, ...]:
@@ -241,6 +248,7 @@ def load_robot(
 def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
     tip, model = chain_model(urdf, tip)
     joint_names = tuple(str(name) for name in model.names[1:])
+    pieces, warnings = link_pieces(urdf, model)
     return Robot(
         name=str(urdf.robot.name),
         urdf=urdf,
@@ -249,8 +257,9 @@ def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
         joint_names=joint_names,
         limits=_limits(urdf, model),
         model=model,
-        pieces=link_pieces(urdf, model),
+        pieces=pieces,
         visuals=visuals_of(urdf, model),
+        warnings=warnings,
         hydraulics=None if hydraulics is None else read_hydraulics(hydraulics, urdf, joint_names),
     )
 

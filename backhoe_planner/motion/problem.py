@@ -6,7 +6,7 @@ import itertools
 from dataclasses import dataclass
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import SceneError
+from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Robot, TipTarget
 from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
@@ -52,9 +52,15 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
     ------
     SceneError: the machine has no such joint or link, or lacks what a pitch, soil or the
         objective needs; a file of the scene cannot be used.
-    RobotError: the scene's tip is not a link of the machine.
+    RobotError: the scene's tip is not a link of the machine, or no link that moves has a shape.
     """
     robot = within_sectors(robot.with_tip(scene.tip), scene)
+    if not robot.moving_links:
+        raise RobotError(
+            "no link that moves has a shape, so that nothing can be proven: the URDF needs <collision> or <visual>",
+            file=robot.urdf.path,
+            key="link",
+        )
     _check_joint_names(robot, scene, "limits.acceleration", scene.limits.acceleration)
     if scene.gains != "auto":
         _check_joint_names(robot, scene, "gains.s_k", scene.gains.s_k)

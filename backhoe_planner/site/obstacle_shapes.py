@@ -43,7 +43,7 @@ class ObstacleRecord(Record):
     """Unique; appears in reports and in the viewer."""
     clearance: NonNegative | None = None
     """Distance to be kept [m]; the scene's clearance by default."""
-    links: tuple[str, ...] | None = None
+    links: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """The only links for which it is an obstacle; all of them by default."""
     appears_at: NonNegative = 0.0
     """Time before which nobody knows of it [s]."""

@@ -8,6 +8,7 @@ that of the piece.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -74,16 +75,39 @@ def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
         if not isinstance(zone, SwingSector):
             solids.append((f"zones[{index}] ({zone.name})", zone.solid(), zone))
     for key, spec, of_zone in solids:
-        for link in spec.links or ():
-            if link not in robot.all_link_names:
-                raise SceneError.unknown_name(
-                    "the machine has no such link", link, names=robot.link_names, file=scene.file, key=f"{key}.links"
-                )
+        check_links(robot, spec.links, key=f"{key}.links", file=scene.file)
         try:
             built.append(build_obstacle(spec, folder=scene.folder, clearance=scene.clearance, zone=of_zone))
         except InputError as error:
             raise SceneError(str(error), file=scene.file, key=f"{key}.file") from error
     return tuple(built)
+
+
+def check_links(robot: Robot, links: Sequence[str] | None, *, key: str, file: str | Path | None = None) -> None:
+    """Check the links for which an obstacle holds: all are the machine's, and one of them can touch it.
+
+    Parameters
+    ----------
+    links: their names; None for all that have a shape.
+    key, file: where they stand, for the message.
+
+    Raises
+    ------
+    SceneError: there is no such link, or none of the links both moves and has a shape.
+    """
+    for link in links or ():
+        if link not in robot.all_link_names:
+            raise SceneError.unknown_name(
+                "the machine has no such link", link, names=robot.link_names, file=file, key=key
+            )
+    if links is not None and not set(links) & set(robot.moving_links):
+        raise SceneError(
+            "the obstacle holds for nothing: none of these links moves and has a shape",
+            file=file,
+            key=key,
+            found=", ".join(links) or "no link",
+            allowed=", ".join(robot.moving_links),
+        )
 
 
 def build_obstacle(

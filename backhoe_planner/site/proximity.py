@@ -131,9 +131,7 @@ class Proximity:
                     pairs.append(Pair(link_piece.link, "obstacle", obstacle.name, row, obstacle.clearance))
                     owner.append(index)
                     second.append(part)
-        for a, b in self_pairs(robot) if self_collision else ():
-            # the one further out is the link, the other what it must not touch
-            outer, inner = (a, b) if robot.pieces[a].joint >= robot.pieces[b].joint else (b, a)
+        for outer, inner in self_pairs(robot).kept if self_collision else ():
             self._model.addCollisionPair(pin.CollisionPair(outer, inner))
             pairs.append(Pair(robot.pieces[outer].link, "machine", robot.pieces[inner].link, outer, 0.0))
             owner.append(-1)
@@ -189,7 +187,7 @@ class Proximity:
         found: list[int] = []
         results = []
         for index in np.flatnonzero(lower <= reach).tolist():
-            result = self._measure(index)
+            result = shapes.measure(self._model, self._geometry, index)
             distance = result.min_distance
             lower[index] = distance
             if distance <= reach[index]:
@@ -226,7 +224,7 @@ class Proximity:
         pin.computeDistances(self._model, self._geometry)
         found = np.array([result.min_distance for result in self._geometry.distanceResults])
         for index in np.flatnonzero(shapes.in_doubt(found)).tolist():
-            found[index] = self._measure_again(index).min_distance
+            found[index] = shapes.measure_pair_again(self._model, self._geometry, index).min_distance
         if self._some_appear:
             found[self.appears_at > time] = np.inf
         return found
@@ -257,19 +255,19 @@ class Proximity:
         lower = self._lower(q, time)
         needed = lower < floor
         for index in np.flatnonzero(needed):
-            lower[index] = self._measure(int(index)).min_distance
+            lower[index] = shapes.measure(self._model, self._geometry, int(index)).min_distance
         self._bound, self._q_bound, self._bound_time = lower, np.array(q), time
         return lower.copy(), needed
 
     def distance_of(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
         """Signed distance of one pair at q (n,), `time` [s], in m."""
         self._place(q, time)
-        return float(self._measure(pair).min_distance)
+        return float(shapes.measure(self._model, self._geometry, pair).min_distance)
 
     def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
         """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear."""
         self._place(q, time)
-        return np.array([self._measure(index).min_distance for index in pairs.tolist()])
+        return np.array([shapes.measure(self._model, self._geometry, index).min_distance for index in pairs.tolist()])
 
     def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; stops at the first less."""
@@ -277,7 +275,7 @@ class Proximity:
             return True
         self._place(q, time)
         return all(
-            self._measure(pair).min_distance >= bound
+            shapes.measure(self._model, self._geometry, pair).min_distance >= bound
             for pair, bound in zip(pairs.tolist(), least.tolist(), strict=True)
         )
 
@@ -285,15 +283,6 @@ class Proximity:
         """(3,) how far obstacle `index` has moved by `time` [m]."""
         obstacle = self.obstacles[index]
         return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
-
-    def _measure(self, index: int) -> Any:
-        """Coal's result for one pair at the present placements."""
-        result = pin.computeDistance(self._model, self._geometry, index)
-        return self._measure_again(index) if shapes.in_doubt(result.min_distance) else result
-
-    def _measure_again(self, index: int) -> Any:
-        request = self._geometry.distanceRequests[index]
-        return shapes.measure_again(request, lambda: pin.computeDistance(self._model, self._geometry, index))
 
     def _place(self, q: Vector, time: float) -> None:
         if self._moving and time != self._time:

@@ -186,7 +186,7 @@ class _Zone(Record):
 
 
 class _SolidZone(_Zone):
-    links: tuple[str, ...] | None = None
+    links: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """The only links for which it holds; all of them by default."""
 
     @abstractmethod

@@ -37,21 +37,6 @@ def test_what_moves_can_be_taken_away_and_the_others_move_on(servo: Servo) -> No
     np.testing.assert_allclose(servo.shift_of("ball 3"), [0.0, 2 * 0.005 * 0.03, 0.0], atol=1e-15)
 
 
-def test_what_no_link_minds_comes_and_goes_as_well(servo: Servo) -> None:
-    """The cab does not move, so the obstacle has no pairs."""
-    servo.add({**BALL, "name": "spectator", "links": ["cab"]})
-    servo.add(BALL)
-    servo.remove("ball")
-    servo.move("spectator", [0.0, 0.0, 1.0])
-    servo.set_velocity("spectator", [0.0, 0.0, 1.0])
-    servo.step()
-    np.testing.assert_allclose(servo.shift_of("spectator"), [0.0, 0.0, 1.005], atol=1e-12)
-    servo.remove("spectator")
-    servo.step()
-    assert servo.last_error is None
-    assert servo.obstacles == ()
-
-
 def test_what_has_not_appeared_yet_has_its_name_and_can_be_called_off(servo: Servo) -> None:
     servo.add({**BALL, "appears_at": 0.02})
     with pytest.raises(bp.InputError, match="of that name"):

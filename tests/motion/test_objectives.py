@@ -27,7 +27,7 @@ from backhoe_planner.planning import LayeredGraph, PathLayers
 
 LIFT = f"""<robot name="lift">
   <link name="post"/>
-  <link name="cage"><inertial><mass value="{MASS}"/>
+  <link name="cage"><collision><geometry><sphere radius="0.01"/></geometry></collision><inertial><mass value="{MASS}"/>
     <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <joint name="hoist" type="prismatic"><parent link="post"/><child link="cage"/>
     <axis xyz="0 0 1"/><limit lower="0" upper="3" velocity="1" effort="1e4"/></joint>

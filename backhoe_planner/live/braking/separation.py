@@ -84,8 +84,7 @@ class Separation:
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
         self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
         radii = travel_bounds(robot)
-        # of two links the outer one first, which is further from the machine's base
-        pairs = [sorted(pair, key=lambda row: -robot.pieces[row].joint) for pair in self_pairs(robot) if self_collision]
+        pairs = self_pairs(robot).kept if self_collision else ()
         rows = [*radii[self._moving]]
         for outer, inner in pairs:
             shared = robot.support[robot.pieces[inner].joint] > 0.0

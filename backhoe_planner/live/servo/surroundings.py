@@ -15,7 +15,15 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live.braking.separation import MACHINE, Separation
 from backhoe_planner.machine import Robot, voxel_boxes
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site import Obstacle, Obstruction, Scene, build_obstacle, obstacle_from_dict, obstacle_shapes
+from backhoe_planner.site import (
+    Obstacle,
+    Obstruction,
+    Scene,
+    build_obstacle,
+    check_links,
+    obstacle_from_dict,
+    obstacle_shapes,
+)
 
 _FARTHEST = 1000.0  # m or m/s: chosen, beyond any site; a larger number is a slip
 _VOXELS = (0.001, 100.0)  # m: shortest and longest edge; chosen, beyond them it is a slip
@@ -89,10 +97,8 @@ class Surroundings:
         """An obstacle that can be put there, see `Servo.add`."""
         if isinstance(obstacle, Mapping):
             spec = obstacle_from_dict(obstacle)
-            for link in spec.links or ():
-                if link not in self._robot.all_link_names:
-                    raise InputError("the machine has no such link", key=f"{spec.name}.links", found=link)
             obstacle = build_obstacle(spec, folder=self._scene.folder, clearance=self._scene.clearance)
+        check_links(self._robot, obstacle.links, key=f"{obstacle.name}.links")
         if obstacle.name in self._placed or self._is_waiting(obstacle.name):
             raise InputError("there is an obstacle of that name", key="name", found=obstacle.name)
         return obstacle

@@ -72,24 +72,43 @@ def _mesh_scale(mesh: yourdfpy.Mesh) -> Vector:
     return np.full(3, 1.0 if mesh.scale is None else mesh.scale, dtype=float)
 
 
-def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[LinkPiece, ...]:
+def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[tuple[LinkPiece, ...], tuple[str, ...]]:
     """Convex pieces that contain the collision shape of every link, placed in the frames of the model's joints.
+
+    Where no link of the URDF has a collision shape, what it draws is taken as its shape.
+
+    Returns
+    -------
+    The pieces; and in words, where a link has a visual and no shape.
 
     Raises
     ------
     RobotError: a mesh is missing or cannot be read.
     """
-    found = []
-    for link in urdf.robot.links:
+    links = urdf.robot.links
+    drawn = not any(link.collisions for link in links)
+    kind = "visual" if drawn else "collision"
+    found, bare = [], []
+    for link in links:
+        shapes = link.visuals if drawn else link.collisions
+        if link.visuals and not shapes:
+            bare.append(link.name)
+        if not shapes:
+            continue
         joint, T_joint_link = _body(model, link.name)
         pieces: list[Piece] = []
-        for collision in link.collisions:
+        for shape in shapes:
             try:
-                pieces += _pieces_of(urdf, collision.geometry, T_joint_link * se3(collision.origin))
+                pieces += _pieces_of(urdf, shape.geometry, T_joint_link * se3(shape.origin))
             except InputError as error:
-                raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > collision") from error
+                raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > {kind}") from error
         found += [LinkPiece(f"{link.name}/{k}", link.name, joint, piece) for k, piece in enumerate(pieces)]
-    return tuple(found)
+    warnings = []
+    if drawn and found:
+        warnings.append("no link has a <collision>: what is drawn of the links is taken as their shape")
+    if bare:
+        warnings.append(f"drawn, but without <collision>, so that nothing is proven of it: {', '.join(bare)}")
+    return tuple(found), tuple(warnings)
 
 
 def _pieces_of(urdf: Urdf, geometry: yourdfpy.Geometry, placement: pin.SE3) -> list[Piece]:

@@ -191,6 +191,20 @@ def in_doubt(distance: Any) -> Any:
     return (abs(distance) <= _CONTACT) | (distance <= _NONSENSE) | (distance != distance)
 
 
+def measure(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) -> Any:
+    """Coal's result for one pair of a geometry model, at the present placements."""
+    result = pin.computeDistance(model, geometry, index)
+    distance = result.min_distance
+    if distance > _CONTACT or not in_doubt(distance):  # the common case first: this is called millions of times
+        return result
+    return measure_pair_again(model, geometry, index)
+
+
+def measure_pair_again(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) -> Any:
+    """The same at looser tolerances, where the first answer is in doubt; see `measure_again`."""
+    return measure_again(geometry.distanceRequests[index], lambda: pin.computeDistance(model, geometry, index))
+
+
 def measure_again(request: coal.DistanceRequest, measure: Callable[[], _Result]) -> _Result:
     """The result of `measure`, which calls coal with `request`, at looser tolerances.
 

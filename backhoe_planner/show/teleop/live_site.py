@@ -18,7 +18,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live import Servo, shifted
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, critical_points
-from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, obstacle_shapes
+from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, check_links, obstacle_shapes
 
 _MOST = 40  # obstacles; chosen, each costs time in every step
 _BRAKING = 0.6  # part of the acceleration; chosen, less than the servo's `BRAKING`, so that it can brake sooner
@@ -90,9 +90,7 @@ class LiveSite:
         self._check_new(spec.name, "add")
         if spec.name in self._taken:
             raise InputError("is the name of an obstacle that may be put back", key="add", found=spec.name)
-        for link in spec.links or ():
-            if link not in self._servo.robot.all_link_names:
-                raise InputError("the machine has no such link", key="add", found=link)
+        check_links(self._servo.robot, spec.links, key="add")
         obstacle = build_obstacle(spec, folder=self._servo.scene.folder, clearance=self._servo.scene.clearance)
         self._put(obstacle, np.zeros(3))
 

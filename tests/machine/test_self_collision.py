@@ -1,0 +1,137 @@
+"""Which pairs of a machine's own pieces count: by geometry, piece by piece."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.machine import Robot, load_robot, self_pairs
+
+
+def link(name: str, *boxes: str) -> str:
+    """A link of boxes, each given as ``size | position``."""
+    shapes = "".join(
+        f'<collision><origin xyz="{at}"/><geometry><box size="{size}"/></geometry></collision>'
+        for size, at in (box.split("|") for box in boxes)
+    )
+    return f'<link name="{name}">{shapes}</link>'
+
+
+def joint(name: str, parent: str, child: str, *, at: str = "0 0 0", axis: str = "0 0 1", kind: str = "revolute") -> str:
+    ends = '<limit lower="-3.1" upper="3.1" effort="100" velocity="1"/>' if kind == "revolute" else ""
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{at}"/><axis xyz="{axis}"/>{ends}</joint>'
+    )
+
+
+def machine(folder: Path, *parts: str, tip: str) -> Robot:
+    path = folder / "machine.urdf"
+    path.write_text(f'<robot name="machine">{"".join(parts)}</robot>')
+    return load_robot(path, tip=tip)
+
+
+def kept_links(robot: Robot) -> set[frozenset[str]]:
+    return {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in self_pairs(robot).kept}
+
+
+ARM = link("arm", "2 0.1 0.1 | 1 0 0")
+TIP = '<link name="tip"/>' + joint("tip_fixed", "arm", "tip", at="2 0 0", kind="fixed")
+
+
+@pytest.mark.parametrize(
+    "stand",
+    [
+        # a cab that is a link of its own, fixed to the base
+        link("base", "0.3 0.3 0.3 | 0 0 -0.1")
+        + link("cab", "0.6 0.6 0.6 | 0 0 0")
+        + joint("cab_fixed", "base", "cab", at="0 1.5 0", kind="fixed"),
+        # the same cab as one more shape of the base, on which the arm turns
+        link("base", "0.3 0.3 0.3 | 0 0 -0.1", "0.6 0.6 0.6 | 0 1.5 0"),
+    ],
+    ids=["fixed link", "shape of the base"],
+)
+def test_an_arm_that_sweeps_through_the_cab_on_its_base_is_not_verified(stand: str, tmp_path: Path) -> None:
+    """The arm lies along x, then turns by 3 rad: at pi/2 it stands in the middle of the cab."""
+    robot = machine(tmp_path, stand, ARM, TIP, joint("turn", "base", "arm", at="0 0 0.05"), tip="tip")
+    scene = bp.scene_from_dict(
+        {"version": 1, "start": {"joints": {"turn": 0.0}}, "task": {"goal": {"position": [-1.98, 0.28, 0.05]}}}
+    )
+    through = bp.Trajectory.from_steps(np.array([0.0, 20.0]), np.array([[0.0], [3.0]]))
+    certificate = bp.certify(robot, scene, through)
+    assert not certificate.safe
+    assert certificate.min_clearance is not None
+    # half the width of the arm and all of the cab's 0.6 m: to leave, the box moves 0.3 + 0.05 up or down
+    assert certificate.min_clearance.distance == pytest.approx(-0.35 + 0.05, abs=0.06)
+    assert {certificate.min_clearance.link, certificate.min_clearance.obstacle} <= {"arm", "cab", "base"}
+    # the other way round the cab there is a way
+    plan = bp.plan(robot, scene)
+    assert plan.verdict == "failed" or plan.certificate.min_clearance is not None
+
+
+def test_a_tool_fixed_to_the_wrist_that_folds_into_the_forearm_counts(tmp_path: Path) -> None:
+    """The tool, 0.4 m long and 0.1 m off the wrist's axis, lies in the forearm when the wrist turns by pi."""
+    robot = machine(
+        tmp_path,
+        link("base", "0.2 0.2 0.2 | 0 0 0"),
+        link("forearm", "1 0.1 0.1 | 0.5 0 0"),
+        joint("elbow", "base", "forearm"),
+        link("wrist", "0.1 0.1 0.1 | 0 0 0"),
+        joint("wrist_turn", "forearm", "wrist", at="1 0 0"),
+        link("tool", "0.4 0.04 0.04 | 0.2 0 0"),
+        joint("tool_fixed", "wrist", "tool", at="0.1 0 0", kind="fixed"),
+        '<link name="tip"/>',
+        joint("tip_fixed", "tool", "tip", at="0.4 0 0", kind="fixed"),
+        tip="tip",
+    )
+    assert kept_links(robot) == {
+        frozenset(("tool", "forearm")),
+        frozenset(("tool", "base")),
+        frozenset(("wrist", "base")),
+    }
+    left_out = {(pair.link, pair.other): pair for pair in self_pairs(robot).left_out}
+    assert left_out["wrist", "forearm"].touch
+    assert left_out["wrist", "forearm"].why == "touch at wrist_turn over its range"
+    assert left_out["forearm", "base"].touch
+
+
+def test_a_pair_that_cannot_meet_is_left_out_and_said(tmp_path: Path) -> None:
+    """A mast of 0.2 m at 2.5 m: the arm of 2 m never gets there."""
+    robot = machine(
+        tmp_path,
+        link("base", "0.3 0.3 0.3 | 0 0 -0.1"),
+        link("mast", "0.2 0.2 2 | 0 0 0"),
+        joint("mast_fixed", "base", "mast", at="0 2.5 0", kind="fixed"),
+        ARM, TIP, joint("turn", "base", "arm", at="0 0 0.05"), tip="tip",
+    )  # fmt: skip
+    assert self_pairs(robot).kept == ()
+    told = {(pair.link, pair.other, pair.touch, pair.why) for pair in self_pairs(robot).left_out}
+    assert told == {
+        ("arm", "base", True, "touch at turn over its range"),
+        ("arm", "mast", False, "cannot meet over the range of turn"),
+    }
+
+
+def test_a_gap_that_is_met_between_two_places_of_the_sweep_is_found(tmp_path: Path) -> None:
+    """A thin fin at 1.9 m is 10 mm wide: seen from the pin 0.3 deg, where the places lie 9 deg apart."""
+    robot = machine(
+        tmp_path,
+        link("base", "0.3 0.3 0.3 | 0 0 -0.1"),
+        link("fin", "0.2 0.01 0.2 | 0 0 0"),
+        joint("fin_fixed", "base", "fin", at="1.9 0.55 0.05", kind="fixed"),
+        link("arm", "2 0.002 0.002 | 1 0 0"), TIP, joint("turn", "base", "arm", at="0 0 0.05"), tip="tip",
+    )  # fmt: skip
+    assert kept_links(robot) == {frozenset(("arm", "fin"))}
+
+
+@pytest.mark.parametrize(
+    ("name", "tip"), [("backhoe", None), ("planar4", None), ("panda", "panda_hand"), ("ur5", "tool0"), ("kinova", None)]
+)
+def test_what_its_makers_joined_is_left_out(name: str, tip: str | None) -> None:
+    """Machines in use move over their whole range without touching the neighbour of a link."""
+    robot = load_robot(f"example:{name}", tip=tip or {"kinova": "j2s6s200_end_effector"}.get(name))
+    for a, b in self_pairs(robot).kept:
+        assert robot.pieces[a].joint - robot.pieces[b].joint > 1

@@ -1,0 +1,105 @@
+"""An obstacle holds for links that can touch it, and a machine has shapes; else nothing is proven."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.errors import RobotError, SceneError
+
+SPHERE: dict[str, Any] = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [3, 3, 3]}
+TASK = {
+    "version": 1,
+    "start": {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}},
+    "task": {"goal": {"position": [4.0, 0.5, 0.5]}},
+}
+
+
+@pytest.mark.parametrize("links", [["chassis"], ["chassis", "cab"], ["bucket_tip"]])
+def test_an_obstacle_that_holds_for_nothing_is_an_error(links: list[str]) -> None:
+    """The chassis stands still, and the tip is a frame without a shape."""
+    scene = bp.scene_from_dict({**TASK, "obstacles": [{**SPHERE, "links": links}]})
+    with pytest.raises(SceneError, match=r"\(ball\).links: .* holds for nothing.*allowed: swing_post, boom"):
+        bp.plan(bp.load_robot("example:backhoe"), scene)
+
+
+@pytest.mark.parametrize("where", ["obstacles", "zones"])
+def test_no_links_at_all_is_an_error(where: str) -> None:
+    zone = {"name": "wall", "kind": "ceiling", "height": 3.0, "stop": 0.1}
+    with pytest.raises(SceneError, match="links"):
+        bp.scene_from_dict({**TASK, where: [{**(SPHERE if where == "obstacles" else zone), "links": []}]})
+
+
+def test_a_live_obstacle_that_holds_for_nothing_is_an_error() -> None:
+    servo = bp.Servo(bp.load_robot("example:backhoe"), bp.scene_from_dict(TASK), dt=0.001)
+    for links in (["chassis"], []):
+        with pytest.raises(bp.InputError, match="links"):
+            servo.add({**SPHERE, "links": links})
+    servo.add({**SPHERE, "links": ["chassis", "bucket"]})
+
+
+BOX = '<geometry><box size="1 0.1 0.1"/></geometry>'
+
+
+@pytest.fixture
+def arm_of(tmp_path: Path) -> Callable[[str, str], bp.Robot]:
+    """An arm of two links, with what stands in each of them."""
+
+    def build(first: str, second: str) -> bp.Robot:
+        joints = "".join(
+            f'<joint name="j{k}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+            f'<origin xyz="{x} 0 0"/>'
+            '<axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="9" velocity="1"/></joint>'
+            for k, (parent, child, x) in enumerate([("base", "a", 0), ("a", "b", 1)])
+        )
+        path = tmp_path / "arm.urdf"
+        path.write_text(
+            f'<robot name="arm"><link name="base"/><link name="a">{first}</link><link name="b">{second}</link>{joints}'
+            '<link name="tip"/><joint name="f" type="fixed"><parent link="b"/><child link="tip"/>'
+            '<origin xyz="1 0 0"/></joint></robot>'
+        )
+        return bp.load_robot(path)
+
+    return build
+
+
+def reach_into(robot: bp.Robot) -> bp.Certificate:
+    """Both joints turn by 1 rad past a ball at (1, 1, 0), which the first link's end sweeps through at 45 deg."""
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"j0": 0.0, "j1": 0.0}},
+            "task": {"goal": {"position": [0.0, 1.9, 0.0]}},
+            "obstacles": [{"name": "ball", "shape": "sphere", "radius": 0.45, "position": [0.9, 0.9, 0.0]}],
+        }
+    )
+    return bp.certify(robot, scene, bp.Trajectory.from_steps(np.array([0.0, 10.0]), np.array([[0.0, 0.0], [1.5, 0.0]])))
+
+
+def test_what_is_drawn_is_the_shape_of_a_machine_without_collision_shapes(
+    arm_of: Callable[[str, str], bp.Robot],
+) -> None:
+    robot = arm_of(f"<visual>{BOX}</visual>", f"<visual>{BOX}</visual>")
+    assert robot.link_names == ("a", "b")
+    assert robot.warnings == ("no link has a <collision>: what is drawn of the links is taken as their shape",)
+    certificate = reach_into(robot)
+    assert not certificate.safe
+    assert certificate.min_clearance is not None
+    assert certificate.min_clearance.obstacle == "ball"
+
+
+def test_a_drawn_link_without_a_shape_among_others_is_named(arm_of: Callable[[str, str], bp.Robot]) -> None:
+    robot = arm_of(f"<visual>{BOX}</visual><collision>{BOX}</collision>", f"<visual>{BOX}</visual>")
+    assert robot.link_names == ("a",)
+    assert robot.warnings == ("drawn, but without <collision>, so that nothing is proven of it: b",)
+
+
+def test_a_machine_without_any_shape_proves_nothing(arm_of: Callable[[str, str], bp.Robot]) -> None:
+    robot = arm_of("", "")
+    with pytest.raises(RobotError, match="no link that moves has a shape"):
+        reach_into(robot)
