@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 import backhoe_planner as bp
-from backhoe_planner import live, motion, planning, site
+from backhoe_planner import live, machine, motion, planning, site
 from backhoe_planner.cli.terminal import DEGREES, OUT
 
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
@@ -40,10 +40,22 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
             f"clearance     {tightest.distance:.3f} m at least between {tightest.link} "
             f"and {tightest.name} (margin {tightest.margin:+.3f} m, at {tightest.time:.2f} s)"
         )
+    _print_tracking_error(found)
     if len(found.trajectory) > 1:
         _print_motion(found)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s")
     OUT.print(f"plan          {output}")
+
+
+def _print_tracking_error(found: bp.Plan) -> None:
+    """What of the tightest distance is left to a machine that is off its plan; nothing where it is exact."""
+    tightest, tube = found.certificate.min_clearance, found.problem.robot.tube
+    if tube is not None:
+        taken = 0.0 if tightest is None else tightest.tracking
+        OUT.print(
+            f"tracking      the tip may be off by {machine.tip_tracking_error(found.problem.robot):.3f} m; "
+            f"of the clearance that takes {taken:.3f} m"
+        )
 
 
 def _print_motion(found: bp.Plan) -> None:
@@ -96,6 +108,7 @@ def print_certificate(plan: bp.Plan) -> None:
             OUT.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
     print_recording(plan)
     if not live.is_recording(plan):
+        _print_tracking_error(plan)
         OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
     speed = certificate.tip_speed
     if speed is not None:

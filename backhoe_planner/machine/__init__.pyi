@@ -5,7 +5,9 @@ from .capability.data_sheet import reachable_points as reachable_points
 from .capability.data_sheet import working_envelope as working_envelope
 from .capability.denavit_hartenberg import dh_table as dh_table
 from .collision_model import geometry_model as geometry_model
+from .collision_model import tip_tracking_error as tip_tracking_error
 from .collision_model import tip_travel_bound as tip_travel_bound
+from .collision_model import tracking_room as tracking_room
 from .collision_model import travel_bounds as travel_bounds
 from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
 from .description.link_shapes import Visual as Visual
@@ -34,6 +36,7 @@ from .kinematics.target import TipTarget as TipTarget
 from .kinematics.target import movable_rows as movable_rows
 from .robot import JointLimits as JointLimits
 from .robot import Robot as Robot
+from .robot import TrackingTube as TrackingTube
 from .robot import load_robot as load_robot
 from .self_collision import LeftOut as LeftOut
 from .self_collision import SelfPairs as SelfPairs

@@ -7,6 +7,8 @@ piece further than sum_j |dq_j| r_j. The certificate and the broad phase rest on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
@@ -33,6 +35,39 @@ def travel_bounds(robot: Robot) -> Matrix:
     for row, piece in enumerate(robot.pieces):
         bounds[row] = _bounds_of_points(robot, piece.joint, piece.piece.hull, piece.piece.radius)
     return bounds
+
+
+def tracking_room(robot: Robot, pieces: Sequence[int], travel: Matrix) -> Vector:
+    """(K,) how far any point of a piece can be from where it is planned, by the machine's tracking error [m].
+
+    It is sum_j |delta_j| r_j; for what is fixed to the tip and meets what stands, not more
+    than the tip's own error and what the turning of all hinges adds around it.
+
+    Parameters
+    ----------
+    pieces: indices into `robot.pieces`.
+    travel: (K, n) r of each, see `travel_bounds`; of two links of the machine, of their motion
+        against each other.
+    """
+    if robot.tube is None:
+        return np.zeros(len(pieces))
+    room = np.asarray(travel) @ robot.tube.joints
+    tip = robot.model.frames[robot.tip_frame]
+    turn = float(robot.tube.joints[~robot.prismatic].sum())
+    own = travel_bounds(robot)
+    for row, index in enumerate(pieces if np.isfinite(robot.tube.tip) else ()):
+        piece = robot.pieces[index]
+        if piece.joint == int(tip.parentJoint) and np.array_equal(travel[row], own[index]):
+            lever = float(np.linalg.norm(piece.piece.hull - tip.placement.translation, axis=1).max())
+            room[row] = min(room[row], robot.tube.tip + turn * (lever + piece.piece.radius))
+    return np.asarray(room)
+
+
+def tip_tracking_error(robot: Robot) -> float:
+    """How far the tip can be from where it is planned, by the machine's tracking error [m]."""
+    if robot.tube is None:
+        return 0.0
+    return min(robot.tube.tip, float(tip_travel_bound(robot) @ robot.tube.joints))
 
 
 def tip_travel_bound(robot: Robot) -> Vector:

@@ -52,6 +52,20 @@ class JointLimits:
             array.setflags(write=False)
 
 
+@dataclass(frozen=True)
+class TrackingTube:
+    """How far a machine may be off where it is commanded: all motions within the tube of a plan.
+
+    Attributes
+    ----------
+    joints: (n,) of every joint [rad or m].
+    tip: of the tip's position [m]; infinite where only the joints bound it.
+    """
+
+    joints: Vector
+    tip: float = np.inf
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Robot:
     """A machine whose tip is to be moved.
@@ -69,6 +83,7 @@ class Robot:
     visuals: what to draw.
     warnings: what the URDF does not say about its shape, in words.
     hydraulics: cylinders and pump, where the machine has a description of them.
+    tube: how far it may be off where it is commanded; None where it is exact.
     """
 
     name: str
@@ -82,6 +97,7 @@ class Robot:
     visuals: tuple[Visual, ...]
     warnings: tuple[str, ...] = ()
     hydraulics: Hydraulics | None = None
+    tube: TrackingTube | None = None
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, tip={self.tip!r}, joints={self.joint_names})"

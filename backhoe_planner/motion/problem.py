@@ -10,7 +10,7 @@ from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Robot, TipTarget
 from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
-from backhoe_planner.site import Gains, Obstacle, Pose, Scene, build_obstacles, scaled_limits, within_sectors
+from backhoe_planner.site import Gains, Obstacle, Pose, Scene, build_obstacles, machine_on_site, scaled_limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         objective needs; a file of the scene cannot be used.
     RobotError: the scene's tip is not a link of the machine, or no link that moves has a shape.
     """
-    robot = within_sectors(robot.with_tip(scene.tip), scene)
+    robot = machine_on_site(robot, scene)
     if not robot.moving_links:
         raise RobotError(
             "no link that moves has a shape, so that nothing can be proven: the URDF needs <collision> or <visual>",

@@ -1,6 +1,6 @@
 from .clearance_screen import ClearanceScreen as ClearanceScreen
+from .limits import machine_on_site as machine_on_site
 from .limits import scaled_limits as scaled_limits
-from .limits import within_sectors as within_sectors
 from .obstacle_shapes import Box as Box
 from .obstacle_shapes import Capsule as Capsule
 from .obstacle_shapes import HalfSpace as HalfSpace

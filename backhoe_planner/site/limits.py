@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError
-from backhoe_planner.machine import JointLimits, Robot
+from backhoe_planner.machine import JointLimits, Robot, TrackingTube
 from backhoe_planner.site.scene_file import Scene, SwingSector
 
 
@@ -30,22 +31,47 @@ def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
         name = robot.joint_names[0]
         if robot.prismatic[0]:
             raise SceneError("the first joint does not swing, it slides", file=scene.file, key=key, found=name)
-        lower[0], upper[0] = max(lower[0], zone.start + zone.stop), min(upper[0], zone.end - zone.stop)
+        stop = zone.stop + float(_joint_errors(robot, scene)[0])
+        lower[0], upper[0] = max(lower[0], zone.start + stop), min(upper[0], zone.end - stop)
         if not lower[0] < upper[0]:
             raise SceneError(
                 "leaves the first joint no room",
                 file=scene.file,
                 key=key,
-                found=f"{zone.start:g} to {zone.end:g}, each kept off by {zone.stop:g}",
+                found=f"{zone.start:g} to {zone.end:g}, each kept off by {stop:g}",
                 allowed=f"{name} moves from {own.lower[0]:g} to {own.upper[0]:g}",
             )
     velocity = own.velocity * scene.limits.velocity_scale
     return replace(own, lower=lower, upper=upper, velocity=velocity, acceleration=acceleration)
 
 
-def within_sectors(robot: Robot, scene: Scene) -> Robot:
-    """The machine with its first joint limited to the scene's swing sectors; itself where there is none."""
-    if not any(isinstance(zone, SwingSector) for zone in scene.zones):
+def machine_on_site(robot: Robot, scene: Scene) -> Robot:
+    """The machine as a scene has it: its tip, its first joint within the swing sectors, its tracking error.
+
+    Raises
+    ------
+    RobotError: the scene's tip is not a link of the machine.
+    SceneError: see `scaled_limits`; or the tracking error names a joint that the machine does not have.
+    """
+    robot = robot.with_tip(scene.tip)
+    if any(isinstance(zone, SwingSector) for zone in scene.zones):
+        limits = scaled_limits(robot, scene)
+        robot = replace(robot, limits=replace(robot.limits, lower=limits.lower, upper=limits.upper))
+    if scene.tracking is None:
         return robot
-    limits = scaled_limits(robot, scene)
-    return replace(robot, limits=replace(robot.limits, lower=limits.lower, upper=limits.upper))
+    tip = np.inf if scene.tracking.tip is None else scene.tracking.tip
+    return replace(robot, tube=TrackingTube(_joint_errors(robot, scene), tip))
+
+
+def _joint_errors(robot: Robot, scene: Scene) -> Vector:
+    """(n,) of every joint, by the scene's tracking error [rad or m]."""
+    joints = 0.0 if scene.tracking is None else scene.tracking.joints
+    if isinstance(joints, float):
+        return np.full(robot.n, joints)
+    for name in joints:
+        if name not in robot.joint_names:
+            problem = "the machine has no such joint"
+            raise SceneError.unknown_name(
+                problem, name, names=robot.joint_names, file=scene.file, key="tracking.joints"
+            )
+    return np.array([joints.get(name, 0.0) for name in robot.joint_names])

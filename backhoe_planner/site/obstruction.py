@@ -24,7 +24,8 @@ class Obstruction:
         gives the proven lower bound.
     margin: `distance` minus the clearance that must be kept [m]; of a joint, `distance`.
     time: when [s]; 0 where nothing moves.
-    path_from, path_to: the part of the path that it concerns [m]; None where it concerns none.
+    tracking: what of the distance the machine's tracking error can take; the margin leaves it out [m].
+    path_from, path_to: the part of the path that it is about [m]; None where it is about none.
     """
 
     kind: ObstructionKind
@@ -35,6 +36,7 @@ class Obstruction:
     time: float = 0.0
     path_from: float | None = None
     path_to: float | None = None
+    tracking: float = 0.0
 
     @classmethod
     def joint_limit(cls, joint: str, distance: float = 0.0) -> Obstruction:

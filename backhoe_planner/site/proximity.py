@@ -16,14 +16,14 @@ moved by dq, so pairs that are provably still out of reach are not measured agai
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import Robot, geometry_model, self_pairs, travel_bounds
+from backhoe_planner.machine import Robot, geometry_model, self_pairs, tracking_room, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
@@ -39,7 +39,8 @@ class Pair:
     kind: ``obstacle``, or ``machine`` where the machine must not touch itself.
     obstacle: name of the obstacle, or of the machine's other link.
     piece: index into the robot's pieces.
-    clearance: signed distance to be kept [m].
+    clearance: signed distance to be kept [m], with `tracking`.
+    tracking: what of it is for the machine's tracking error [m].
     """
 
     link: str
@@ -47,10 +48,12 @@ class Pair:
     obstacle: str
     piece: int
     clearance: float
+    tracking: float = 0.0
 
     def at(self, distance: float, *, time: float = 0.0) -> Obstruction:
         """The pair where it is `distance` apart [m], at `time` [s]."""
-        return Obstruction(self.kind, self.obstacle, self.link, distance, distance - self.clearance, time)
+        margin = distance - self.clearance
+        return Obstruction(self.kind, self.obstacle, self.link, distance, margin, time, tracking=self.tracking)
 
 
 @dataclass(frozen=True)
@@ -136,8 +139,7 @@ class Proximity:
             pairs.append(Pair(robot.pieces[outer].link, "machine", robot.pieces[inner].link, outer, 0.0))
             owner.append(-1)
             second.append(inner)
-        self.pairs, self.second = tuple(pairs), tuple(second)
-        self.clearance = np.array([pair.clearance for pair in pairs])
+        self.second = tuple(second)
         self.owner = np.array(owner, dtype=int)
         first = np.array([pair.piece for pair in pairs], dtype=int)
         joint_of = np.array([own.joint for own in robot.pieces], dtype=int)
@@ -149,6 +151,12 @@ class Proximity:
         self._mask_other = robot.support[self._other_joint]
         # joints that move both bodies do not change their distance
         self.travel = np.where(self._mask_other > 0.0, 0.0, travel_bounds(robot)[first])
+        room = tracking_room(robot, first.tolist(), self.travel)
+        self.pairs = tuple(
+            replace(pair, clearance=pair.clearance + more, tracking=more) if more else pair
+            for pair, more in zip(pairs, room.tolist(), strict=True)
+        )
+        self.clearance = np.array([pair.clearance for pair in self.pairs])
         velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
         self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
         self.speed = np.linalg.norm(self._velocity, axis=1)

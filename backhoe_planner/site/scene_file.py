@@ -345,6 +345,15 @@ class Limits(Record):
     """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
 
 
+class TrackingError(Record):
+    """How far the machine may be off its plan, at every moment: what is verified holds for all such motions."""
+
+    joints: Positive | dict[str, NonNegative]
+    """Of every joint [rad or m], one number or by joint name; a joint that is not named is exact."""
+    tip: Positive | None = None
+    """Of the tip's position [m], where that is known to be less than what the joints' errors allow."""
+
+
 class Soil(Record):
     """What the bucket digs in (fundamental earthmoving equation).
 
@@ -388,6 +397,7 @@ class Scene(Record):
     """Where the machine must not be, each with the distances at which to warn, slow down and stop."""
     gains: Literal["auto"] | Gains = "auto"
     limits: Limits = Limits()
+    tracking: TrackingError | None = None
     objective: Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"] = "work"
     """What a plan along a path is to make small."""
     payload: NonNegative = 0.0

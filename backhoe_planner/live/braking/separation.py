@@ -18,7 +18,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
-from backhoe_planner.machine import Robot, self_pairs, travel_bounds
+from backhoe_planner.machine import Robot, self_pairs, tracking_room, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
 
@@ -57,7 +57,7 @@ class Separation:
     Attributes
     ----------
     owner: (P,) number that the obstacle was added with; `MACHINE` for pairs of the machine with itself.
-    clearance: (P,) distance to be kept [m].
+    clearance: (P,) distance to be kept, with what the machine's tracking error can take [m].
     piece, other_piece: (P,) rows of the robot's pieces: the one that comes near, and, for a pair of the
         machine with itself, the one that must not be touched; -1 else.
     classes: (P,) row of `travel` that holds for the pair.
@@ -96,9 +96,10 @@ class Separation:
         self.furthest: list[float] = self.travel.max(axis=0, initial=0.0).tolist()
         self.turning = np.where(robot.prismatic, 0.0, 1.0)
         self.owner = np.full(len(pairs), MACHINE, dtype=np.intp)
-        self.clearance = np.zeros(len(pairs))
         self.classes = np.asarray(classes[len(self._moving) :], dtype=np.intp)
         self.piece = np.array([outer for outer, _ in pairs], dtype=np.intp)
+        self._room_of_piece = tracking_room(robot, range(len(robot.pieces)), radii)
+        self.clearance = tracking_room(robot, self.piece.tolist(), self.travel[self.classes])
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
         self._body: list[_Stand | None] = [None] * len(pairs)
         self._stands_of: dict[int, list[_Stand]] = {}
@@ -119,7 +120,7 @@ class Separation:
         first, count = len(self), len(links) * len(obstacle.pieces)
         pieces = np.tile(np.array(links, dtype=np.intp), len(obstacle.pieces))
         self.owner = np.append(self.owner, np.full(count, number, dtype=np.intp))
-        self.clearance = np.append(self.clearance, np.full(count, obstacle.clearance))
+        self.clearance = np.append(self.clearance, obstacle.clearance + self._room_of_piece[pieces])
         self.classes = np.append(self.classes, self._class_of_piece[pieces])
         self.piece = np.append(self.piece, pieces)
         self.other_piece = np.append(self.other_piece, np.full(count, -1, dtype=np.intp))

@@ -42,7 +42,15 @@ from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
 from backhoe_planner.live.servo.surroundings import Surroundings, number_within
 from backhoe_planner.live.servo.tip_task import JointWish, TipTask
 from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
-from backhoe_planner.site import Obstacle, Obstruction, build_obstacles, pace, scaled_limits, scene_file, within_sectors
+from backhoe_planner.site import (
+    Obstacle,
+    Obstruction,
+    build_obstacles,
+    machine_on_site,
+    pace,
+    scaled_limits,
+    scene_file,
+)
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
@@ -96,7 +104,7 @@ class Servo:
     ) -> None:
         dt = number_within("dt", dt, *_STEPS)
         watchdog = number_within("watchdog", watchdog, 0.0, math.inf)
-        robot = within_sectors(robot.with_tip(scene.tip), scene)
+        robot = machine_on_site(robot, scene)
         self.robot, self.scene, self.dt, self.circulate = robot, scene, dt, circulate
         self.limits = scaled_limits(robot, scene)
         q = _start(robot, scene) if q is None else robot.check_q(q)

@@ -99,6 +99,8 @@ class ClearanceRecord(Record):
     link: str
     time: Figure
     """[s]"""
+    tracking: Figure = 0.0
+    """What of the value the machine's tracking error can take; the margin leaves it out [m]."""
 
     @classmethod
     def of(cls, found: Obstruction) -> ClearanceRecord:
@@ -109,6 +111,7 @@ class ClearanceRecord(Record):
             obstacle=f"self: {found.obstacle}" if found.kind == "machine" else found.obstacle,
             link=found.link,
             time=found.time,
+            tracking=found.tracking,
         )
 
 
