@@ -10,7 +10,7 @@ least margin of any verified plan. The results are in docs/measurements.md.
     python scripts/bench_planning.py --sites 50 --save run.json
     python scripts/bench_planning.py --sites 50 --compare run.json
     python scripts/bench_planning.py --only backhoe/narrow/goal/7
-    python scripts/bench_planning.py --sites 300 --refute --dask tcp://scheduler:8786
+    python scripts/bench_planning.py --sites 300 --refute
 
 `--refute` holds every verified plan against validation/independent_check.py. Ctrl-C ends
 the run and prints what is done. The exit status is 1 where a verified plan was refuted
@@ -89,7 +89,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--effort", choices=list(EFFORTS), default="normal", help="for each site")
     parser.add_argument("--seed", type=int, default=0, help="of the sites")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
-    parser.add_argument("--dask", metavar="ADDRESS", help="of a Dask scheduler, or local")
     parser.add_argument("--save", type=Path, metavar="FILE.json")
     parser.add_argument("--compare", type=Path, metavar="FILE.json", help="a run that was saved")
     parser.add_argument("--refute", action="store_true", help="hold verified plans against the independent check")
@@ -120,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if sys.stderr.isatty():
             print(f"\r{done} of {len(keys)}, {time.perf_counter() - begun:.0f} s ", end="", file=sys.stderr, flush=True)
 
-    rows, interrupted = run(keys, settings, jobs=options.jobs, dask=options.dask, progress=progress)
+    rows, interrupted = run(keys, settings, jobs=options.jobs, progress=progress)
     if sys.stderr.isatty():
         print(file=sys.stderr)
     return _report(rows, settings, before, options.save, interrupted, time.perf_counter() - begun)

@@ -10,15 +10,12 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-import os
-import shutil
 import signal
-import tempfile
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -216,7 +213,6 @@ def run(
     settings: Settings,
     *,
     jobs: int = -1,
-    dask: str | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[list[Row], bool]:
     """The rows of all sites in the order of the keys, and whether it was interrupted before the last.
@@ -224,12 +220,10 @@ def run(
     Parameters
     ----------
     jobs: processes; -1 for one on each core, 1 for this process alone.
-    dask: address of a Dask scheduler, or ``local``; instead of processes of its own.
-        backhoe_planner must be installed for its workers; this package is sent there.
     progress: is called with the number of sites done.
     """
     rows: list[Row] = []
-    results = _by_dask(keys, settings, dask, jobs) if dask else _by_processes(keys, settings, jobs)
+    results = _by_processes(keys, settings, jobs)
     interrupted = False
     try:
         for row in results:
@@ -255,42 +249,6 @@ def _by_processes(keys: Sequence[SiteKey], settings: Settings, jobs: int) -> Gen
 
         get_reusable_executor().shutdown(wait=True, kill_workers=True)
         raise
-
-
-def _by_dask(keys: Sequence[SiteKey], settings: Settings, address: str, jobs: int) -> Generator[Row, None, None]:
-    try:
-        from distributed import Client, LocalCluster, as_completed
-    except ImportError as error:
-        raise SystemExit('--dask needs Dask: pip install "dask[distributed]"') from error
-
-    def on_worker(key: tuple[Any, ...], settings: tuple[Any, ...]) -> dict[str, Any]:
-        """Takes and gives plain data, and is sent as a whole: the scheduler does not have this package."""
-        from validation import planning_runs as runs
-        from validation import sites
-
-        return asdict(runs.run_site(sites.SiteKey(*key), runs.Settings(*settings)))
-
-    count = jobs if jobs > 0 else (os.cpu_count() or 1)
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # the workers of a local cluster inherit it
-    try:
-        local = address == "local"
-        cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None) if local else None
-    finally:
-        signal.signal(signal.SIGINT, before)
-    with Client(cluster or address) as client, tempfile.TemporaryDirectory() as folder:
-        try:
-            root = Path(__file__).parent
-            client.upload_file(shutil.make_archive(f"{folder}/{root.name}", "zip", root.parent, root.name))
-            plain = [astuple(key) for key in keys]
-            futures = client.map(on_worker, plain, settings=astuple(settings), pure=False)
-            try:
-                for future in as_completed(futures):
-                    yield Row(**future.result())
-            finally:
-                client.cancel(futures)
-        finally:
-            if cluster is not None:
-                cluster.close()
 
 
 def all_keys(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from pathlib import Path
 
 import bench_planning
@@ -95,9 +94,3 @@ def test_one_site_is_rerun_by_its_name(capsys: pytest.CaptureFixture[str]) -> No
     assert printed.startswith("planar4/open/goal/0, seed 0")
     with pytest.raises(SystemExit, match="no such site"):
         bench_planning.main(["--only", "planar4/open/goals/0"])
-
-
-def test_dask_that_is_not_installed_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(SystemExit, match=r"pip install .dask\[distributed\]"):
-        bench_planning.main(["--sites", "1", "--machines", "planar4", "--dask", "local"])
