@@ -34,6 +34,7 @@ import backhoe_planner as bp
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.planning import EFFORTS
 from validation.habitats import load_machine
+from validation.obstacles import MACHINES
 from validation.planning_runs import (
     Row,
     Settings,
@@ -48,7 +49,7 @@ from validation.planning_runs import (
     summarise,
     table,
 )
-from validation.sites import KINDS, MACHINES, TASKS, SiteKey, random_site
+from validation.sites import KINDS, TASKS, SiteKey, random_site
 
 
 def _only(name: str, settings: Settings, seed: int) -> int:

@@ -39,8 +39,6 @@ from backhoe_planner.planning import (
     resolve_along,
 )
 
-__all__ = ["Case", "Result", "convergence", "draw", "study", "timing"]
-
 SHORTEST, LONGEST = 1.0, 5.0  # m
 SPEED = 0.4  # m/s
 GRIDS = ((5.0, 0.2), (2.5, 0.2), (1.25, 0.2))  # deg of pitch, m of path between layers

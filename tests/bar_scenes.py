@@ -12,8 +12,6 @@ from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Proximity
 
-__all__ = ["BAR", "STRETCHED", "TURNED", "across_bar", "problem_of"]
-
 Data = dict[str, Any]
 
 STRETCHED = np.zeros(4)

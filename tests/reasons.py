@@ -5,8 +5,6 @@ from __future__ import annotations
 from backhoe_planner.planning import LawComparison, NearestPose, Plan
 from backhoe_planner.site import Obstruction
 
-__all__ = ["comparison", "law_cost", "nearest", "obstruction", "span"]
-
 
 def obstruction(plan: Plan) -> Obstruction:
     """What is in the way."""

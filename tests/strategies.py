@@ -7,8 +7,6 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-__all__ = ["obstacles", "poses", "scenes"]
-
 Data = dict[str, Any]
 
 numbers = st.floats(-100.0, 100.0, allow_subnormal=False) | st.integers(-5, 5)

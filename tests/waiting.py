@@ -2,7 +2,5 @@
 
 from __future__ import annotations
 
-__all__ = ["PATIENCE"]
-
 # s; a blink on an idle machine, some seconds on a busy one, and whoever waits this long waits in vain
 PATIENCE = 120.0

@@ -12,8 +12,6 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from validation.obstacles import MACHINES, Record, capsule, turned_box
 
-__all__ = ["HABITATS", "Habitat", "Narrows", "banks", "draw_narrows", "folded_ways", "load_machine"]
-
 
 @dataclass(frozen=True)
 class Habitat:

@@ -26,8 +26,6 @@ from backhoe_planner.machine import self_pairs
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import BRANCHES, Cover, Solid, link_shapes
 
-__all__ = ["Least", "least_distances", "refutations"]
-
 Indices = NDArray[np.intp]
 
 SPANS = np.array([64, 8, 1])  # moments in a window, from coarse to fine

@@ -16,23 +16,6 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector
 
-__all__ = [
-    "MACHINES",
-    "Record",
-    "appearing_obstacle",
-    "capsule",
-    "course_obstacle",
-    "extent",
-    "lump",
-    "named",
-    "pipe",
-    "planar_obstacle",
-    "random_fixtures",
-    "random_obstacle",
-    "shifted",
-    "turned_box",
-]
-
 Triple = Sequence[float] | Vector
 Record = dict[str, Any]
 

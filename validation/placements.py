@@ -29,8 +29,6 @@ from validation.signed_distances import obstacle_distance
 from validation.sites import KINDS, SiteKey, random_site
 from validation.surfaces import LinkDistances, Nearest, link_shapes
 
-__all__ = ["Drive", "place_obstacles"]
-
 P = ParamSpec("P")
 R = TypeVar("R")
 

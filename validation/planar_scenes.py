@@ -9,8 +9,6 @@ import numpy as np
 import backhoe_planner as bp
 from validation.obstacles import named, planar_obstacle
 
-__all__ = ["random_planar_scene"]
-
 _SPARE = 0.01  # m that start and goal posture keep beyond every clearance, so that neither is on the edge
 _POSTURES = 100  # looked at among the same obstacles, before others are drawn
 

@@ -28,23 +28,6 @@ from validation.habitats import load_machine
 from validation.independent_check import refutations
 from validation.sites import Site, SiteKey, random_site
 
-__all__ = [
-    "Comparison",
-    "Row",
-    "Settings",
-    "Summary",
-    "all_keys",
-    "compare",
-    "comparison_table",
-    "failures",
-    "load_rows",
-    "run",
-    "run_site",
-    "save_rows",
-    "summarise",
-    "table",
-]
-
 Group = tuple[str, str, str]
 
 VERSION = 1

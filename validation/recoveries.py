@@ -22,9 +22,6 @@ from backhoe_planner.site import build_obstacle
 from validation.obstacles import named
 from validation.servo_drives import CLEARANCE, plain_obstacle, servo_scene
 
-__all__ = ["recover"]
-
-
 _KINDS = ("obstacle", "obstacle", "obstacle", "several obstacles", "itself", "limit", "limit and obstacle")
 _RESTS = 9000  # steps: longer than the servo takes until it searches again
 _LONGEST = 30.0  # s for one recovery

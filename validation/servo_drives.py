@@ -26,9 +26,6 @@ from validation.obstacles import Record, halfspace, random_obstacle
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import LinkDistances, Nearest
 
-__all__ = ["CLEARANCE", "drive", "free_posture", "plain_obstacle", "servo_scene"]
-
-
 CLEARANCE = 0.05  # m, of every scene
 EVADED_PART = 0.5  # of the speed that the machine can evade at
 EPISODE = 4000  # steps on one site

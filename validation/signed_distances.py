@@ -13,16 +13,6 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import load_mesh
 from backhoe_planner.site import obstacle_shapes
 
-__all__ = [
-    "SignedDistance",
-    "box_distance",
-    "capsule_distance",
-    "cylinder_distance",
-    "hull_distance",
-    "obstacle_distance",
-    "sphere_distance",
-]
-
 SignedDistance = Callable[[Matrix], NDArray[np.float64]]
 
 

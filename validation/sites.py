@@ -43,11 +43,8 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import tip_travel_bound
 from backhoe_planner.motion import TipPath
 from backhoe_planner.site import Waypoint
-from validation.habitats import HABITATS, Narrows, banks, draw_narrows, folded_ways, load_machine
+from validation.habitats import HABITATS, Narrows, banks, draw_narrows, folded_ways
 from validation.obstacles import MACHINES, Record, extent, lump, named, pipe, random_fixtures, random_obstacle, shifted
-
-__all__ = ["KINDS", "MACHINES", "SPARE", "TASKS", "Site", "SiteKey", "load_machine", "random_site"]
-
 
 KINDS = ("open", "cluttered", "narrow")
 TASKS = ("goal", "path")

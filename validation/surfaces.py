@@ -20,8 +20,6 @@ from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import load_mesh
 from validation.signed_distances import SignedDistance, box_distance, cylinder_distance, hull_distance, sphere_distance
 
-__all__ = ["BRANCHES", "Cover", "LinkDistances", "Nearest", "Solid", "link_shapes"]
-
 Indices = NDArray[np.intp]
 
 SPACING = 0.04  # m between points on a surface at most

@@ -13,7 +13,8 @@ import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import PathCost, build_problem, step_lengths
 from backhoe_planner.planning import PathLayers, PathResolver, Stretch, redundancy_of, smooth_stretch
-from validation.sites import SiteKey, load_machine, random_site
+from validation.habitats import load_machine
+from validation.sites import SiteKey, random_site
 
 Data = dict[str, Any]
 

@@ -10,7 +10,9 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import Problem, build_problem
-from validation.sites import KINDS, MACHINES, SPARE, TASKS, Site, SiteKey, load_machine, random_site
+from validation.habitats import load_machine
+from validation.obstacles import MACHINES
+from validation.sites import KINDS, SPARE, TASKS, Site, SiteKey, random_site
 
 ALL = [(machine, kind, task) for machine in MACHINES for kind in KINDS for task in TASKS]
 
