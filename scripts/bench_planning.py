@@ -24,16 +24,16 @@ import os
 os.environ["OMP_NUM_THREADS"] = "1"  # one site to a core; before numpy is imported
 
 import argparse
+import json
 import sys
 import time
-from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.planning import EFFORTS
-from validation.habitats import load_machine
 from validation.obstacles import MACHINES
 from validation.planning_runs import (
     Row,
@@ -49,26 +49,14 @@ from validation.planning_runs import (
     summarise,
     table,
 )
-from validation.sites import KINDS, TASKS, SiteKey, random_site
+from validation.sites import KINDS, TASKS, SiteKey
 
 
-def _only(name: str, settings: Settings, seed: int) -> int:
+def _only(key: SiteKey, settings: Settings) -> int:
     """Plan one site, and print all that is known of it."""
-    key = _key(name, seed)
-    site = random_site(load_machine(key.machine), key)
-    shapes = Counter(obstacle.shape for obstacle in site.scene.obstacles)
-    print(f"{key}, seed {seed}: {site.form}, " + ", ".join(f"{count} {shape}" for shape, count in shapes.items()))
-    print(f"a way is {'known' if site.way_known else 'not known'}" + (", the path is blocked" if site.blocked else ""))
     row = run_site(key, settings)
-    print(f"{row.verdict} {row.reason} in {row.seconds:.2f} s ({row.ratio or float('nan'):.1f} references)")
-    if row.message:
-        print(row.message)
-    if row.duration is not None and row.tip_length is not None:
-        margin = "nothing near" if row.margin is None else f"least margin {1e3 * row.margin:.1f} mm"
-        print(f"motion {row.duration:.1f} s, tip {row.tip_length:.2f} m, {margin}")
-    for refuted in row.refuted or ():
-        print(f"refuted: {refuted}")
-    return 1 if row.refuted or row.verdict == "error" else 0
+    print(f"{key}, seed {key.seed}: {json.dumps(asdict(row), indent=2)}")
+    return int(row.is_wrong)
 
 
 def _key(name: str, seed: int) -> SiteKey:
@@ -97,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     settings = Settings(options.method, options.effort, options.refute)
     if options.only:
-        return _only(options.only, settings, options.seed)
+        return _only(_key(options.only, options.seed), settings)
     if options.sites < 1 or options.seed < 0 or options.jobs == 0:
         parser.error("--sites and --jobs must be greater than 0, --seed not negative")
     if options.save:
@@ -137,11 +125,9 @@ def _report(
     print(table(summarise(rows)))
     if failed := failures(rows):
         print(f"\n{failed}")
-    wrong = [row for row in rows if row.refuted or row.verdict == "error"]
+    wrong = [row for row in rows if row.is_wrong]
     for row in wrong:
-        print(
-            f"\n{row.key}: " + (row.message if row.verdict == "error" else "refuted: " + "; ".join(row.refuted or ()))
-        )
+        print(f"\n{row.key}: " + ("refuted: " + "; ".join(row.refuted) if row.refuted else row.message))
     if before:
         print(f"\n{comparison_table(compare(before, rows))}")
     if save:

@@ -24,7 +24,6 @@ The results are in docs/theory.md and docs/measurements.md.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -48,13 +47,13 @@ from validation.printed_laws import (
     Measured,
     PointScene,
     Printed,
-    Row,
     count_point_scenes,
     count_solid_scenes,
     iterate,
     measure,
     printed_laws,
 )
+from validation.tables import Row, markdown, write_csv
 
 SHOWN = PointScene(
     start=np.array([1.42, 1.86, 1.71, 1.16]), goal=np.array([0.45, -2.16, 0.0]), obstacle=np.array([0.63, 0.59, 0.0])
@@ -247,33 +246,11 @@ def case_rows(name: str, found: Sequence[Case]) -> list[Row]:
     ]
 
 
-def markdown(rows: Sequence[Row]) -> str:
-    """An aligned Markdown table: names to the left, numbers to the right."""
-    heads = list(rows[0])
-    cells = [[_cell(row[head]) for head in heads] for row in rows]
-    widths = [max(len(head), *(len(line[column]) for line in cells)) for column, head in enumerate(heads)]
-    left = [isinstance(rows[0][head], str) for head in heads]
-
-    def line(texts: Sequence[str]) -> str:
-        padded = (t.ljust(w) if at_left else t.rjust(w) for t, w, at_left in zip(texts, widths, left, strict=True))
-        return "| " + " | ".join(padded) + " |"
-
-    rule = ["-" * w if at_left else "-" * (w - 1) + ":" for w, at_left in zip(widths, left, strict=True)]
-    return "\n".join([line(heads), line(rule), *(line(texts) for texts in cells)])
-
-
-def _cell(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:.4g}"
-
-
 def write_table(rows: Sequence[Row], folder: Path, name: str, title: str) -> None:
-    text = markdown(rows)
-    print(f"\n{title}\n\n{text}")
-    (folder / f"{name}.md").write_text(f"{title}\n\n{text}\n")
-    with (folder / f"{name}.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    text = f"{title}\n\n{markdown(rows)}\n"
+    print(f"\n{text}", end="")
+    (folder / f"{name}.md").write_text(text)
+    write_csv(rows, folder / f"{name}.csv")
 
 
 def progress(items: Sequence[Any], what: str) -> Iterable[Any]:

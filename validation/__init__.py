@@ -7,10 +7,13 @@ it imports `backhoe_planner` by its doors, and no script.
 
     module             what it offers
     obstacles          random obstacles, as entries of a scene file; everything draws them here
+    scenes             a scene from a start, obstacles and a task
     habitats           what is sensible around each machine; what makes a site narrow
     sites              random sites, each named by machine, kind, task and index
     planar_scenes      random scenes for a planar arm
     printed_laws       the laws as printed and the completed law on planar scenes, counted
+    law_runs           each law on the same planar scenes: arrives, touches, jumps
+    energy_savings     the work that the optimum saves on straight paths of the backhoe
     signed_distances   exact distances of points to shapes, in plain numpy
     surfaces           points on every link's collision shape
     independent_check  the least distances of a whole motion, and what refutes a certificate
@@ -19,6 +22,7 @@ it imports `backhoe_planner` by its doors, and no script.
     servo_drives       a servo driven among obstacles that stand, appear and move
     recoveries         a servo that starts inside an obstacle or outside a limit
     placements         an obstacle put on a plan while a servo follows it
+    tables             rows of figures as an aligned table and as CSV
 
 Lengths in metres, angles in radians, times in seconds; x away from the machine, z up.
 """

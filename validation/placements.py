@@ -24,7 +24,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from validation.habitats import load_machine
 from validation.obstacles import Record, appearing_obstacle
-from validation.servo_drives import CLOSE, broken_limits
+from validation.servo_drives import CLOSE, broken_limits, stopping_line
 from validation.signed_distances import obstacle_distance
 from validation.sites import KINDS, SiteKey, random_site
 from validation.surfaces import LinkDistances, Nearest, link_shapes
@@ -139,8 +139,7 @@ class Placement:
         lead = float(rng.uniform(0.5, 3.0))
         while not self.follower.done and self.follower.step().plan_time < at - lead:
             pass
-        braking = float(np.max(np.abs(servo.v) / (0.8 * servo.limits.acceleration)))
-        line = servo.q + np.linspace(0.0, 1.0, 25)[:, None] * servo.v * braking / 2.0
+        line = stopping_line(servo)
         content = _content(plan.scene)
         for _ in range(30):
             place = self._place_on_machine(plan.trajectory.at(at))

@@ -8,7 +8,9 @@ import numpy as np
 
 import backhoe_planner as bp
 from validation.obstacles import named, planar_obstacle
+from validation.scenes import scene_of
 
+_ROOM: dict[str, Any] = {"clearance": 0.02, "influence": 0.4}  # m
 _SPARE = 0.01  # m that start and goal posture keep beyond every clearance, so that neither is on the edge
 _POSTURES = 100  # looked at among the same obstacles, before others are drawn
 
@@ -21,21 +23,12 @@ def random_planar_scene(robot: bp.Robot, rng: np.random.Generator) -> bp.Scene:
     """
     kinematics = bp.Kinematics(robot)
     while True:
-        obstacles = [planar_obstacle(rng) for _ in range(int(rng.integers(1, 7)))]
-        content: dict[str, Any] = {
-            "version": 1,
-            "start": {"joints": dict.fromkeys(robot.joint_names, 0.0)},
-            "task": {"goal": {"position": [1.0, 1.0, 0.0]}},
-            "obstacles": named(obstacles),
-            "clearance": 0.02,
-            "influence": 0.4,
-        }
-        proximity = bp.Proximity(robot, bp.build_obstacles(bp.scene_from_dict(content), robot))
+        obstacles = named([planar_obstacle(rng) for _ in range(int(rng.integers(1, 7)))])
+        scene = scene_of(robot, obstacles, start=np.zeros(robot.n), **_ROOM)
+        proximity = bp.Proximity(robot, bp.build_obstacles(scene, robot))
         drawn = [robot.random_q(rng) for _ in range(_POSTURES)]
         free = (q for q in drawn if np.all(proximity.distances(q) > proximity.clearance + _SPARE))
         start, goal = next(free, None), next(free, None)
-        if start is None or goal is None:
-            continue
-        content["start"] = {"joints": dict(zip(robot.joint_names, start.tolist(), strict=True))}
-        content["task"] = {"goal": {"position": kinematics.at(goal).tip_position.tolist()}}
-        return bp.scene_from_dict(content)
+        if start is not None and goal is not None:
+            task = {"goal": {"position": kinematics.at(goal).tip_position.tolist()}}
+            return scene_of(robot, obstacles, start=start, task=task, **_ROOM)

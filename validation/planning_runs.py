@@ -1,9 +1,10 @@
 """The planner on many random sites: how often, how fast and how well it solves them.
 
 Every (machine, kind, task) is a group of sites, each drawn from a seed of its own. A site
-gives a `Row`, a group a `Summary`, and two runs a `Comparison`. Planning time is given in
-seconds and as a multiple of a reference measured beside it, 1000 calls of
-`Proximity.distances` on the same site, which a faster machine leaves as it is.
+gives a `Row`, a group a `Summary`, and two runs a `Comparison`. Planning time is processor
+time, in seconds and as a multiple of a reference measured beside it, 1000 calls of
+`Proximity.distances` on the same site: other processes do not lengthen it, and on a faster
+machine the multiple stays the same.
 """
 
 from __future__ import annotations
@@ -27,10 +28,12 @@ from backhoe_planner.files.output_file import whole_file
 from validation.habitats import load_machine
 from validation.independent_check import refutations
 from validation.sites import Site, SiteKey, random_site
+from validation.tables import Row as TableRow
+from validation.tables import markdown
 
 Group = tuple[str, str, str]
 
-VERSION = 1
+VERSION = 2
 REFERENCE_CALLS = 1000
 
 
@@ -50,7 +53,7 @@ class Row:
     Attributes
     ----------
     verdict: ``verified``, ``failed``, or ``error`` where an exception was raised.
-    seconds: planning time [s].
+    seconds: planning time on the processor [s].
     reference: time of 1000 calls of `Proximity.distances` on this site [s]; None where
         an exception came before.
     duration, tip_length: of the motion [s, m]; of verified plans only, else None.
@@ -96,6 +99,11 @@ class Row:
     def verified(self) -> bool:
         """Whether the plan is verified."""
         return self.verdict == "verified"
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether a verified plan was refuted, or an exception was raised."""
+        return bool(self.refuted) or self.verdict == "error"
 
 
 @dataclass(frozen=True)
@@ -147,16 +155,16 @@ def run_site(key: SiteKey, settings: Settings) -> Row:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who hands out the sites ends it
     name: dict[str, Any] = {name: getattr(key, name) for name in ("machine", "kind", "task", "index", "seed")}
     known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False}
-    begun = time.perf_counter()
+    begun = time.process_time()
     reference: float | None = None
     try:
         robot = load_machine(key.machine)
         site = random_site(robot, key)
         known = {"form": site.form, "way_known": site.way_known, "blocked": site.blocked}
         reference = _reference(robot, site)
-        begun = time.perf_counter()
+        begun = time.process_time()
         plan = bp.plan(robot, site.scene, method=settings.method, effort=settings.effort)
-        seconds = time.perf_counter() - begun
+        seconds = time.process_time() - begun
         least = plan.certificate.min_clearance
         found: dict[str, Any] = {}
         if plan.verified:
@@ -173,7 +181,7 @@ def run_site(key: SiteKey, settings: Settings) -> Row:
     except Exception as error:  # noqa: BLE001  an exception is a finding, not the end of the run
         return Row(
             **name, **known, verdict="error", reason="error", message=f"{type(error).__name__}: {error}",
-            seconds=time.perf_counter() - begun, reference=reference,
+            seconds=time.process_time() - begun, reference=reference,
         )  # fmt: skip
 
 
@@ -182,10 +190,10 @@ def _reference(robot: bp.Robot, site: Site) -> float:
     proximity = bp.Proximity(robot, bp.build_obstacles(site.scene, robot))
     rng = np.random.default_rng(0)
     configurations = [robot.random_q(rng) for _ in range(REFERENCE_CALLS // 10)]
-    begun = time.perf_counter()
+    begun = time.process_time()
     for q in configurations:
         proximity.distances(q)
-    return 10.0 * (time.perf_counter() - begun)
+    return 10.0 * (time.process_time() - begun)
 
 
 # --- all of them ----------------------------------------------------------------------
@@ -283,20 +291,25 @@ def _median(values: Sequence[float | None]) -> float:
 
 def table(summaries: Sequence[Summary]) -> str:
     """The figures of every group as text."""
-    lines = [
-        f"{'':<24}{'sites':>6}{'verified':>10}{'of known ways':>16}{'median':>9}{'p95':>8}{'/ref':>7}"
-        f"{'motion':>8}{'tip':>7}{'margin':>8}{'refuted':>9}  reasons",
-        f"{'':<24}{'':>6}{'':>10}{'':>16}{'[s]':>9}{'[s]':>8}{'':>7}{'[s]':>8}{'[m]':>7}{'[mm]':>8}",
-    ]
-    for group in summaries:
-        known = f"{_part(group.known_verified, group.known)} of {group.known}" if group.known else "-"
-        reasons = ", ".join(f"{reason} {count}" for reason, count in group.reasons.items())
-        lines.append(
-            f"{' '.join(group.group):<24}{group.sites:>6}{_part(group.verified, group.sites):>10}{known:>16}"
-            f"{group.median:>9.2f}{group.p95:>8.2f}{group.ratio:>7.1f}{group.duration:>8.1f}{group.tip_length:>7.2f}"
-            f"{1e3 * group.margin:>8.1f}{'-' if group.refuted is None else group.refuted:>9}  {reasons}"
-        )
-    return "\n".join(lines)
+    return markdown(
+        [
+            {
+                "group": " ".join(group.group),
+                "sites": group.sites,
+                "verified": _part(group.verified, group.sites),
+                "of known ways": f"{_part(group.known_verified, group.known)} of {group.known}" if group.known else "-",
+                "median [s]": group.median,
+                "p95 [s]": group.p95,
+                "/ref": group.ratio,
+                "motion [s]": group.duration,
+                "tip [m]": group.tip_length,
+                "margin [mm]": 1e3 * group.margin,
+                "refuted": "-" if group.refuted is None else str(group.refuted),
+                "reasons": ", ".join(f"{reason} {count}" for reason, count in group.reasons.items()),
+            }
+            for group in summaries
+        ]
+    )
 
 
 def _part(part: int, whole: int) -> str:
@@ -305,21 +318,15 @@ def _part(part: int, whole: int) -> str:
 
 def failures(rows: Sequence[Row]) -> str:
     """The indices of the sites that are not verified, group by group; a star where a way is known."""
-    lines = []
-    for group in dict.fromkeys(row.group for row in rows):
-        failed = [row for row in rows if row.group == group and not row.verified]
-        if failed:
-            indices = " ".join(f"{row.index}{'*' if row.way_known else ''}" for row in failed)
-            lines.append(f"  {'/'.join(group)}: {indices}")
-    if not lines:
+    failed: dict[Group, list[str]] = {}
+    for row in rows:
+        if not row.verified:
+            failed.setdefault(row.group, []).append(f"{row.index}{'*' if row.way_known else ''}")
+    if not failed:
         return ""
     seed = rows[0].seed
-    return "\n".join(
-        [
-            f"not verified (* a way is known), seed {seed}; rerun with --only MACHINE/KIND/TASK/INDEX --seed {seed}:",
-            *lines,
-        ]
-    )
+    head = f"not verified (* a way is known), seed {seed}; rerun with --only MACHINE/KIND/TASK/INDEX --seed {seed}:"
+    return "\n".join([head, *(f"  {'/'.join(group)}: {' '.join(indices)}" for group, indices in failed.items())])
 
 
 def compare(before: Sequence[Row], now: Sequence[Row]) -> list[Comparison]:
@@ -350,16 +357,20 @@ def comparison_table(comparisons: Sequence[Comparison]) -> str:
     """What changed, as text."""
     if not comparisons:
         return "no site is in both runs"
-    lines = [f"{'compared':<24}{'sites':>6}{'before':>10}{'now':>10}{'won':>6}{'lost':>6}{'time':>8}"]
-    lines += [
-        f"{' '.join(c.group):<24}{c.sites:>6}{_part(c.before, c.sites):>10}{_part(c.now, c.sites):>10}"
-        f"{len(c.won):>6}{len(c.lost):>6}{c.time_ratio:>8.2f}"
+    rows: list[TableRow] = [
+        {
+            "compared": " ".join(c.group),
+            "sites": c.sites,
+            "before": _part(c.before, c.sites),
+            "now": _part(c.now, c.sites),
+            "won": len(c.won),
+            "lost": len(c.lost),
+            "time": c.time_ratio,
+        }
         for c in comparisons
     ]
-    lost = [key for c in comparisons for key in c.lost]
-    if lost:
-        lines.append("went from verified to failed: " + " ".join(map(str, lost)))
-    return "\n".join(lines)
+    lost = [str(key) for c in comparisons for key in c.lost]
+    return markdown(rows) + (f"\nverified before, failed now: {' '.join(lost)}" if lost else "")
 
 
 # --- the file ------------------------------------------------------------------------

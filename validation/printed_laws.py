@@ -28,7 +28,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
@@ -36,7 +35,10 @@ from backhoe_planner.law import ITERATIONS, CompletedLaw, Magnification, Push, R
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.planning import Stepper, Work, approach_goal
 from backhoe_planner.site import Gains
+from validation.obstacles import sphere
 from validation.planar_scenes import random_planar_scene
+from validation.scenes import scene_of
+from validation.tables import Row, percent
 
 Progress = Callable[[Sequence[Any], str], Iterable[Any]]
 
@@ -199,39 +201,23 @@ def random_point_scene(robot: bp.Robot, kinematics: bp.Kinematics, rng: np.rando
             return PointScene(start, goal, obstacle)
 
 
-def as_scene(robot: bp.Robot, scene: PointScene, *, clearance: float = REQUIRED - SPHERE) -> bp.Scene:
+def as_scene(robot: bp.Robot, scene: PointScene) -> bp.Scene:
     """The same scene for the completed law: the point a small sphere."""
-    return bp.scene_from_dict(
-        {
-            "version": 1,
-            "start": {"joints": dict(zip(robot.joint_names, map(float, scene.start), strict=True))},
-            "task": {"goal": {"position": list(map(float, scene.goal))}},
-            "clearance": clearance,
-            "influence": REGION,
-            "obstacles": [
-                {"name": "point", "shape": "sphere", "radius": SPHERE, "position": list(map(float, scene.obstacle))}
-            ],
-        }
-    )
-
-
-Row = dict[str, str | float]
+    point = {"name": "point", **sphere(SPHERE, scene.obstacle)}
+    task = {"goal": {"position": scene.goal.tolist()}}
+    return scene_of(robot, [point], start=scene.start, task=task, clearance=REQUIRED - SPHERE, influence=REGION)
 
 
 def summary(name: str, runs: Sequence[Measured]) -> Row:
-    """One row of the table; shares in percent."""
-
-    def share(holds: Callable[[Measured], bool]) -> float:
-        return 100.0 * float(np.mean([holds(run) for run in runs]))
-
+    """One row of the table."""
     return {
         "law": name,
-        "reaches the goal [%]": share(lambda run: run.arrives),
-        "touches [%]": share(lambda run: run.closest < TOUCH),
-        "nearer than 0.3 m [%]": share(lambda run: run.closest < REQUIRED),
-        "reaches without touching [%]": share(lambda run: run.arrives and run.closest >= TOUCH),
-        "reaches and keeps 0.3 m [%]": share(lambda run: run.arrives and run.closest >= REQUIRED),
-        "joint step over 1 rad [%]": share(lambda run: run.largest_step > JUMP),
+        "reaches the goal [%]": percent(run.arrives for run in runs),
+        "touches [%]": percent(run.closest < TOUCH for run in runs),
+        "nearer than 0.3 m [%]": percent(run.closest < REQUIRED for run in runs),
+        "reaches without touching [%]": percent(run.arrives and run.closest >= TOUCH for run in runs),
+        "reaches and keeps 0.3 m [%]": percent(run.arrives and run.closest >= REQUIRED for run in runs),
+        "joint step over 1 rad [%]": percent(run.largest_step > JUMP for run in runs),
         "median largest step [rad]": float(np.median([run.largest_step for run in runs])),
     }
 
@@ -335,21 +321,17 @@ def count_solid_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
             done, duration = drive(problem, terms)
             arrived[terms.name].append(done)
             durations[terms.name].append(duration)
-    everywhere = np.all([arrived[terms.name] for terms in TERMS], axis=0)
+    table = np.array([arrived[terms.name] for terms in TERMS])
+    alone, everywhere = table & (np.sum(table, axis=0) == 1), np.all(table, axis=0)
     return [
         {
             "completed law, first attempt": name,
-            "arrives [%]": 100.0 * float(np.mean(done)),
-            "only this one [scenes]": float(np.sum(_alone(name, arrived))),
+            "arrives [%]": percent(arrived[name]),
+            "only this one [scenes]": int(np.sum(only)),
             "mean duration where all arrive [s]": _mean(np.array(durations[name])[everywhere]),
         }
-        for name, done in arrived.items()
+        for name, only in zip(arrived, alone, strict=True)
     ]
-
-
-def _alone(name: str, arrived: dict[str, list[bool]]) -> NDArray[np.bool_]:
-    others = [done for other, done in arrived.items() if other != name]
-    return np.asarray(np.array(arrived[name]) & ~np.any(others, axis=0))
 
 
 def _mean(values: Vector) -> float:

@@ -20,7 +20,8 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.site import build_obstacle
 from validation.obstacles import named
-from validation.servo_drives import CLEARANCE, plain_obstacle, servo_scene
+from validation.scenes import scene_of
+from validation.servo_drives import CLEARANCE, plain_obstacle
 
 _KINDS = ("obstacle", "obstacle", "obstacle", "several obstacles", "itself", "limit", "limit and obstacle")
 _RESTS = 9000  # steps: longer than the servo takes until it searches again
@@ -47,7 +48,8 @@ class Start:
             count = 0 if "obstacle" not in self.kind else int(rng.integers(1, 4)) if "several" in self.kind else 1
             obstacles = named([plain_obstacle(rng) for _ in range(count)])
             # a scene's start lies within the limits; the servo then gets as `q` where the machine stands
-            self.q, self.scene = q, servo_scene(robot, robot.random_q(rng) if "limit" in self.kind else q, obstacles)
+            within = robot.random_q(rng) if "limit" in self.kind else q
+            self.q, self.scene = q, scene_of(robot, obstacles, start=within, clearance=CLEARANCE)
             self.proximity = bp.Proximity(
                 robot, [build_obstacle(spec, folder=Path(), clearance=CLEARANCE) for spec in self.scene.obstacles]
             )

@@ -20,9 +20,10 @@ import pinocchio as pin
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.site import build_obstacle, obstacle_shapes
 from validation.obstacles import Record, halfspace, random_obstacle
+from validation.scenes import scene_of
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import LinkDistances, Nearest
 
@@ -40,19 +41,6 @@ def plain_obstacle(rng: np.random.Generator) -> Record:
     record = random_obstacle("backhoe", rng)
     record.pop("clearance", None)
     return record
-
-
-def servo_scene(robot: bp.Robot, q: Vector, obstacles: list[Record]) -> bp.Scene:
-    """A scene in which the machine stands at `q` (n,)."""
-    return bp.scene_from_dict(
-        {
-            "version": 1,
-            "start": {"joints": dict(zip(robot.joint_names, q.tolist(), strict=True))},
-            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
-            "clearance": CLEARANCE,
-            "obstacles": obstacles,
-        }
-    )
 
 
 def free_posture(robot: bp.Robot, rng: np.random.Generator) -> Vector:
@@ -92,7 +80,8 @@ class Episode:
         while len(self.standing) < wanted:
             self._put_up(f"obstacle {len(self.standing)}", q[None])
         # records, so that the servo reads what a user would give it
-        self.servo = bp.Servo(robot, servo_scene(robot, q, self._records), circulate=bool(rng.integers(2)))
+        scene = scene_of(robot, self._records, start=q, clearance=CLEARANCE)
+        self.servo = bp.Servo(robot, scene, circulate=bool(rng.integers(2)))
         self.kind = "none"
         self._tip = bp.Kinematics(robot).at(q).tip_position.copy()
         self._tip_velocity = np.zeros(3)
@@ -100,7 +89,8 @@ class Episode:
 
     def _put_up(self, name: str, postures: Vector) -> _Standing | None:
         """Draw an obstacle that the machine keeps clear of in all of some postures (W, n); None where it does not."""
-        scene = servo_scene(self.robot, postures[0], [{"name": name, **plain_obstacle(self.rng)}])
+        record = {"name": name, **plain_obstacle(self.rng)}
+        scene = scene_of(self.robot, [record], start=postures[0], clearance=CLEARANCE)
         new = _Standing(scene.obstacles[0], obstacle_distance(scene.obstacles[0], scene))
         alone = {name: (new.distance, new.shift)}
         if any(self.distances.least(q, alone).distance <= CLEARANCE + _SPARE for q in postures):
@@ -160,12 +150,9 @@ class Episode:
 
     def _appear(self, name: str) -> None:
         """Put up an obstacle where the machine can still stop before it, where one fits."""
-        servo = self.servo
-        braking = float(np.max(np.abs(servo.v) / (0.8 * servo.limits.acceleration)))
-        line = servo.q + np.linspace(0.0, 1.0, 25)[:, None] * servo.v * braking / 2.0
-        new = self._put_up(name, line)
+        new = self._put_up(name, stopping_line(self.servo))
         if new is not None:
-            servo.add(build_obstacle(new.spec, folder=Path(), clearance=CLEARANCE))
+            self.servo.add(build_obstacle(new.spec, folder=Path(), clearance=CLEARANCE))
             new.moves = bool(self.rng.integers(2)) and new.spec.shape != "halfspace"
 
     def _drive_movers(self) -> None:
@@ -264,6 +251,12 @@ def drive(robot: bp.Robot, *, steps: int, seed: int, every: int, progress: Calla
         "problems": len(problems),
         "first problems": problems[:20],
     }
+
+
+def stopping_line(servo: bp.Servo) -> Matrix:
+    """(25, n) where the machine comes past if it brakes now, with a fifth of its braking in reserve."""
+    braking = float(np.max(np.abs(servo.v) / (0.8 * servo.limits.acceleration)))
+    return np.asarray(servo.q + np.linspace(0.0, 1.0, 25)[:, None] * servo.v * braking / 2.0)
 
 
 def broken_limits(servo: bp.Servo, state: bp.ServoState, before: Vector) -> list[str]:

@@ -45,6 +45,7 @@ from backhoe_planner.motion import TipPath
 from backhoe_planner.site import Waypoint
 from validation.habitats import HABITATS, Narrows, banks, draw_narrows, folded_ways
 from validation.obstacles import MACHINES, Record, extent, lump, named, pipe, random_fixtures, random_obstacle, shifted
+from validation.scenes import NO_TASK, scene_of
 
 KINDS = ("open", "cluttered", "narrow")
 TASKS = ("goal", "path")
@@ -412,7 +413,7 @@ class _Draft:
     # --- free or not -----------------------------------------------------------
 
     def _proximity(self, records: Sequence[Record], *, itself: bool = True) -> bp.Proximity:
-        scene = self._scene(named(list(records)), {"goal": {"position": [1.0, 0.0, 0.0]}}, self.robot.middle)
+        scene = self._scene(named(list(records)), NO_TASK, self.robot.middle)
         return bp.Proximity(self.robot, bp.build_obstacles(scene, self.robot), self_collision=itself)
 
     def _margins(self, proximity: bp.Proximity, q: Vector) -> Vector:
@@ -462,17 +463,8 @@ class _Draft:
         return pose
 
     def _scene(self, obstacles: Sequence[Record], task: Record, start: Vector | None) -> bp.Scene:
-        content: Record = {
-            "version": 1,
-            "name": str(self.key),
-            "task": task,
-            "obstacles": list(obstacles),
-            "clearance": self.habitat.clearance,
-            "influence": self.habitat.influence,
-        }
-        if start is not None:
-            content["start"] = {"joints": dict(zip(self.robot.joint_names, start.tolist(), strict=True))}
-        return bp.scene_from_dict(content)
+        room = {"clearance": self.habitat.clearance, "influence": self.habitat.influence}
+        return scene_of(self.robot, obstacles, start=start, task=task, name=str(self.key), **room)
 
 
 def _quaternion(rotation: Matrix) -> list[float]:

@@ -35,7 +35,7 @@ def test_the_table_has_a_line_for_every_group_with_its_success(rows: list[runs.R
         assert summary.refuted in (0, None)
     lines = runs.table(summaries).splitlines()
     assert len(lines) == 4
-    assert lines[2].startswith("planar4 open goal")
+    assert lines[2].startswith("| planar4 open goal")
     assert f"{50.0 * summaries[0].verified:.1f} %" in lines[2]
 
 

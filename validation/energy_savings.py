@@ -1,0 +1,197 @@
+"""The work that the global optimum saves against local laws, on seeded straight paths of the backhoe.
+
+Every case is a straight path of the bucket tip, 1 to 5 m long, position only, from a
+random posture of the machine. It is planned twice, from that posture and with the start
+left free, and each motion is held against two local laws that begin at the same posture
+and keep the plan's own timing: the pseudo-inverse (least velocity norm, blind to limits)
+and the completed law (keeps the limits, and may get stuck). A path counts only if it can
+be followed at all from its posture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import PathCost, Problem, TipPath, Trajectory, build_problem, trajectory_costs
+from backhoe_planner.planning import (
+    PathResolver,
+    Stretch,
+    cheapen_stretch,
+    law_motion,
+    least_norm_resolution,
+    resolve_along,
+)
+from validation.scenes import scene_of
+from validation.tables import Row
+
+SHORTEST, LONGEST = 1.0, 5.0  # m
+SPEED = 0.4  # m/s
+GRIDS = ((5.0, 0.2), (2.5, 0.2), (1.25, 0.2))  # deg of pitch, m of path between layers
+LAWS = (
+    "pseudo-inverse, limits or not",
+    "pseudo-inverse, where it keeps the limits",
+    "completed law, where it gets along",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A posture (n,), and where the tip goes from it, (3,) each [m]."""
+
+    q: Vector
+    begin: Vector
+    end: Vector
+
+    def problem(self, robot: bp.Robot, *, free: bool) -> tuple[Problem, TipPath]:
+        """The path as a problem, with the start at the posture or left free."""
+        waypoints = [{"position": place.tolist()} for place in (self.begin, self.end)]
+        task = {"path": {"waypoints": waypoints, "speed": SPEED}}
+        scene = scene_of(robot, [], start=None if free else self.q, task=task, objective="work")
+        problem = build_problem(robot, scene)
+        assert problem.path is not None
+        return problem, problem.path
+
+
+@dataclass(frozen=True)
+class Savings:
+    """The work of one optimum, and of every law of `LAWS` at its timing; None where the law is of no use [J]."""
+
+    optimum: float
+    laws: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One case: from the same start and from a free one, which may have failed; what became of the laws."""
+
+    same: Savings
+    free: Savings | None
+    pseudo_inverse_breaks: bool
+    law_stuck: bool
+
+    @property
+    def worse(self) -> bool:
+        """Whether, from the same start, a law that keeps the limits needs less."""
+        return any(law is not None and exceeds(self.same.optimum, law) for law in self.same.laws[1:])
+
+
+def exceeds(optimum: float, law: float) -> bool:
+    """Whether an optimum is worse by more than inertia, which the search leaves out, explains: 0.1 % and 1 J."""
+    return optimum > law * 1.001 + 1.0
+
+
+def draw_cases(robot: bp.Robot, seed: int) -> Iterator[Case]:
+    """Cases, without end; not all can be followed."""
+    rng = np.random.default_rng(seed)
+    kinematics = bp.Kinematics(robot)
+    proximity = bp.Proximity(robot, ())
+    while True:
+        q = robot.random_q(rng)
+        direction = rng.standard_normal(3)
+        length = rng.uniform(SHORTEST, LONGEST)
+        begin = np.array(kinematics.at(q).tip_position)
+        end = begin + length * direction / np.linalg.norm(direction)
+        inside = bp.solve_inverse_kinematics(robot, bp.TipTarget(end))
+        if inside.reached and bool(np.all(proximity.distances(q) >= proximity.clearance)):
+            yield Case(q, begin, end)
+
+
+def measure_case(robot: bp.Robot, case: Case) -> Result | None:
+    """One case; None where it cannot be followed from its posture."""
+    problem, path = case.problem(robot, free=False)
+    same = bp.plan(robot, problem.scene, method="optimal")
+    if not _follows(same):
+        return None
+    free = bp.plan(robot, case.problem(robot, free=True)[0].scene, method="optimal")
+    kinematics = bp.Kinematics(robot)
+    blind = least_norm_resolution(problem, path, case.q, kinematics=kinematics)
+    law = resolve_along(problem, path, 0.0, case.q, proximity=bp.Proximity(robot, ()), kinematics=kinematics)
+    breaks = blind is None or blind.obstruction is not None
+    others = (blind, None if breaks else blind, law if law.obstruction is None else None)
+
+    def work(motion: Trajectory) -> float:
+        return trajectory_costs(problem, motion)["work"]
+
+    def savings(motion: Trajectory) -> Savings:
+        moved = [None if other is None else law_motion(path, other, motion, kinematics=kinematics) for other in others]
+        return Savings(work(motion), tuple(None if other is None else work(other) for other in moved))
+
+    return Result(
+        same=savings(same.trajectory),
+        free=savings(free.trajectory) if _follows(free) else None,
+        pseudo_inverse_breaks=breaks,
+        law_stuck=law.obstruction is not None,
+    )
+
+
+def _follows(plan: bp.Plan) -> bool:
+    return plan.verified and not plan.certificate.detours
+
+
+def savings_table(results: list[Result]) -> list[Row]:
+    """Work summed over the cases: every law beside the optimum, from the same start and from a free one."""
+    rows: list[Row] = []
+    for start in ("same", "free"):
+        found = [savings for result in results if (savings := getattr(result, start)) is not None]
+        for place, name in enumerate(LAWS):
+            pairs = [(savings.laws[place], savings.optimum) for savings in found if savings.laws[place] is not None]
+            laws, optima = (sum(column) / 1e3 for column in zip(*pairs, strict=True)) if pairs else (np.nan, np.nan)
+            rows.append(
+                {
+                    "start": start,
+                    "against": name,
+                    "paths": len(pairs),
+                    "law [kJ]": laws,
+                    "optimum [kJ]": optima,
+                    "saving [%]": 100.0 * (1.0 - optima / laws),
+                    "optimum worse": sum(exceeds(optimum, law) for law, optimum in pairs),
+                }
+            )
+    return rows
+
+
+def convergence_table(robot: bp.Robot, *, paths: int, seed: int) -> list[Row]:
+    """Quasi-static work summed over cases with a free start: the best route on every grid, and the refined one."""
+    found: list[list[tuple[float, float]]] = []
+    for case in draw_cases(robot, seed):
+        problem, path = case.problem(robot, free=True)
+        costs = [_resolved(problem, path, grid, layer) for grid, layer in GRIDS]
+        if all(cost is not None for cost in costs):
+            found.append([cost for cost in costs if cost is not None])
+        if len(found) >= paths:
+            break
+    totals: NDArray[np.float64] = np.sum(found, axis=0) / 1e3
+    change = 100.0 * (totals / np.vstack((np.full(2, np.nan), totals[:-1])) - 1.0)
+    return [
+        {
+            "pitch [deg]": grid,
+            "layers [m]": layer,
+            "best route on the grid [kJ]": total[0],
+            "its change [%]": by[0],
+            "refined [kJ]": total[1],
+            "change [%]": by[1],
+        }
+        for (grid, layer), total, by in zip(GRIDS, totals.tolist(), change.tolist(), strict=True)
+    ]
+
+
+def _resolved(problem: Problem, path: TipPath, grid: float, layer: float) -> tuple[float, float] | None:
+    """The cost in [J] of the graph's route and of the refined one; None where there is none."""
+    objective, proximity = PathCost(problem), bp.Proximity(problem.robot, ())
+    resolver = PathResolver(
+        problem, path, proximity=proximity, find_detour=lambda *_: None,
+        cost=objective.step_costs, grid=np.radians(grid), layer=layer,
+    )  # fmt: skip
+    found = resolver.resolve(None, detours=False)
+    if found.obstruction is not None:
+        return None
+    (piece,) = found.pieces
+    assert isinstance(piece, Stretch)
+    q = cheapen_stretch(problem, path, piece, cost=objective, proximity=proximity, free_start=True, free_end=True).q
+    return objective.value(piece.stations, piece.q), objective.value(piece.stations, q)

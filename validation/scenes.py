@@ -1,0 +1,22 @@
+"""A scene in few words: where the machine stands, what stands around it, what it is to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
+from validation.obstacles import Record
+
+NO_TASK: Record = {"goal": {"position": [4.0, 0.0, 0.0]}}  # of scenes in which nothing is planned; a scene has a task
+
+
+def scene_of(
+    robot: bp.Robot, obstacles: Sequence[Record], *, start: Vector | None, task: Record = NO_TASK, **rest: Any
+) -> bp.Scene:
+    """The scene with these entries; without a start where `start` (n,) is None."""
+    content: Record = {"version": 1, "task": task, "obstacles": list(obstacles), **rest}
+    if start is not None:
+        content["start"] = {"joints": dict(zip(robot.joint_names, start.tolist(), strict=True))}
+    return bp.scene_from_dict(content)
