@@ -34,27 +34,14 @@ from pathlib import Path
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.planning import EFFORTS
+from validation import planning_runs as runs
 from validation.obstacles import MACHINES
-from validation.planning_runs import (
-    Row,
-    Settings,
-    all_keys,
-    compare,
-    comparison_table,
-    failures,
-    load_rows,
-    run,
-    run_site,
-    save_rows,
-    summarise,
-    table,
-)
 from validation.sites import KINDS, TASKS, SiteKey
 
 
-def _only(key: SiteKey, settings: Settings) -> int:
+def _only(key: SiteKey, settings: runs.Settings) -> int:
     """Plan one site, and print all that is known of it."""
-    row = run_site(key, settings)
+    row = runs.run_site(key, settings)
     print(f"{key}, seed {key.seed}: {json.dumps(asdict(row), indent=2)}")
     return int(row.is_wrong)
 
@@ -83,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--refute", action="store_true", help="hold verified plans against the independent check")
     parser.add_argument("--only", metavar="MACHINE/KIND/TASK/INDEX", help="plan this site alone")
     options = parser.parse_args(arguments)
-    settings = Settings(options.method, options.effort, options.refute)
+    settings = runs.Settings(options.method, options.effort, options.refute)
     if options.only:
         return _only(_key(options.only, options.seed), settings)
     if options.sites < 1 or options.seed < 0 or options.jobs == 0:
@@ -93,13 +80,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             check_writable(options.save)
         except bp.OutputError as error:
             parser.error(f"--save: {error}")
-    before: list[Row] = []
+    before: list[runs.Row] = []
     if options.compare:
         try:
-            before = load_rows(options.compare)
+            before = runs.load_rows(options.compare)
         except (OSError, ValueError, TypeError) as error:
             parser.error(f"--compare: {error}")
-    keys = all_keys(
+    keys = runs.all_keys(
         options.sites, machines=options.machines, kinds=options.kinds, tasks=options.tasks, seed=options.seed
     )
     begun = time.perf_counter()
@@ -108,31 +95,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if sys.stderr.isatty():
             print(f"\r{done} of {len(keys)}, {time.perf_counter() - begun:.0f} s ", end="", file=sys.stderr, flush=True)
 
-    rows, interrupted = run(keys, settings, jobs=options.jobs, progress=progress)
+    rows, interrupted = runs.run(keys, settings, jobs=options.jobs, progress=progress)
     if sys.stderr.isatty():
         print(file=sys.stderr)
-    return _report(rows, settings, before, options.save, interrupted, time.perf_counter() - begun)
-
-
-def _report(
-    rows: Sequence[Row], settings: Settings, before: Sequence[Row], save: Path | None, interrupted: bool, seconds: float
-) -> int:
     if interrupted:
         print(f"interrupted: {len(rows)} sites are done")
-    if not rows:
-        return 130 if interrupted else 0
-    print(f"{len(rows)} sites, method {settings.method}, effort {settings.effort}, {seconds:.0f} s in all\n")
-    print(table(summarise(rows)))
-    if failed := failures(rows):
+    if rows:
+        seconds = time.perf_counter() - begun
+        print(f"{len(rows)} sites, method {settings.method}, effort {settings.effort}, {seconds:.0f} s in all\n")
+        _report(rows, before)
+        if options.save:
+            runs.save_rows(options.save, rows, settings)
+    return 130 if interrupted else int(any(row.is_wrong for row in rows))
+
+
+def _report(rows: Sequence[runs.Row], before: Sequence[runs.Row]) -> None:
+    print(runs.table(runs.summarise(rows)))
+    if failed := runs.failures(rows):
         print(f"\n{failed}")
-    wrong = [row for row in rows if row.is_wrong]
-    for row in wrong:
-        print(f"\n{row.key}: " + ("refuted: " + "; ".join(row.refuted) if row.refuted else row.message))
+    for row in rows:
+        if row.is_wrong:
+            print(f"\n{row.key}: " + ("refuted: " + "; ".join(row.refuted) if row.refuted else row.message))
     if before:
-        print(f"\n{comparison_table(compare(before, rows))}")
-    if save:
-        save_rows(save, rows, settings)
-    return 130 if interrupted else int(bool(wrong))
+        print(f"\n{runs.comparison_table(runs.compare(before, rows))}")
 
 
 if __name__ == "__main__":

@@ -4,10 +4,10 @@
 What counts is the time on the processor, which other processes of the machine do not
 lengthen; the time on the clock stands beside it. In the same run, on the same
 configurations, the Pinocchio and coal calls alone (see validation/step_times.py). The
-histogram is saved as PNG and JSON; memory is read before and after. The results are in
+histogram is saved as JSON; memory is read before and after. The results are in
 docs/measurements.md.
 
-    python scripts/bench_servo.py [--steps 100000] [--obstacles 20] [--moving 5] [--save out/servo_step]
+    python scripts/bench_servo.py [--steps 100000] [--obstacles 20] [--moving 5] [--save out/servo_step.json]
 """
 
 from __future__ import annotations
@@ -18,14 +18,10 @@ import json
 import resource
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 
 import backhoe_planner as bp
-from validation.step_times import Times, obstacle_course, percentiles, time_libraries, time_servo
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
+from validation.step_times import obstacle_course, percentiles, time_libraries, time_servo
 
 
 def resident() -> float:
@@ -36,26 +32,13 @@ def resident() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def draw_histogram(times: Times, path: Path) -> None:
-    figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
-    axis.hist(np.minimum(times, 1000.0), bins=100, range=(0.0, 1000.0), color="tab:blue")
-    for part, style in ((50, "-"), (99, "--")):
-        value = float(np.percentile(times, part))
-        axis.axvline(value, color="k", linestyle=style, label=f"{part} %: {value:.0f} us")
-    axis.set(xlabel="one step on the processor [us]; 1000 and more in the last bar", ylabel="steps", yscale="log")
-    axis.legend()
-    figure.savefig(path, dpi=120)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--obstacles", type=int, default=20)
     parser.add_argument("--moving", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--save", type=Path, default=Path("out/servo_step"), help="without ending: .png and .json are written"
-    )
+    parser.add_argument("--save", type=Path, default=Path("out/servo_step.json"))
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     robot = bp.load_robot("example:backhoe")
@@ -83,8 +66,7 @@ def main() -> None:
     }
     histogram = {"edges [us]": edges[:-1].tolist(), "counts": np.histogram(processor, edges)[0].tolist()}
     options.save.parent.mkdir(parents=True, exist_ok=True)
-    options.save.with_suffix(".json").write_text(json.dumps({**result, "histogram": histogram}, indent=2) + "\n")
-    draw_histogram(processor, options.save.with_suffix(".png"))
+    options.save.write_text(json.dumps({**result, "histogram": histogram}, indent=2) + "\n")
     print(json.dumps(result, indent=2))
 
 

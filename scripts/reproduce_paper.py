@@ -24,11 +24,9 @@ The results are in docs/theory.md and docs/measurements.md.
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -36,7 +34,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from rich.progress import track
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
@@ -253,11 +250,6 @@ def write_table(rows: Sequence[Row], folder: Path, name: str, title: str) -> Non
     write_csv(rows, folder / f"{name}.csv")
 
 
-def progress(items: Sequence[Any], what: str) -> Iterable[Any]:
-    """A progress bar where somebody watches."""
-    return track(items, description=what, transient=True) if sys.stdout.isatty() else items
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description="The paper's figures, and the laws over random scenes.")
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder to write to")
@@ -282,12 +274,12 @@ def main() -> None:
             save(figure, given.out, f"{prefix}figure_{number}")
     write_table(rows, given.out, "scenes", "The paper's law as printed on two scenes of ours")
 
-    rows = count_point_scenes(given.scenes, given.seed, progress)
+    rows = count_point_scenes(given.scenes, given.seed)
     write_table(rows, given.out, "population", f"One point obstacle: {given.scenes} random scenes, seed {given.seed}")
     save(draw_population(rows, given.scenes), given.out, "population")
 
     count = min(SOLID_SCENES, given.scenes)
-    rows = count_solid_scenes(count, given.seed, progress)
+    rows = count_solid_scenes(count, given.seed)
     write_table(rows, given.out, "terms", f"Terms of the completed law: {count} scenes of solid obstacles")
     print(f"\nFigures and tables are in {given.out}")
 

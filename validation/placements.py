@@ -92,7 +92,6 @@ class Drive:
     seconds: in each status [s].
     late: later than planned [s].
     searches: times of the searches for a way round [s].
-    wall: what the drive took without the checks [s].
     end_taken: what appeared is closer than its clearance to the end of the plan.
     planner: the planner's answer where the end is free but the drive did not arrive.
     other_posture: the planner's way leads to another posture.
@@ -109,7 +108,6 @@ class Drive:
     seconds: dict[str, float]
     late: float
     searches: list[float]
-    wall: float
     end_taken: bool
     planner: str = ""
     other_posture: bool = False
@@ -173,7 +171,6 @@ class Placement:
         statuses: Counter[str] = Counter()
         least, blocked, before = np.inf, 0.0, servo.v
         patience = _BLOCKED_AT_END if self.end_taken else _BLOCKED
-        begun, checking = time.monotonic(), 0.0
         for step in range(int(_LONGEST / servo.dt)):
             followed = self.follower.step()
             state = followed.state
@@ -181,9 +178,7 @@ class Placement:
             problems += [f"{broken} at {state.time:.3f} s" for broken in broken_limits(servo, state, before)]
             before = state.v
             if (np.abs(state.v) > 1e-9).any() and (step % every == 0 or state.margin < CLOSE):
-                now = time.monotonic()
                 found = distances.least(state.q)
-                checking += time.monotonic() - now
                 least = min(least, found.distance)
                 if found.distance < 0.0:
                     what = f"{found.link} with {found.obstacle}, {found.distance:.5f} m"
@@ -191,7 +186,6 @@ class Placement:
             blocked = blocked + servo.dt if followed.status.value == "blocked" else 0.0
             if followed.done or blocked > patience:
                 break
-        wall = time.monotonic() - begun - checking
         way = None if followed.done or self.end_taken else self._way_from_here()
         return Drive(
             site=site,
@@ -205,7 +199,6 @@ class Placement:
             seconds={name: count * servo.dt for name, count in statuses.items()},
             late=followed.behind,
             searches=self.executor.times,
-            wall=wall,
             end_taken=self.end_taken,
             planner="" if way is None else way.reason or way.verdict,
             other_posture=way is not None and way.verified and self._ends_elsewhere(way),

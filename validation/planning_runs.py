@@ -108,21 +108,26 @@ class Row:
 
 @dataclass(frozen=True)
 class Summary:
-    """Figures of one group; times of all its sites, motions of the verified plans."""
+    """The rows of one group."""
 
     group: Group
-    sites: int
-    verified: int
-    known: int
-    known_verified: int
-    reasons: dict[str, int]
-    median: float
-    p95: float
-    ratio: float
-    duration: float
-    tip_length: float
-    margin: float
-    refuted: int | None
+    rows: list[Row]
+
+    @property
+    def verified(self) -> list[Row]:
+        """Those whose plan is verified."""
+        return [row for row in self.rows if row.verified]
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """Why the others are not, and how many, most frequent first."""
+        return dict(Counter(row.reason for row in self.rows if not row.verified).most_common())
+
+    @property
+    def refuted(self) -> int | None:
+        """How many verified plans the independent check refutes; None where it was not asked."""
+        checked = [row.refuted for row in self.verified if row.refuted is not None]
+        return sum(map(bool, checked)) if checked else None
 
 
 @dataclass(frozen=True)
@@ -153,36 +158,26 @@ def run_site(key: SiteKey, settings: Settings) -> Row:
     """Draw a site, plan it, and hold the plan against the independent check where asked."""
     if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who hands out the sites ends it
-    name: dict[str, Any] = {name: getattr(key, name) for name in ("machine", "kind", "task", "index", "seed")}
-    known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False}
+    known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False, "reference": None}
     begun = time.process_time()
-    reference: float | None = None
     try:
         robot = load_machine(key.machine)
         site = random_site(robot, key)
-        known = {"form": site.form, "way_known": site.way_known, "blocked": site.blocked}
-        reference = _reference(robot, site)
+        known |= {"form": site.form, "way_known": site.way_known, "blocked": site.blocked}
+        known["reference"] = _reference(robot, site)
         begun = time.process_time()
         plan = bp.plan(robot, site.scene, method=settings.method, effort=settings.effort)
         seconds = time.process_time() - begun
-        least = plan.certificate.min_clearance
-        found: dict[str, Any] = {}
+        found: dict[str, Any] = {"verdict": plan.verdict, "reason": plan.reason, "message": plan.message}
         if plan.verified:
-            found = {
-                "duration": plan.metrics.duration,
-                "tip_length": plan.metrics.tip_length,
-                "margin": None if least is None else float(least.margin),
-                "refuted": refutations(plan) if settings.refute else None,
-            }
-        return Row(
-            **name, **known, verdict=plan.verdict, reason=plan.reason, message=plan.message,
-            seconds=seconds, reference=reference, **found,
-        )  # fmt: skip
+            least = plan.certificate.min_clearance
+            found["duration"], found["tip_length"] = plan.metrics.duration, plan.metrics.tip_length
+            found["margin"] = None if least is None else float(least.margin)
+            found["refuted"] = refutations(plan) if settings.refute else None
     except Exception as error:  # noqa: BLE001  an exception is a finding, not the end of the run
-        return Row(
-            **name, **known, verdict="error", reason="error", message=f"{type(error).__name__}: {error}",
-            seconds=time.process_time() - begun, reference=reference,
-        )  # fmt: skip
+        seconds = time.process_time() - begun
+        found = {"verdict": "error", "reason": "error", "message": f"{type(error).__name__}: {error}"}
+    return Row(**asdict(key), **known, **found, seconds=seconds)
 
 
 def _reference(robot: bp.Robot, site: Site) -> float:
@@ -257,31 +252,8 @@ def all_keys(
 
 def summarise(rows: Sequence[Row]) -> list[Summary]:
     """The figures of every group, in the order in which the groups first appear."""
-    return [
-        _summary(group, [row for row in rows if row.group == group]) for group in dict.fromkeys(r.group for r in rows)
-    ]
-
-
-def _summary(group: Group, rows: Sequence[Row]) -> Summary:
-    verified = [row for row in rows if row.verified]
-    known = [row for row in rows if row.way_known]
-    checked = [row for row in verified if row.refuted is not None]
-    seconds = [row.seconds for row in rows]
-    return Summary(
-        group=group,
-        sites=len(rows),
-        verified=len(verified),
-        known=len(known),
-        known_verified=sum(row.verified for row in known),
-        reasons=dict(Counter(row.reason for row in rows if not row.verified).most_common()),
-        median=float(np.median(seconds)),
-        p95=float(np.percentile(seconds, 95)),
-        ratio=_median([row.ratio for row in rows]),
-        duration=_median([row.duration for row in verified]),
-        tip_length=_median([row.tip_length for row in verified]),
-        margin=min((row.margin for row in verified if row.margin is not None), default=float("nan")),
-        refuted=sum(bool(row.refuted) for row in checked) if checked else None,
-    )
+    groups = dict.fromkeys(row.group for row in rows)
+    return [Summary(group, [row for row in rows if row.group == group]) for group in groups]
 
 
 def _median(values: Sequence[float | None]) -> float:
@@ -290,26 +262,27 @@ def _median(values: Sequence[float | None]) -> float:
 
 
 def table(summaries: Sequence[Summary]) -> str:
-    """The figures of every group as text."""
-    return markdown(
-        [
-            {
-                "group": " ".join(group.group),
-                "sites": group.sites,
-                "verified": _part(group.verified, group.sites),
-                "of known ways": f"{_part(group.known_verified, group.known)} of {group.known}" if group.known else "-",
-                "median [s]": group.median,
-                "p95 [s]": group.p95,
-                "/ref": group.ratio,
-                "motion [s]": group.duration,
-                "tip [m]": group.tip_length,
-                "margin [mm]": 1e3 * group.margin,
-                "refuted": "-" if group.refuted is None else str(group.refuted),
-                "reasons": ", ".join(f"{reason} {count}" for reason, count in group.reasons.items()),
-            }
-            for group in summaries
-        ]
-    )
+    """The figures of every group as text: times of all its sites, motions of the verified plans."""
+    return markdown([_figures(summary) for summary in summaries])
+
+
+def _figures(summary: Summary) -> TableRow:
+    rows, verified = summary.rows, summary.verified
+    known = [row.verified for row in rows if row.way_known]
+    return {
+        "group": " ".join(summary.group),
+        "sites": len(rows),
+        "verified": _part(len(verified), len(rows)),
+        "of known ways": f"{_part(sum(known), len(known))} of {len(known)}" if known else "-",
+        "median [s]": _median([row.seconds for row in rows]),
+        "p95 [s]": float(np.percentile([row.seconds for row in rows], 95)),
+        "/ref": _median([row.ratio for row in rows]),
+        "motion [s]": _median([row.duration for row in verified]),
+        "tip [m]": _median([row.tip_length for row in verified]),
+        "margin [mm]": 1e3 * min((row.margin for row in verified if row.margin is not None), default=float("nan")),
+        "refuted": "-" if summary.refuted is None else str(summary.refuted),
+        "reasons": ", ".join(f"{reason} {count}" for reason, count in summary.reasons.items()),
+    }
 
 
 def _part(part: int, whole: int) -> str:

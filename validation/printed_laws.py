@@ -23,11 +23,13 @@ terms of the completed law are worth on its first attempt, the tip straight for 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
 
 import numpy as np
+from rich.progress import track
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
@@ -40,7 +42,7 @@ from validation.planar_scenes import random_planar_scene
 from validation.scenes import scene_of
 from validation.tables import Row, percent
 
-Progress = Callable[[Sequence[Any], str], Iterable[Any]]
+Sample = tuple[Vector, float]  # joints (n,), and their distance to the obstacle [m]
 
 REGION = 0.5  # m, within which the obstacle term acts
 PUSH_SPEED = 0.2  # |xdot_o| per iteration [m]
@@ -147,8 +149,8 @@ def measure(kinematics: bp.Kinematics, scene: PointScene, motion: Matrix) -> Mea
     errors = np.array([np.linalg.norm(scene.goal - at.tip_position) for at in configurations])
     distances = [nearest_point(at, scene.obstacle)[0] for at in configurations]
     closest = min(distances)
-    for q_a, q_b, d_a, d_b in zip(motion, motion[1:], distances, distances[1:], strict=False):
-        closest = _closest_between(kinematics, scene.obstacle, q_a, q_b, d_a, d_b, closest)
+    for a, b in pairwise(zip(motion, distances, strict=True)):
+        closest = _closest_between(kinematics, scene.obstacle, a, b, closest)
     there = np.flatnonzero(errors < ARRIVED)
     return Measured(
         error=float(errors[-1]),
@@ -160,23 +162,17 @@ def measure(kinematics: bp.Kinematics, scene: PointScene, motion: Matrix) -> Mea
 
 
 def _closest_between(
-    kinematics: bp.Kinematics,
-    obstacle: Vector,
-    q_a: Vector,
-    q_b: Vector,
-    d_a: float,
-    d_b: float,
-    known: float,
-    depth: int = 10,
+    kinematics: bp.Kinematics, obstacle: Vector, a: Sample, b: Sample, known: float, depth: int = 10
 ) -> float:
     """The least of `known` and the distance between two samples, to 1 mm."""
+    (q_a, d_a), (q_b, d_b) = a, b
     travel = float(np.abs(q_b - q_a) @ np.arange(len(q_a), 0, -1))  # links of 1 m
     if depth == 0 or 0.5 * (d_a + d_b - travel) > known - 1e-3:
         return known
-    middle = 0.5 * (q_a + q_b)
-    d = nearest_point(kinematics.at(middle), obstacle)[0]
-    known = _closest_between(kinematics, obstacle, q_a, middle, d_a, d, min(known, d), depth - 1)
-    return _closest_between(kinematics, obstacle, middle, q_b, d, d_b, known, depth - 1)
+    q = 0.5 * (q_a + q_b)
+    middle = (q, nearest_point(kinematics.at(q), obstacle)[0])
+    known = _closest_between(kinematics, obstacle, a, middle, min(known, middle[1]), depth - 1)
+    return _closest_between(kinematics, obstacle, middle, b, known, depth - 1)
 
 
 # --- one point obstacle -------------------------------------------------------------
@@ -222,7 +218,7 @@ def summary(name: str, runs: Sequence[Measured]) -> Row:
     }
 
 
-def count_point_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
+def count_point_scenes(count: int, seed: int) -> list[Row]:
     """The table of every law over `count` scenes with one point obstacle."""
     robot = bp.load_robot("example:planar4")
     kinematics = bp.Kinematics(robot)
@@ -230,7 +226,7 @@ def count_point_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
     laws = printed_laws(robot.joint_names)
     first, all_ways = "completed law, straight for the goal", "completed law, all attempts"
     runs: dict[str, list[Measured]] = {name: [] for name in (*(law.name for law in laws), first, all_ways)}
-    for _ in progress(range(count), "point obstacle"):
+    for _ in track(range(count), "point obstacle", transient=True, disable=not sys.stdout.isatty()):
         scene = random_point_scene(robot, kinematics, rng)
         for law in laws:
             runs[law.name].append(measure(kinematics, scene, iterate(kinematics, scene, law)))
@@ -309,13 +305,13 @@ def drive(problem: Problem, terms: Terms, *, longest: float = 60.0) -> tuple[boo
     return False, stepper.time
 
 
-def count_solid_scenes(count: int, seed: int, progress: Progress) -> list[Row]:
+def count_solid_scenes(count: int, seed: int) -> list[Row]:
     """The table of the completed law's terms over `count` scenes with solid obstacles."""
     robot = bp.load_robot("example:planar4")
     rng = np.random.default_rng(seed)
     arrived: dict[str, list[bool]] = {terms.name: [] for terms in TERMS}
     durations: dict[str, list[float]] = {terms.name: [] for terms in TERMS}
-    for _ in progress(range(count), "solid obstacles"):
+    for _ in track(range(count), "solid obstacles", transient=True, disable=not sys.stdout.isatty()):
         problem = build_problem(robot, random_planar_scene(robot, rng))
         for terms in TERMS:
             done, duration = drive(problem, terms)

@@ -29,14 +29,14 @@ def test_the_table_has_a_line_for_every_group_with_its_success(rows: list[runs.R
     assert [summary.group for summary in summaries] == [("planar4", "open", "goal"), ("planar4", "narrow", "goal")]
     for summary in summaries:
         mine = [row for row in rows if row.group == summary.group]
-        assert summary.sites == 2
-        assert summary.verified == sum(row.verified for row in mine)
-        assert summary.verified + sum(summary.reasons.values()) == 2
+        assert len(summary.rows) == 2
+        assert summary.verified == [row for row in mine if row.verified]
+        assert len(summary.verified) + sum(summary.reasons.values()) == 2
         assert summary.refuted in (0, None)
     lines = runs.table(summaries).splitlines()
     assert len(lines) == 4
     assert lines[2].startswith("| planar4 open goal")
-    assert f"{50.0 * summaries[0].verified:.1f} %" in lines[2]
+    assert f"{50.0 * len(summaries[0].verified):.1f} %" in lines[2]
 
 
 def test_a_run_that_is_saved_comes_back_as_it_was(rows: list[runs.Row], tmp_path: Path) -> None:
