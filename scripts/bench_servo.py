@@ -51,7 +51,7 @@ def main() -> None:
     timed = time_servo(servo, options.steps, options.moving, rng)
     after = resident()
     processor, clock = timed.times["processor"], timed.times["clock"]
-    alone = time_libraries(problem, timed.passed[:2000])
+    alone = time_libraries(problem, timed.configurations[:2000])
     edges = np.concatenate((np.arange(0.0, 1000.0, 10.0), [np.inf]))
     result = {
         "steps": options.steps,

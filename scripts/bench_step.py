@@ -35,8 +35,8 @@ def main() -> None:
     time_law(problem, 200, np.random.default_rng(1))  # warm up
     timed = time_law(problem, options.steps, rng)
     results = {name: percentiles(times) for name, times in timed.times.items()}
-    alone = results["Pinocchio and coal alone"] = percentiles(time_libraries(problem, timed.passed))
-    pink = time_pink(problem, timed.passed[:1000], max(1, round(timed.rows)))
+    alone = results["Pinocchio and coal alone"] = percentiles(time_libraries(problem, timed.configurations))
+    pink = time_pink(problem, timed.configurations[:1000], max(1, round(timed.rows)))
     if pink is not None:
         results["Pink with barrier"] = percentiles(pink)
     before = json.loads(options.against.read_text()) if options.against else {}

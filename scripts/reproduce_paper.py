@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""The paper's Figures 5 and 6, and how far what they show carries.
+"""Draw the paper's Figures 5 and 6, and count over random scenes how general they are.
 
     python scripts/reproduce_paper.py [--out out/paper] [--scenes 300] [--seed 0]
 
@@ -17,7 +17,7 @@ chaotic: the critical point jumps from link to link at the edge of the region.
 is taken of rounding noise: with the tip itself as the critical point J_o N is 0, and the
 inverse of what rounding leaves of it 1e15.
 
-What is counted over random scenes, and how they are made, stands in validation/printed_laws.py.
+The random scenes and the figures counted over them are those of validation/printed_laws.py.
 The results are in docs/theory.md and docs/measurements.md.
 """
 
@@ -41,9 +41,9 @@ from validation.printed_laws import (
     ARRIVED,
     PUSH_SPEED,
     REGION,
-    Measured,
+    Outcome,
     PointScene,
-    Printed,
+    PrintedLaw,
     count_point_scenes,
     count_solid_scenes,
     iterate,
@@ -73,9 +73,9 @@ NOTE = (
 class Case:
     """One law on one scene."""
 
-    law: Printed
+    law: PrintedLaw
     motion: Matrix
-    measured: Measured
+    outcome: Outcome
 
 
 def cases(kinematics: bp.Kinematics, scene: PointScene) -> list[Case]:
@@ -96,7 +96,7 @@ def draw_case(kinematics: bp.Kinematics, scene: PointScene, case: Case, plain: C
     grid = figure.add_gridspec(1, 3, left=0.05, right=0.985, top=0.81, bottom=0.235, wspace=0.2)
     poses, path, angles = (figure.add_subplot(grid[0, column]) for column in range(3))
     figure.text(0.05, 0.94, title, fontsize=14, color=INK, weight="bold")
-    figure.text(0.05, 0.885, outcome(case.measured), fontsize=11, color=INK)
+    figure.text(0.05, 0.885, describe(case.outcome), fontsize=11, color=INK)
     s_k = max(case.law.gains.s_k.values(), default=0.0)
     figure.text(0.05, 0.03, NOTE.format(s_o=case.law.gains.s_o, s_k=s_k), fontsize=9.5, color="#555555")
     _poses(poses, kinematics, scene, case.motion)
@@ -109,16 +109,16 @@ def draw_case(kinematics: bp.Kinematics, scene: PointScene, case: Case, plain: C
     return figure
 
 
-def outcome(measured: Measured) -> str:
-    """What a case did, in one sentence."""
+def describe(outcome: Outcome) -> str:
+    """The outcome in one sentence."""
     there = (
-        f"On the goal (within {100 * ARRIVED:g} cm) from iteration {measured.arrival}"
-        if measured.arrives
-        else f"Not on the goal after 100 iterations ({measured.error:.2f} m off)"
+        f"On the goal (within {100 * ARRIVED:g} cm) from iteration {outcome.arrival}"
+        if outcome.arrives
+        else f"Not on the goal after 100 iterations ({outcome.error:.2f} m off)"
     )
     return (
-        f"{there}; nearest pose {measured.at_samples:.2f} m from the obstacle; "
-        f"largest joint step {measured.largest_step:.2f} rad in one iteration."
+        f"{there}; nearest pose {outcome.at_samples:.2f} m from the obstacle; "
+        f"largest joint step {outcome.largest_step:.2f} rad in one iteration."
     )
 
 
@@ -175,8 +175,8 @@ def _angles(axes: Axes, case: Case) -> None:
     names = (rf"$\theta_{joint}$" for joint in range(1, 5))
     for column, colour, name in zip(np.degrees(case.motion).T, JOINTS, names, strict=True):
         axes.plot(column, color=colour, lw=1.6, label=name)
-    arrival = case.measured.arrival
-    if arrival is not None and case.measured.arrives:
+    arrival = case.outcome.arrival
+    if arrival is not None and case.outcome.arrives:
         axes.axvline(arrival, color=GREEN, lw=1.2, ls=(0, (4, 3)))
         axes.annotate(
             f"on the goal: {arrival}", (arrival, 1.0), xycoords=("data", "axes fraction"), xytext=(5, -13),
@@ -233,11 +233,11 @@ def case_rows(name: str, found: Sequence[Case]) -> list[Row]:
         {
             "scene": name,
             "law": case.law.name,
-            "on the goal at iteration": str(case.measured.arrival) if case.measured.arrives else "never",
-            "error at the end [m]": round(case.measured.error, 4),
-            "nearest pose [m]": round(case.measured.at_samples, 3),
-            "nearest between poses too [m]": round(case.measured.closest, 3),
-            "largest joint step [rad]": round(case.measured.largest_step, 3),
+            "on the goal at iteration": str(case.outcome.arrival) if case.outcome.arrives else "never",
+            "error at the end [m]": round(case.outcome.error, 4),
+            "nearest pose [m]": round(case.outcome.at_samples, 3),
+            "nearest between poses too [m]": round(case.outcome.closest, 3),
+            "largest joint step [rad]": round(case.outcome.largest_step, 3),
         }
         for case in found
     ]

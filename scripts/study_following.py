@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Whether a plan that is followed live arrives when something is put onto it: random obstacles, counted.
+"""How often a plan that is followed live still arrives when a random obstacle appears on it.
 
 Counted is how each drive ends; contacts by distances without coal, at every `--check`-th
 step and at every step whose own margin is small; limits at every step (see

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Whether anything drives the servo into an obstacle, and whether it comes out of one.
+"""Whether random wishes drive the servo into an obstacle, and whether it comes out of one.
 
 The backhoe is driven by random wishes among obstacles that stand, appear and move;
 distances are measured without coal at every `--check`-th step and at every step whose

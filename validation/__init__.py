@@ -1,4 +1,4 @@
-"""What the planner is measured and checked with; not part of the installed package.
+"""Measurements and checks of the planner; not part of the installed package.
 
 A verified plan carries a certificate, but the certificate comes from the same collision
 library as the planner. This package holds both to account on scenes that nobody chose
@@ -8,7 +8,7 @@ it imports `backhoe_planner` by its doors, and no script.
     module             what it offers
     obstacles          random obstacles, as entries of a scene file; everything draws them here
     scenes             a scene from a start, obstacles and a task
-    habitats           what is sensible around each machine; what makes a site narrow
+    habitats           sensible sizes around each machine; the forms of narrow sites
     sites              random sites, each named by machine, kind, task and index
     planar_scenes      random scenes for a planar arm
     printed_laws       the laws as printed and the completed law on planar scenes, counted

@@ -60,7 +60,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Savings:
-    """The work of one optimum, and of every law of `LAWS` at its timing; None where the law is of no use [J]."""
+    """The work of one optimum and of every law of `LAWS` at its timing [J]; None where a law gives no motion."""
 
     optimum: float
     laws: tuple[float | None, ...]
@@ -68,7 +68,7 @@ class Savings:
 
 @dataclass(frozen=True)
 class Result:
-    """One case: from the same start and from a free one, which may have failed; what became of the laws."""
+    """One case: the savings from the same start and from a free one (None where that failed)."""
 
     same: Savings
     free: Savings | None
@@ -161,7 +161,7 @@ def convergence_table(robot: bp.Robot, *, paths: int, seed: int) -> list[Row]:
     found: list[list[tuple[float, float]]] = []
     for case in draw_cases(robot, seed):
         problem, path = case.problem(robot, free=True)
-        costs = [_resolved(problem, path, grid, layer) for grid, layer in GRIDS]
+        costs = [_route_costs(problem, path, grid, layer) for grid, layer in GRIDS]
         if all(cost is not None for cost in costs):
             found.append([cost for cost in costs if cost is not None])
         if len(found) >= paths:
@@ -181,7 +181,7 @@ def convergence_table(robot: bp.Robot, *, paths: int, seed: int) -> list[Row]:
     ]
 
 
-def _resolved(problem: Problem, path: TipPath, grid: float, layer: float) -> tuple[float, float] | None:
+def _route_costs(problem: Problem, path: TipPath, grid: float, layer: float) -> tuple[float, float] | None:
     """The cost in [J] of the graph's route and of the refined one; None where there is none."""
     objective, proximity = PathCost(problem), bp.Proximity(problem.robot, ())
     resolver = PathResolver(

@@ -1,4 +1,4 @@
-"""What is sensible around each machine, and what makes a site of it narrow."""
+"""Sensible sizes and distances around each machine, and the forms of its narrow sites."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from validation.obstacles import MACHINES, Record, capsule, turned_box
 
 @dataclass(frozen=True)
 class Habitat:
-    """What is sensible around one machine.
+    """Sensible sizes and distances around one machine.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def folded_ways(machine: str, start: Vector, goal: Vector) -> Iterator[Matrix]:
 
 @dataclass(frozen=True)
 class Narrows:
-    """What makes a site narrow, and how start and goal lie to it.
+    """The narrow part of a site, and where start and goal must lie.
 
     Attributes
     ----------
@@ -101,13 +101,13 @@ class Narrows:
     holds: Callable[[Vector, Vector], bool]
 
     def accepts(self, start: Vector, goal: Vector) -> bool:
-        """Whether the way from one tip position (3,) to another leads through what is narrow."""
+        """Whether the way from one tip position (3,) to another leads through the narrow part."""
         c, s = np.cos(self.turn), np.sin(self.turn)
         return bool(self.holds(*(np.array([c * p[0] + s * p[1], -s * p[0] + c * p[1], p[2]]) for p in (start, goal))))
 
 
 def draw_narrows(machine: str, index: int, rng: np.random.Generator) -> Narrows:
-    """The forms of a machine in turn, at a random angle about it."""
+    """One of the machine's narrow forms, in turn, at a random angle about it."""
     return _NARROWS[machine](index, rng)
 
 

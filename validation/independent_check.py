@@ -1,13 +1,13 @@
 """A second opinion on a motion: distances without coal, ten times finer in time.
 
 Every link's collision shape is covered with points read from the URDF itself; each
-obstacle is a signed distance function written out here. The least value over all points
+obstacle is a signed distance function of this package. The least value over all points
 and moments can only lie above the true distance, so a motion is refuted as soon as it
 falls below what the certificate claims to have proven.
 
-All points at all moments are looked at, though few one by one: the points of a link lie
-in a tree of balls, the moments in windows. A signed distance changes by no more than a
-point moves, so a ball and a window whose middle is far enough away are done with.
+All points at all moments are covered, but few are measured one by one: a link's points are
+grouped in a tree of balls, the moments in windows. A signed distance changes by no more than
+the point moves, so a ball and a window whose middle is far enough away need no closer look.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Least:
 
 
 class _Track:
-    """How a cover moves past something: rotation (T, 3, 3) and translation (T, 3) at every moment."""
+    """The motion of a cover past an obstacle: rotation (T, 3, 3) and translation (T, 3) at every moment."""
 
     def __init__(self, cover: Cover, rotation: Matrix, translation: Matrix) -> None:
         self.cover, self.rotation, self.translation = cover, rotation, translation
@@ -69,7 +69,7 @@ class _Track:
 
 
 def refutations(plan: bp.Plan, *, refine: int = 10, itself: bool = True) -> list[str]:
-    """What contradicts the plan's certificate, in words; empty where nothing does.
+    """Describe what contradicts the plan's certificate; empty where nothing does.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ _Items = tuple[Indices, Indices, Indices, NDArray[np.float64]]
 def _in_time(
     level: Indices, window: Indices, node: Indices, lower: NDArray[np.float64], present: NDArray[np.bool_]
 ) -> _Items:
-    """Every window in its parts."""
+    """Split every window into its parts."""
     finer = np.repeat(level + 1, BRANCHES)
     part = (window[:, None] * BRANCHES + np.arange(BRANCHES)).ravel()
     kept = part * SPANS[finer] < len(present)
@@ -210,7 +210,7 @@ def _in_time(
 
 
 def _in_space(level: Indices, window: Indices, node: Indices, lower: NDArray[np.float64], cover: Cover) -> _Items:
-    """Every ball in its parts."""
+    """Split every ball into its children."""
     child = (cover.first[node][:, None] + np.arange(BRANCHES)).ravel()
     kept = (np.arange(BRANCHES) < cover.children[node][:, None]).ravel()
     repeated = (np.repeat(values, BRANCHES)[kept] for values in (level, window))
@@ -256,5 +256,5 @@ def _against_itself(
 
 
 def _at(distance: SignedDistance, rotation: Matrix, place: Matrix) -> SignedDistance:
-    """The signed distance to the same shape, placed."""
+    """The signed distance to the same shape at a placement."""
     return lambda points: distance((points - place) @ rotation)

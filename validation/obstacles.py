@@ -1,4 +1,4 @@
-"""Random obstacles, as entries of a scene file without a name (`named` gives them names).
+"""Random obstacles as entries of a scene file, without names (`name_all` adds them).
 
 `random_obstacle` and `random_fixtures` draw what is likely around a machine;
 the others draw one obstacle about a given place. The numbers drawn, and their order, are
@@ -31,7 +31,7 @@ def random_obstacle(machine: str, rng: np.random.Generator) -> Record:
 
 
 def random_fixtures(machine: str, rng: np.random.Generator) -> list[Record]:
-    """What belongs to some of the sites of a machine: the ground, a line overhead, a wall, a table."""
+    """Fixtures of some of a machine's sites: the ground, a line overhead, a wall, a table."""
     return _FIXTURES[machine](rng)
 
 
@@ -66,7 +66,7 @@ def capsule(a: Triple, b: Triple, radius: float) -> Record:
 
 
 def halfspace(point: Triple, normal: Triple) -> Record:
-    """All that lies against `normal` (3,) from `point` (3,)."""
+    """Solid behind the plane through `point` (3,) with the outward `normal` (3,)."""
     return {"shape": "halfspace", "point": _plain(point), "normal": _plain(normal)}
 
 
@@ -133,7 +133,7 @@ def _around_panda(rng: np.random.Generator) -> Record:
 
 
 def _with_own_clearance(record: Record, part: float, clearances: Sequence[float], rng: np.random.Generator) -> Record:
-    """`record`, in a `part` of all cases with a clearance of its own [m]."""
+    """`record`, in a fraction `part` of all cases with a clearance of its own [m]."""
     if rng.random() < part:
         record["clearance"] = float(rng.choice(clearances))
     return record
@@ -243,12 +243,12 @@ def appearing_obstacle(place: Vector, rng: np.random.Generator) -> Record:
 # --- all of them ---------------------------------------------------------------------------
 
 
-def named(records: Sequence[Record]) -> list[Record]:
-    """The same with names that say shape and number."""
+def name_all(records: Sequence[Record]) -> list[Record]:
+    """The same records with names made of shape and number."""
     return [{"name": f"{record['shape']} {index}", **record} for index, record in enumerate(records)]
 
 
-def shifted(record: Record, step: Vector) -> Record:
+def shift(record: Record, step: Vector) -> Record:
     """The same obstacle moved by `step` (3,)."""
     return {
         key: (np.array(value) + step).tolist() if key in ("position", "from", "to") else value

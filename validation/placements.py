@@ -1,10 +1,9 @@
 """An obstacle put onto a plan while a servo follows it.
 
 Random verified plans of the backhoe (sites of `validation.sites`) are streamed through a
-servo. When the machine is some way before a random place of the plan, a ball, a box or a
-post appears there, and stays. Contacts are measured without coal. Where the machine does
-not arrive, the planner is asked whether there was a way, from where it stands to the end
-of the plan.
+servo. Shortly before the machine reaches a random place of the plan, a ball, a box or a post
+appears there, and stays. Contacts are measured without coal. If the machine does not arrive,
+the planner looks for a way from where it stands to the end of the plan.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ _SPARE = 0.02  # m beyond the clearance that the machine has of what appears
 
 
 class Immediate(Executor):
-    """Runs what it is given at once; keeps what every call took [s]."""
+    """Runs every call at once, and records its duration [s]."""
 
     def __init__(self) -> None:
         self.times: list[float] = []
@@ -80,7 +79,7 @@ class SceneDistances:
 
 @dataclass(frozen=True)
 class Drive:
-    """How one drive ended.
+    """The result of one drive.
 
     Attributes
     ----------
@@ -114,7 +113,7 @@ class Drive:
 
     @property
     def ending(self) -> str:
-        """How it ended, in a few words."""
+        """The ending in a few words."""
         if self.arrived:
             return "arrived"
         return f"{self.status}, " + ("end taken" if self.end_taken else f"end free, planner: {self.planner}")
@@ -131,7 +130,7 @@ class Placement:
         self.obstacle = ""
 
     def put(self) -> bool:
-        """Drive up to some way before a place, and put an obstacle there; False where none fits."""
+        """Follow the plan until shortly before a random place, and put an obstacle there; False where none fits."""
         plan, rng, servo = self.plan, self.rng, self.servo
         at = float(rng.uniform(0.15, 1.0)) * plan.trajectory.duration
         lead = float(rng.uniform(0.5, 3.0))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 import backhoe_planner as bp
-from validation.obstacles import named, planar_obstacle
+from validation.obstacles import name_all, planar_obstacle
 from validation.scenes import scene_of
 
 _ROOM: dict[str, Any] = {"clearance": 0.02, "influence": 0.4}  # m
@@ -23,7 +23,7 @@ def random_planar_scene(robot: bp.Robot, rng: np.random.Generator) -> bp.Scene:
     """
     kinematics = bp.Kinematics(robot)
     while True:
-        obstacles = named([planar_obstacle(rng) for _ in range(int(rng.integers(1, 7)))])
+        obstacles = name_all([planar_obstacle(rng) for _ in range(int(rng.integers(1, 7)))])
         scene = scene_of(robot, obstacles, start=np.zeros(robot.n), **_ROOM)
         proximity = bp.Proximity(robot, bp.build_obstacles(scene, robot))
         drawn = [robot.random_q(rng) for _ in range(_POSTURES)]

@@ -39,7 +39,7 @@ REFERENCE_CALLS = 1000
 
 @dataclass(frozen=True)
 class Settings:
-    """How every site is planned."""
+    """The settings with which every site is planned."""
 
     method: str = "auto"
     effort: str = "normal"
@@ -157,7 +157,7 @@ class Comparison:
 def run_site(key: SiteKey, settings: Settings) -> Row:
     """Draw a site, plan it, and hold the plan against the independent check where asked."""
     if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who hands out the sites ends it
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C
     known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False, "reference": None}
     begun = time.process_time()
     try:

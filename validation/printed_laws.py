@@ -64,7 +64,7 @@ class PointScene:
 
 
 @dataclass(frozen=True)
-class Printed:
+class PrintedLaw:
     """The law as printed, with one choice of what the paper leaves open."""
 
     name: str
@@ -73,17 +73,17 @@ class Printed:
     reference: Reference = "tip_referenced"
 
 
-def printed_laws(joint_names: Sequence[str]) -> list[Printed]:
+def printed_laws(joint_names: Sequence[str]) -> list[PrintedLaw]:
     """Plain pseudo-inverse, obstacle term, and all four readings of the directionality."""
     first, second = joint_names[:2]
     turning = Gains(s_e=0.2, s_o=0.2, s_k={first: 0.01, second: 0.01})
     return [
-        Printed("pseudo-inverse alone", PLAIN),
-        Printed("obstacle term, as printed", Gains(s_e=0.2, s_o=0.2)),
-        Printed("+ directionality, as printed (1/M, tip-referenced)", turning),
-        Printed("+ directionality, 1/M, standard J_k", turning, "printed", "standard"),
-        Printed("+ directionality, M, tip-referenced", turning, "norm_preserving", "tip_referenced"),
-        Printed("+ directionality, M, standard J_k", turning, "norm_preserving", "standard"),
+        PrintedLaw("pseudo-inverse alone", PLAIN),
+        PrintedLaw("obstacle term, as printed", Gains(s_e=0.2, s_o=0.2)),
+        PrintedLaw("+ directionality, as printed (1/M, tip-referenced)", turning),
+        PrintedLaw("+ directionality, 1/M, standard J_k", turning, "printed", "standard"),
+        PrintedLaw("+ directionality, M, tip-referenced", turning, "norm_preserving", "tip_referenced"),
+        PrintedLaw("+ directionality, M, standard J_k", turning, "norm_preserving", "standard"),
     ]
 
 
@@ -110,7 +110,7 @@ def push_away(at: bp.Configuration, obstacle: Vector) -> Push | None:
     return Push(J_o=J_o, xdot_o=PUSH_SPEED * (point - obstacle) / distance)
 
 
-def iterate(kinematics: bp.Kinematics, scene: PointScene, law: Printed, count: int = ITERATIONS) -> Matrix:
+def iterate(kinematics: bp.Kinematics, scene: PointScene, law: PrintedLaw, count: int = ITERATIONS) -> Matrix:
     """(count + 1, n) the joints from iteration to iteration of equation (12)."""
     goal = bp.TipTarget(scene.goal)
     found = [scene.start]
@@ -128,8 +128,8 @@ def iterate(kinematics: bp.Kinematics, scene: PointScene, law: Printed, count: i
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What one motion did."""
+class Outcome:
+    """The figures of one motion."""
 
     error: float  # of the tip at the end [m]
     arrival: int | None  # first sample on the goal
@@ -143,7 +143,7 @@ class Measured:
         return self.error < ARRIVED
 
 
-def measure(kinematics: bp.Kinematics, scene: PointScene, motion: Matrix) -> Measured:
+def measure(kinematics: bp.Kinematics, scene: PointScene, motion: Matrix) -> Outcome:
     """Measure a motion (T, n)."""
     configurations = [kinematics.at(q) for q in motion]
     errors = np.array([np.linalg.norm(scene.goal - at.tip_position) for at in configurations])
@@ -152,7 +152,7 @@ def measure(kinematics: bp.Kinematics, scene: PointScene, motion: Matrix) -> Mea
     for a, b in pairwise(zip(motion, distances, strict=True)):
         closest = _closest_between(kinematics, scene.obstacle, a, b, closest)
     there = np.flatnonzero(errors < ARRIVED)
-    return Measured(
+    return Outcome(
         error=float(errors[-1]),
         arrival=int(there[0]) if len(there) else None,
         closest=closest,
@@ -179,9 +179,9 @@ def _closest_between(
 
 
 def random_point_scene(robot: bp.Robot, kinematics: bp.Kinematics, rng: np.random.Generator) -> PointScene:
-    """A scene by the recipe of the module's text."""
+    """A scene by the recipe above."""
     alone = bp.Proximity(robot)
-    plain = Printed("plain", PLAIN)
+    plain = PrintedLaw("plain", PLAIN)
     while True:
         start, end = (robot.random_q(rng) for _ in range(2))
         if np.min(alone.distances(start)) < 0.02 or np.min(alone.distances(end)) < 0.02:
@@ -204,7 +204,7 @@ def as_scene(robot: bp.Robot, scene: PointScene) -> bp.Scene:
     return scene_of(robot, [point], start=scene.start, task=task, clearance=REQUIRED - SPHERE, influence=REGION)
 
 
-def summary(name: str, runs: Sequence[Measured]) -> Row:
+def summary(name: str, runs: Sequence[Outcome]) -> Row:
     """One row of the table."""
     return {
         "law": name,
@@ -225,7 +225,7 @@ def count_point_scenes(count: int, seed: int) -> list[Row]:
     rng = np.random.default_rng(seed)
     laws = printed_laws(robot.joint_names)
     first, all_ways = "completed law, straight for the goal", "completed law, all attempts"
-    runs: dict[str, list[Measured]] = {name: [] for name in (*(law.name for law in laws), first, all_ways)}
+    runs: dict[str, list[Outcome]] = {name: [] for name in (*(law.name for law in laws), first, all_ways)}
     for _ in track(range(count), "point obstacle", transient=True, disable=not sys.stdout.isatty()):
         scene = random_point_scene(robot, kinematics, rng)
         for law in laws:
@@ -248,7 +248,7 @@ def first_attempt(problem: Problem, *, null_space: bool = True) -> tuple[bp.Traj
 
 
 def stepper_at_start(problem: Problem) -> Stepper:
-    """What takes the completed law's steps, at rest at the start."""
+    """A stepper at rest at the start."""
     assert problem.start_q is not None
     return Stepper(
         problem,
@@ -263,7 +263,7 @@ def stepper_at_start(problem: Problem) -> Stepper:
 
 @dataclass(frozen=True)
 class Terms:
-    """Which null-space terms of the completed law take part."""
+    """The null-space terms of the completed law that are switched on."""
 
     name: str
     obstacle: bool

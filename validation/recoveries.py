@@ -1,7 +1,7 @@
 """A servo that starts from rest inside obstacles, inside itself, outside a limit, or both.
 
-Every step is judged by `Proximity`. Where the servo does not come out, `another_way`, a
-search that shares nothing with the servo's own, looks for one.
+`Proximity` checks every step. If the servo does not come out, `another_way` searches for a
+way out without any code of the servo's own search.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.optimize import linprog
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.site import build_obstacle
-from validation.obstacles import named
+from validation.obstacles import name_all
 from validation.scenes import scene_of
 from validation.servo_drives import CLEARANCE, plain_obstacle
 
@@ -46,7 +46,7 @@ class Start:
             if not (-0.2 < least < -0.02 if "itself" in self.kind else least >= 0.02):
                 continue
             count = 0 if "obstacle" not in self.kind else int(rng.integers(1, 4)) if "several" in self.kind else 1
-            obstacles = named([plain_obstacle(rng) for _ in range(count)])
+            obstacles = name_all([plain_obstacle(rng) for _ in range(count)])
             # a scene's start lies within the limits; the servo then gets as `q` where the machine stands
             within = robot.random_q(rng) if "limit" in self.kind else q
             self.q, self.scene = q, scene_of(robot, obstacles, start=within, clearance=CLEARANCE)
@@ -72,7 +72,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Recovery:
-    """How a servo came out, or did not.
+    """The result of one recovery.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def come_back(start: Start, wish: dict[str, Any]) -> Recovery:
 
 
 def _depth_after_descent(start: Start, q: Vector) -> float:
-    """How deep the machine still is where steps of a linear programme over `Proximity`'s gradients end [m].
+    """The depth that remains after a descent by linear programmes over the gradients of `Proximity` [m].
 
     No dynamics, no braking: every step makes the deepest violation smaller.
     """
@@ -161,7 +161,7 @@ def _depth_after_descent(start: Start, q: Vector) -> float:
 
 
 def another_way(start: Start, q: Vector, rng: np.random.Generator) -> str | None:
-    """How a search of another kind finds a way out that is never deeper than the start; None where it finds none.
+    """The kind of search that finds a way out never deeper than the start; None where none does.
 
     Descents by linear programmes from 20 postures around; straight lines to 2000 clear
     postures; and a tree of 3000 postures grown from the start.

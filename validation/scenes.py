@@ -1,4 +1,4 @@
-"""A scene in few words: where the machine stands, what stands around it, what it is to do."""
+"""Build a scene from a start, obstacles and a task."""
 
 from __future__ import annotations
 

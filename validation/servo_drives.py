@@ -35,7 +35,7 @@ _SPARE = 0.02  # m beyond the clearance that the machine has of what is put up
 
 
 def plain_obstacle(rng: np.random.Generator) -> Record:
-    """What is likely around a backhoe, with the scene's clearance; now and then firm ground deep below."""
+    """A random obstacle of the backhoe with the scene's clearance; in a tenth of the cases firm ground deep below."""
     if rng.random() < 0.1:
         return halfspace([0.0, 0.0, rng.uniform(-4.5, -1.0)], [0.0, 0.0, 1.0])
     record = random_obstacle("backhoe", rng)
@@ -69,7 +69,7 @@ class _Standing:
 
 
 class Episode:
-    """One site, and what happens in it."""
+    """One site, and the events on it."""
 
     def __init__(self, robot: bp.Robot, distances: LinkDistances, rng: np.random.Generator) -> None:
         self.robot, self.distances, self.rng = robot, distances, rng
@@ -105,7 +105,7 @@ class Episode:
     # --- what happens ------------------------------------------------------------------
 
     def step(self, number: int) -> bp.ServoState:
-        """The servo's next step, after whatever happens before it."""
+        """The servo's next step, after the events that are due."""
         if number % int(self.rng.integers(1, 400)) == 0:
             self._change_wish()
         if number % 500 == 250:
@@ -156,7 +156,7 @@ class Episode:
             new.moves = bool(self.rng.integers(2)) and new.spec.shape != "halfspace"
 
     def _drive_movers(self) -> None:
-        """Let what moves come at the machine, no faster than it can evade."""
+        """Move obstacles towards the machine, no faster than it can evade."""
         movers = {name: one for name, one in self.standing.items() if one.moves}
         if not movers:
             return
@@ -254,7 +254,7 @@ def drive(robot: bp.Robot, *, steps: int, seed: int, every: int, progress: Calla
 
 
 def stopping_line(servo: bp.Servo) -> Matrix:
-    """(25, n) where the machine comes past if it brakes now, with a fifth of its braking in reserve."""
+    """(25, n) the configurations passed when the machine brakes now with 80 % of its limits."""
     braking = float(np.max(np.abs(servo.v) / (0.8 * servo.limits.acceleration)))
     return np.asarray(servo.q + np.linspace(0.0, 1.0, 25)[:, None] * servo.v * braking / 2.0)
 

@@ -1,4 +1,4 @@
-"""Exact signed distances of points to shapes, in plain numpy: nothing of the planner's own, no coal."""
+"""Exact signed distances of points to shapes in plain numpy, independent of the planner and of coal."""
 
 from __future__ import annotations
 

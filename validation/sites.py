@@ -44,7 +44,7 @@ from backhoe_planner.machine import tip_travel_bound
 from backhoe_planner.motion import TipPath
 from backhoe_planner.site import Waypoint
 from validation.habitats import HABITATS, Narrows, banks, draw_narrows, folded_ways
-from validation.obstacles import MACHINES, Record, extent, lump, named, pipe, random_fixtures, random_obstacle, shifted
+from validation.obstacles import MACHINES, Record, extent, lump, name_all, pipe, random_fixtures, random_obstacle, shift
 from validation.scenes import NO_TASK, scene_of
 
 KINDS = ("open", "cluttered", "narrow")
@@ -119,7 +119,7 @@ def random_site(robot: bp.Robot, key: SiteKey) -> Site:
 
 
 class _Draft:
-    """One attempt to draw a site; anything may come back as None and is then drawn anew."""
+    """One attempt to draw a site; where a part comes back as None, the site is drawn anew."""
 
     def __init__(self, robot: bp.Robot, key: SiteKey, rng: np.random.Generator) -> None:
         self.robot = robot
@@ -143,7 +143,7 @@ class _Draft:
         if (form == "pipes" and not loose) or (self.key.kind != "narrow" and len(loose) < wanted):
             return None
         fixtures = self._keeping(random_fixtures(self.key.machine, self.rng), np.array([start, goal]))
-        obstacles = named(built + fixtures + loose)
+        obstacles = name_all(built + fixtures + loose)
         proximity = self._proximity(obstacles)
         if min(float(np.min(self._margins(proximity, q))) for q in (start, goal)) < SPARE:
             return None
@@ -151,7 +151,7 @@ class _Draft:
         return Site(self.key, scene, form, start, goal, None, False, self._way(proximity, start, goal))
 
     def _free_ends(self, proximity: bp.Proximity, narrows: Narrows | None) -> tuple[Vector, Vector] | None:
-        """Two free configurations whose tips are apart, with what is narrow between them."""
+        """Two free configurations whose tips are apart, with the narrow part between them."""
         free: list[tuple[Vector, Vector]] = []
         for _ in range(60):
             q = self._random_q()
@@ -237,7 +237,7 @@ class _Draft:
         on_path = self._on_path(motion) if blocked else []
         if blocked and not on_path:
             return None
-        obstacles = named(fixtures + loose + on_path)
+        obstacles = name_all(fixtures + loose + on_path)
         proximity = self._proximity(obstacles)
         if not blocked and not self._clear_along(proximity, motion, SPARE):
             return None
@@ -302,12 +302,12 @@ class _Draft:
         path = TipPath([Waypoint.model_validate(waypoint) for waypoint in waypoints])
         if not self.habitat.length[0] <= path.length <= self.habitat.length[1]:
             return None
-        motion = self._followed(path, ends[0])
+        motion = self._follow(path, ends[0])
         if motion is None or not self._clear_along(proximity, motion, SPARE):
             return None
         return waypoints, motion
 
-    def _followed(self, path: TipPath, first: Vector) -> Matrix | None:
+    def _follow(self, path: TipPath, first: Vector) -> Matrix | None:
         """(W, n) configurations along a path, each near the one before; None where it breaks off."""
         stations = np.unique(np.concatenate((np.arange(0.0, path.length, _LEG), path.stations))).tolist()
         reach = tip_travel_bound(self.robot)
@@ -394,7 +394,7 @@ class _Draft:
                 wanted = float(self.rng.uniform(2.0 * SPARE, self.habitat.extra))
                 step = -(float(best.margin[row]) - wanted) * best.normal[row]
                 if np.linalg.norm(step) < 3.0 * self.habitat.far:
-                    moved.append(shifted(record, step))
+                    moved.append(shift(record, step))
             found += self._keeping(moved, configurations)
         return found[:count]
 
@@ -413,7 +413,7 @@ class _Draft:
     # --- free or not -----------------------------------------------------------
 
     def _proximity(self, records: Sequence[Record], *, itself: bool = True) -> bp.Proximity:
-        scene = self._scene(named(list(records)), NO_TASK, self.robot.middle)
+        scene = self._scene(name_all(list(records)), NO_TASK, self.robot.middle)
         return bp.Proximity(self.robot, bp.build_obstacles(scene, self.robot), self_collision=itself)
 
     def _margins(self, proximity: bp.Proximity, q: Vector) -> Vector:

@@ -20,7 +20,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.law import CompletedLaw
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.planning import Stepper
-from validation.obstacles import course_obstacle, named
+from validation.obstacles import course_obstacle, name_all
 from validation.scenes import scene_of
 
 Times = NDArray[np.float64]
@@ -32,7 +32,7 @@ SPARE = 0.05  # m beyond every clearance that the start keeps
 def obstacle_course(robot: bp.Robot, count: int, rng: np.random.Generator) -> Problem:
     """The backhoe among `count` obstacles in its reach, none of which it touches at the start."""
     while True:
-        obstacles = named([course_obstacle(index, rng) for index in range(count)])
+        obstacles = name_all([course_obstacle(index, rng) for index in range(count)])
         problem = build_problem(robot, scene_of(robot, obstacles, start=START))
         proximity = bp.Proximity(robot, problem.obstacles)
         if np.all(proximity.distances(START) > proximity.clearance + SPARE):
@@ -41,17 +41,17 @@ def obstacle_course(robot: bp.Robot, count: int, rng: np.random.Generator) -> Pr
 
 @dataclass(frozen=True)
 class StepTimes:
-    """What the steps took.
+    """The times of many steps.
 
     Attributes
     ----------
     times: (steps,) of every part and of the whole step.
-    passed: configurations (n,) on the way.
+    configurations: (n,) each, on the way.
     rows: nearby pairs in a step, in the mean.
     """
 
     times: dict[str, Times]
-    passed: list[Vector]
+    configurations: list[Vector]
     rows: float
 
 
@@ -62,7 +62,7 @@ def time_law(problem: Problem, steps: int, rng: np.random.Generator) -> StepTime
     proximity, kinematics = bp.Proximity(robot, problem.obstacles), bp.Kinematics(robot)
     stepper = Stepper(problem, problem.start_q, proximity=proximity, kinematics=kinematics)
     law = CompletedLaw(robot, influence=problem.scene.influence)
-    times, passed, rows = np.empty((steps, 4)), [], 0
+    times, configurations, rows = np.empty((steps, 4)), [], 0
     goal = kinematics.at(robot.random_q(rng)).tip_position
     for count in range(steps):
         if count % 200 == 0:
@@ -77,10 +77,10 @@ def time_law(problem: Problem, steps: int, rng: np.random.Generator) -> StepTime
         stepper.advance(wish.v, nearby, at.jacobian[:3])
         done = time.perf_counter()
         times[count] = looked - begun, wished - looked, done - wished, done - begun
-        passed.append(stepper.q)
+        configurations.append(stepper.q)
         rows += len(nearby)
     names = ("proximity and kinematics", "law", "shield and proof of the step", "whole step")
-    return StepTimes(dict(zip(names, 1e6 * times.T, strict=True)), passed, rows / steps)
+    return StepTimes(dict(zip(names, 1e6 * times.T, strict=True)), configurations, rows / steps)
 
 
 def time_servo(servo: bp.Servo, steps: int, moving: int, rng: np.random.Generator) -> StepTimes:
@@ -89,7 +89,7 @@ def time_servo(servo: bp.Servo, steps: int, moving: int, rng: np.random.Generato
     The wish changes every 300 steps between tip and joint velocities. The first `moving`
     obstacles go to and fro.
     """
-    times, passed = np.empty((steps, 2)), []
+    times, configurations = np.empty((steps, 2)), []
     wish: dict[str, Vector] = {}
     for count in range(steps):
         if count % 300 == 0:
@@ -107,16 +107,16 @@ def time_servo(servo: bp.Servo, steps: int, moving: int, rng: np.random.Generato
         state = servo.step(**wish)
         times[count] = time.thread_time() - begun_on_processor, time.perf_counter() - begun
         if count % 20 == 0:
-            passed.append(state.q)
-    return StepTimes(dict(zip(("processor", "clock"), 1e6 * times.T, strict=True)), passed, float("nan"))
+            configurations.append(state.q)
+    return StepTimes(dict(zip(("processor", "clock"), 1e6 * times.T, strict=True)), configurations, float("nan"))
 
 
-def time_libraries(problem: Problem, passed: list[Vector]) -> Times:
+def time_libraries(problem: Problem, configurations: list[Vector]) -> Times:
     """Time the Pinocchio and coal calls alone, all pairs measured."""
     model, data = problem.robot.model, problem.robot.model.createData()
     geometry_model, geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
     found = []
-    for q in passed:
+    for q in configurations:
         begun = time.perf_counter()
         pin.computeJointJacobians(model, data, q)
         pin.updateGeometryPlacements(model, data, geometry_model, geometry)
@@ -125,7 +125,7 @@ def time_libraries(problem: Problem, passed: list[Vector]) -> Times:
     return np.array(found)
 
 
-def time_pink(problem: Problem, passed: list[Vector], pairs: int) -> Times | None:
+def time_pink(problem: Problem, configurations: list[Vector], pairs: int) -> Times | None:
     """Time Pink's step with a frame task and its collision barrier; None without Pink."""
     try:
         import pink
@@ -136,13 +136,13 @@ def time_pink(problem: Problem, passed: list[Vector], pairs: int) -> Times | Non
     model, tip = problem.robot.model, problem.robot.tip
     geometry_model, geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
     configuration = pink.Configuration(
-        model, model.createData(), passed[0], collision_model=geometry_model, collision_data=geometry
+        model, model.createData(), configurations[0], collision_model=geometry_model, collision_data=geometry
     )
     task = FrameTask(tip, position_cost=1.0, orientation_cost=0.0)
     barrier = SelfCollisionBarrier(n_collision_pairs=pairs, gain=20.0, safe_displacement_gain=1.0, d_min=0.05)
     task.set_target(configuration.get_transform_frame_to_world(tip))
     found = []
-    for q in passed:
+    for q in configurations:
         begun = time.perf_counter()
         configuration.update(q)
         try:
@@ -154,5 +154,5 @@ def time_pink(problem: Problem, passed: list[Vector], pairs: int) -> Times | Non
 
 
 def percentiles(times: Times) -> dict[str, float]:
-    """The median and what all but 5 % and 1 % stay below."""
+    """The median and the 95th and 99th percentile."""
     return dict(zip(("median", "p95", "p99"), np.percentile(times, [50, 95, 99]).tolist(), strict=True))

@@ -1,4 +1,4 @@
-"""Matrix on every link's collision shape, read from the URDF itself, as trees of balls.
+"""Points on every link's collision shape, read from the URDF itself, as trees of balls.
 
 `LinkDistances` looks at one configuration; `independent_check` at whole motions.
 """
@@ -29,7 +29,7 @@ _ON_MESH = 1500  # points on a mesh beside its corners
 
 @dataclass(frozen=True, eq=False)
 class Cover:
-    """Matrix on all collision shapes of a link, as a tree of balls in the frame of its joint.
+    """Points on all collision shapes of a link, as a tree of balls in the frame of its joint.
 
     A ball without children is a point; its radius is how far the shape reaches beyond it.
     """
@@ -43,13 +43,13 @@ class Cover:
 
     @property
     def points(self) -> Matrix:
-        """(N, 3) the points themselves."""
+        """(N, 3) the points alone, without the balls around them."""
         return self.centre[self.first < 0]
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """One collision shape of a link, as what others must not touch."""
+    """One collision shape of a link, which other links must not touch."""
 
     link: str
     joint: int
@@ -59,7 +59,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Nearest:
-    """The least signed distance found, and between what [m]; infinite where nothing was near."""
+    """The least signed distance found [m], and between which two; infinite where nothing was near."""
 
     distance: float
     link: str

@@ -10,7 +10,7 @@ Row = Mapping[str, str | float]
 
 
 def percent(holds: Iterable[bool]) -> float:
-    """How many of all hold [%]; NaN of none."""
+    """The share that holds [%]; NaN of none."""
     found = list(holds)
     return 100.0 * sum(found) / len(found) if found else float("nan")
 
@@ -33,7 +33,7 @@ def markdown(rows: Sequence[Row]) -> str:
 def _cell(value: str | float) -> str:
     if isinstance(value, str):
         return value
-    return "-" if value != value else f"{value:.4g}"  # a figure that there is none of is NaN
+    return "-" if value != value else f"{value:.4g}"  # NaN: there is no such figure
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:
