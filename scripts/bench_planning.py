@@ -3,7 +3,7 @@
 
 For each group of sites (machine, kind, task; see validation/sites.py): the part that was
 verified, of all and of those where a solution is known to exist; the reasons of the
-others; planning time, also as a multiple of a reference measured beside it (1000 calls
+others; processor time of planning, also as a multiple of a reference (1000 calls
 of `Proximity.distances` on the same site); the motion's duration, the tip's way, and the
 least margin of any verified plan. The results are in docs/measurements.md.
 
