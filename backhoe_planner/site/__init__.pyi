@@ -1,6 +1,7 @@
 from .clearance_screen import ClearanceScreen as ClearanceScreen
 from .limits import machine_on_site as machine_on_site
 from .limits import scaled_limits as scaled_limits
+from .names import check_name as check_name
 from .obstacle_shapes import Box as Box
 from .obstacle_shapes import Capsule as Capsule
 from .obstacle_shapes import HalfSpace as HalfSpace

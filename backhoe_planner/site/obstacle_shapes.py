@@ -17,6 +17,7 @@ from pydantic import Field, field_validator, model_validator
 from backhoe_planner.files.records import Record
 from backhoe_planner.machine import convex_cover, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.names import Name
 from backhoe_planner.site.quantities import (
     AnyLength,
     Length,
@@ -39,7 +40,7 @@ _ONE_POINT = 1e-9  # m: a shorter axis has no direction
 class ObstacleRecord(Record):
     """The keys that every obstacle has."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     """Unique; appears in reports and in the viewer."""
     clearance: NonNegative | None = None
     """Distance to be kept [m]; the scene's clearance by default."""

@@ -24,6 +24,7 @@ from backhoe_planner.files.records import Record, describe, exactly_one, explain
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import TipTarget, shipped_folder
+from backhoe_planner.site.names import Name, check_name
 from backhoe_planner.site.obstacle_shapes import Box, HalfSpace, ObstacleSpec
 from backhoe_planner.site.quantities import (
     AnyLength,
@@ -156,7 +157,7 @@ class Task(Record):
 
 
 class _Zone(Record):
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     """Unique among zones and obstacles; appears in reports and in the viewer."""
     stop: NonNegative = 0.0
     """Distance that is never undercut: the zone's clearance [m], for a swing sector [rad]."""
@@ -410,13 +411,11 @@ class Scene(Record):
 
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
-        names = [obstacle.name for obstacle in self.obstacles]
-        for index, name in enumerate(names):
-            if name in names[:index]:
-                raise ValueError(f"two obstacles are named {name!r}")
-        for index, zone in enumerate(self.zones):
-            if zone.name in names or any(zone.name == other.name for other in self.zones[:index]):
-                raise ValueError(f"a zone and another zone or an obstacle are named {zone.name!r}")
+        in_use: dict[str, str] = {}
+        for key in ("obstacles", "zones"):
+            for index, one in enumerate(getattr(self, key)):
+                check_name(one.name, in_use=in_use, key=f"{key}[{index}].name")
+                in_use[one.name] = f"{key}[{index}]"
         if self.task.goal is not None and self.start is None:
             raise ValueError("start is needed with a goal: where the machine stands")
         return self

@@ -39,9 +39,9 @@ def test_what_moves_can_be_taken_away_and_the_others_move_on(servo: Servo) -> No
 
 def test_what_has_not_appeared_yet_has_its_name_and_can_be_called_off(servo: Servo) -> None:
     servo.add({**BALL, "appears_at": 0.02})
-    with pytest.raises(bp.InputError, match="of that name"):
+    with pytest.raises(bp.InputError, match="is the name of an obstacle"):
         servo.add(BALL)
-    with pytest.raises(bp.InputError, match="of that name"):
+    with pytest.raises(bp.InputError, match="is the name of an obstacle"):
         servo.add_points("ball", [[4.0, 3.0, 0.0]])
     with pytest.raises(bp.InputError, match="has not appeared yet"):
         servo.move("ball", [0.0, 0.0, 1.0])
@@ -53,7 +53,7 @@ def test_what_has_not_appeared_yet_has_its_name_and_can_be_called_off(servo: Ser
 
 def test_only_a_scan_is_replaced_by_a_scan(servo: Servo) -> None:
     servo.add(BALL)
-    with pytest.raises(bp.InputError, match="is no scan"):
+    with pytest.raises(bp.InputError, match="an obstacle that is no scan"):
         servo.add_points("ball", np.zeros((0, 3)))
     assert servo.obstacles == ("ball",)
 

@@ -307,7 +307,7 @@ def test_zones_stay_and_names_are_unique(backhoe: Robot) -> None:
     assert "zone" in say(session, page, type="remove", name="power line")["error"]
     assert "zone" in say(session, page, type="move", name="power line", to=[0, 0, 1])["error"]
     assert "no obstacle of that name" in say(session, page, type="remove", name="nobody")["error"]
-    assert "of that name" in say(session, page, type="add", obstacle={**BALL, "name": "pole"})["error"]
+    assert "is the name of an obstacle" in say(session, page, type="add", obstacle={**BALL, "name": "pole"})["error"]
     assert "no such link" in say(session, page, type="add", obstacle={**BALL, "links": ["tail"]})["error"]
     assert "stands still" in say(session, page, type="add", obstacle={**BALL, "velocity": [1, 0, 0]})["error"]
     done(session, page, type="move", name="pole", to=[0.0, -0.5, 0.0])
@@ -513,6 +513,55 @@ def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
         assert f"driven by hand, {plan.trajectory.duration:.2f} s" in said
         assert all(note in said for note in notes)
         assert "tip error" not in said
+
+
+def test_no_obstacle_that_stood_there_is_missing_in_a_recording(backhoe: Robot) -> None:
+    """A swing sector is no solid: an obstacle with its name was taken for its solid, and left out."""
+    sector = {"kind": "swing_sector", "name": "swing", "start": -1.0, "end": 1.0}
+    session = make(backhoe, zones=[*SITE["zones"], sector])
+    page = session.join()
+    done(session, page, type="take")
+    assert "a zone" in say(session, page, type="add", obstacle={**BALL, "name": "swing"})["error"]
+    assert "a zone" in say(session, page, type="add", obstacle={**BALL, "name": "power line"})["error"]
+    assert "is no name" in say(session, page, type="add", obstacle={**BALL, "name": "self: boom"})["error"]
+    assert set(session.snapshot().names) == {"swing", "power line", "pole"}
+    done(session, page, type="remove", name="pole")
+    assert "pole" in session.snapshot().names  # it may be put back
+    done(session, page, type="add", obstacle=BALL)
+    done(session, page, type="record", on=True)
+    for _ in range(20):
+        session.step()
+    done(session, page, type="record", on=False)
+    for _ in range(20):
+        session.step()
+    recording = session.take_recording()
+    assert recording is not None
+    assert [record["name"] for record in recording.obstacles] == ["ball"]
+    assert recording.notes == []
+
+
+def test_what_was_dragged_away_and_back_is_noted(backhoe: Robot) -> None:
+    """It stands where it stood at first, but not all the time."""
+    session = make(backhoe)
+    page = session.join()
+    done(session, page, type="take")
+    done(session, page, type="move", name="pole", to=[0.5, 0.0, 0.0])
+    done(session, page, type="record", on=True)
+    for _ in range(20):
+        session.step()
+    begun = session.snapshot().state.time - session.snapshot().recorded
+    done(session, page, type="move", name="pole", to=[0.0, 0.0, 0.0])
+    done(session, page, type="add", obstacle={**BALL, "position": [4.7, 3.0, -0.6]})  # nothing is to be said of it
+    moved = session.snapshot().state.time - begun
+    done(session, page, type="record", on=False)
+    for _ in range(20):
+        session.step()
+    recording = session.take_recording()
+    assert recording is not None
+    pole, ball = recording.obstacles
+    assert (pole["position"], pole["appears_at"]) == ([3, -3, 0], pytest.approx(moved))
+    assert ball["appears_at"] == pytest.approx(moved)
+    assert recording.notes == [f"pole was moved until {moved:.2f} s; where it was before is left out"]
 
 
 def test_only_a_recording_leaves_something_out(backhoe: Robot) -> None:

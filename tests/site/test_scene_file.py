@@ -340,7 +340,10 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "long quaternion": (goal(quaternion=[1, 1, 0, 0]), ["task.goal.quaternion", "length 1", "1.414"]),
     "no quaternion": (goal(quaternion=[0, 0, 0, 0]), ["task.goal.quaternion", "length 1"]),
     "no normal": (shaped("halfspace", point=[0, 0, 0], normal=[0, 0, 0]), ["obstacles[0].normal", "no direction"]),
-    "two of one name": (scene(obstacles=[SPHERE, SPHERE]), ["two obstacles are named 'boulder'"]),
+    "two of one name": (
+        scene(obstacles=[SPHERE, SPHERE]),
+        ["obstacles[1].name: is the name of obstacles[0]; found boulder"],
+    ),
     "several at once": (scene(clearence=1, payload=-1), ["2 problems", "clearence", "payload"]),
 }
 

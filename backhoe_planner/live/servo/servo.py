@@ -179,7 +179,7 @@ class Servo:
 
         Raises
         ------
-        InputError: the name is in use, or the record does not describe an obstacle.
+        InputError: the name is in use, also by a zone of the scene, or the record does not describe an obstacle.
         """
         self._add(self._site.build(obstacle))
 
@@ -196,8 +196,8 @@ class Servo:
         Raises
         ------
         InputError: the points are not (k, 3) numbers within a kilometre, the resolution is not
-            between a millimetre and a hundred metres, the clearance is not a length, or an
-            obstacle of another kind has the name.
+            between a millimetre and a hundred metres, the clearance is not a length, or a zone
+            or an obstacle of another kind has the name.
         """
         scan = self._site.build_scan(name, points, resolution=resolution, clearance=clearance)
         if name in self.obstacles:

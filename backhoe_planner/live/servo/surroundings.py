@@ -21,6 +21,7 @@ from backhoe_planner.site import (
     Scene,
     build_obstacle,
     check_links,
+    check_name,
     obstacle_from_dict,
     obstacle_shapes,
 )
@@ -99,18 +100,17 @@ class Surroundings:
             spec = obstacle_from_dict(obstacle)
             obstacle = build_obstacle(spec, folder=self._scene.folder, clearance=self._scene.clearance)
         check_links(self._robot, obstacle.links, key=f"{obstacle.name}.links")
-        if obstacle.name in self._placed or self._is_waiting(obstacle.name):
-            raise InputError("there is an obstacle of that name", key="name", found=obstacle.name)
+        in_use = self._names_in_use()
+        if obstacle.zone is not None and obstacle.name not in self._placed:
+            in_use.pop(obstacle.zone.name, None)  # the zone itself, which was taken away, is put back
+        check_name(obstacle.name, in_use=in_use)
         return obstacle
 
     def build_scan(self, name: str, points: object, *, resolution: float, clearance: float | None) -> Obstacle | None:
         """The voxels in which points (k, 3) lie, as an obstacle; None without points. See `Servo.add_points`."""
-        if not isinstance(name, str) or not name:
-            raise InputError("is no name", key="name", found=name)
-        if self._is_waiting(name) or (
-            name in self._placed and not isinstance(self._placed[name].obstacle.spec, obstacle_shapes.PointCloud)
-        ):
-            raise InputError("there is an obstacle of that name, which is no scan", key="name", found=name)
+        replaced = self._placed.get(name) if isinstance(name, str) else None
+        is_scan = replaced is not None and isinstance(replaced.obstacle.spec, obstacle_shapes.PointCloud)
+        check_name(name, in_use={} if is_scan else self._names_in_use("an obstacle that is no scan"))
         try:
             cloud = np.array(points, dtype=float)
         except (TypeError, ValueError) as error:
@@ -202,6 +202,11 @@ class Surroundings:
             there = ", ".join(self._placed)
             raise InputError("there is no obstacle of that name", key="name", found=name, allowed=there)
         return self._placed[name]
+
+    def _names_in_use(self, obstacles: str = "an obstacle") -> dict[str, str]:
+        """Every name that nothing new may have, with what has it; what obstacles are called is given."""
+        names = [*self._placed, *(obstacle.name for obstacle in self._waiting)]
+        return dict.fromkeys(names, obstacles) | {zone.name: "a zone of the scene" for zone in self._scene.zones}
 
     def _is_waiting(self, name: str) -> bool:
         return any(obstacle.name == name for obstacle in self._waiting)

@@ -18,7 +18,15 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live import Servo, shifted
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, critical_points
-from backhoe_planner.site import Obstacle, Proximity, build_obstacle, build_obstacles, check_links, obstacle_shapes
+from backhoe_planner.site import (
+    Obstacle,
+    Proximity,
+    build_obstacle,
+    build_obstacles,
+    check_links,
+    check_name,
+    obstacle_shapes,
+)
 
 _MOST = 40  # obstacles; chosen, each costs time in every step
 _BRAKING = 0.6  # part of the acceleration; chosen, less than the servo's `BRAKING`, so that it can brake sooner
@@ -35,12 +43,14 @@ class _Standing:
     ----------
     obstacle: as it was put there first.
     since: when it came to where it is now; 0 if it was there from the beginning [s].
+    moved: whether it stood elsewhere just before.
     gauge: measures distances to it.
     gauged_at: (3,) how far it had moved when the gauge was made [m].
     """
 
     obstacle: Obstacle
     since: float
+    moved: bool
     gauge: Proximity
     gauged_at: Vector
 
@@ -57,7 +67,6 @@ class LiveSite:
         self._standing: dict[str, _Standing] = {}
         for obstacle in build_obstacles(servo.scene, servo.robot):
             self._standing[obstacle.name] = self._stand(obstacle, 0.0, np.zeros(3))
-        self._zones = frozenset(zone.name for zone in servo.scene.zones)
         self._of_scene = frozenset(self._standing)
         self._taken: dict[str, tuple[Obstacle, Vector]] = {}  # each with how far it had moved (3,) [m]
 
@@ -79,6 +88,15 @@ class LiveSite:
         """Names of the scene's obstacles that were taken away and may be put back."""
         return tuple(self._taken)
 
+    @property
+    def names(self) -> dict[str, str]:
+        """Every name that nothing new may have, with what has it."""
+        return (
+            dict.fromkeys(self._standing, "an obstacle")
+            | dict.fromkeys(self._taken, "an obstacle that may be put back")
+            | {zone.name: "a zone of the scene" for zone in self._servo.scene.zones}
+        )
+
     def add(self, spec: obstacle_shapes.ObstacleSpec) -> None:
         """Put an obstacle there.
 
@@ -87,9 +105,8 @@ class LiveSite:
         InputError: the name is in use, a link is not the machine's, there are too many
             obstacles, or this one leaves the machine no room.
         """
-        self._check_new(spec.name, "add")
-        if spec.name in self._taken:
-            raise InputError("is the name of an obstacle that may be put back", key="add", found=spec.name)
+        check_name(spec.name, in_use=self.names, key="add")
+        self._check_count("add")
         check_links(self._servo.robot, spec.links, key="add")
         obstacle = build_obstacle(spec, folder=self._servo.scene.folder, clearance=self._servo.scene.clearance)
         self._put(obstacle, np.zeros(3))
@@ -107,7 +124,7 @@ class LiveSite:
         obstacle = self._standing[name].obstacle
         if obstacle.moves:
             raise InputError("moves by itself", key=name)
-        moved = self._with_room(obstacle, shift)
+        moved = replace(self._with_room(obstacle, shift), moved=True)
         self._servo.move(name, shift - self._servo.shift_of(name))
         self._standing[name] = moved
 
@@ -135,7 +152,7 @@ class LiveSite:
         """
         if name not in self._taken:
             raise InputError("no obstacle of that name was taken away", key="put_back", found=name)
-        self._check_new(name, "put_back")
+        self._check_count("put_back")
         self._put(*self._taken[name])
         del self._taken[name]
 
@@ -167,9 +184,9 @@ class LiveSite:
         """
         records, notes = [], []
         for name, standing in self._standing.items():
-            if name in self._zones:
-                continue
             obstacle = standing.obstacle
+            if obstacle.zone is not None:  # stays, and stands in the scene's zones
+                continue
             content = obstacle.spec.model_dump(mode="json", by_alias=True, exclude_unset=True)
             appears = max(obstacle.appears_at, standing.since)
             shift = self.shift_of(name)
@@ -179,7 +196,7 @@ class LiveSite:
                 _displace(content, shift)
             content["appears_at"] = max(appears - begun, 0.0)
             records.append(content)
-            if standing.since > begun and shift is not None and shift.any():
+            if standing.since > begun and standing.moved:
                 notes.append(f"{name} was moved until {standing.since - begun:.2f} s; where it was before is left out")
         return records, notes
 
@@ -187,7 +204,7 @@ class LiveSite:
 
     def _stand(self, obstacle: Obstacle, since: float, shift: Vector) -> _Standing:
         there = replace(shifted(obstacle, shift), appears_at=0.0)
-        return _Standing(obstacle, since, Proximity(self._servo.robot, (there,), self_collision=False), shift)
+        return _Standing(obstacle, since, False, Proximity(self._servo.robot, (there,), self_collision=False), shift)
 
     def _gauge_time(self, standing: _Standing) -> float:
         """The time at which the obstacle in the gauge is where the servo's is [s]."""
@@ -210,20 +227,19 @@ class LiveSite:
         return standing
 
     def _stays(self, name: str) -> bool:
-        return name in self._zones or isinstance(self._standing[name].obstacle.spec, _LAND)
+        obstacle = self._standing[name].obstacle
+        return obstacle.zone is not None or isinstance(obstacle.spec, _LAND)
 
-    def _check_new(self, name: str, key: str) -> None:
+    def _check_count(self, key: str) -> None:
         if len(self._standing) >= _MOST:
             raise InputError("there are enough obstacles", key=key, allowed=f"up to {_MOST}")
-        if name in self._standing or name == ITSELF:
-            raise InputError("there is an obstacle of that name", key=key, found=name)
 
     def _check_free(self, name: str, key: str) -> None:
         """Check that an obstacle is there and is no part of the site itself."""
         if name not in self._servo.obstacles:
             raise InputError("there is no obstacle of that name", key=key, found=name)
         if self._stays(name):
-            what = "a zone" if name in self._zones else "ground or terrain"
+            what = "ground or terrain" if self._standing[name].obstacle.zone is None else "a zone"
             raise InputError(f"is {what} of the scene, which stays where it is", key=name)
 
 

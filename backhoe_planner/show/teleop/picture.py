@@ -24,7 +24,7 @@ _LONGEST_ARROW = 1.2  # m, for the largest force; chosen, about the length of a 
 _LEAST_SHOWN = 0.3  # N: a hundredth of the largest force
 _POSTURES = 16  # random ones, half-way to which the machine is to be in view; chosen
 _PLAIN = (  # fields of a snapshot that the page gets as they are
-    "zones", "movable", "taken", "driver", "asking", "recording", "recorded", "circulate", "failure",
+    "zones", "movable", "taken", "names", "driver", "asking", "recording", "recorded", "circulate", "failure",
 )  # fmt: skip
 
 

@@ -86,6 +86,7 @@ class Snapshot:
     shifts: how far each has moved (3,) [m]; None where it has not appeared yet.
     movable: names of those that a page may move and take away.
     taken: names of the scene's obstacles that were taken away and may be put back.
+    names: all that are in use, also by zones.
     nearest: the critical point to each obstacle and to the machine itself.
     zones: level of every zone whose warning, slow or stop distance is passed.
     driver, pages, asking: numbers of the page that drives, of all pages, of those that want to drive.
@@ -100,6 +101,7 @@ class Snapshot:
     shifts: dict[str, Vector | None]
     movable: frozenset[str]
     taken: tuple[str, ...]
+    names: tuple[str, ...]
     nearest: dict[str, CriticalPoint | None]
     zones: dict[str, Level]
     driver: int | None
@@ -370,6 +372,7 @@ class Session:
                 shifts={obstacle.name: site.shift_of(obstacle.name) for obstacle in obstacles},
                 movable=frozenset(o.name for o in obstacles if site.may_be_moved(o.name)),
                 taken=site.taken,
+                names=tuple(site.names),
                 nearest=site.nearest(state.q),
                 zones=self._zones.note(state.time, state.q),
                 driver=self._driver,

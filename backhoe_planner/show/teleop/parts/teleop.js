@@ -130,9 +130,8 @@
   let armed = null, drag = null;
 
   function drop(form, at) {
-    const taken = new Set(backhoe.problem.obstacles.map((obstacle) => obstacle.name));
     let number = 1;
-    while (taken.has(`${form} ${number}`)) number++;
+    while (state.names.includes(`${form} ${number}`)) number++;
     const name = `${form} ${number}`;
     send({ type: "add", obstacle: { name, ...FORMS[form](at) } });
     return name;

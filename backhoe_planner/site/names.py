@@ -1,0 +1,40 @@
+"""Names of obstacles and zones: one rule for the scene, the servo and the driving page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from backhoe_planner.errors import InputError
+
+# reports and plan files write these before a link or a joint of the machine
+_RESERVED = ("self: ", "the machine itself", "the limit of joint ")
+
+
+def check_name(name: object, *, in_use: Mapping[str, str] | None = None, key: str | None = "name") -> str:
+    """A name that an obstacle or a zone may have.
+
+    Parameters
+    ----------
+    in_use: names that others have, each with what has it: ``{"swing": "a zone"}``.
+    key: what the message calls the place.
+
+    Raises
+    ------
+    InputError: it is no text, blank, in use, or begins as reports begin to speak of the machine.
+    """
+    if not isinstance(name, str) or not name.strip() or name.startswith(_RESERVED):
+        allowed = "any text that is not blank and does not begin with " + " or ".join(map(repr, _RESERVED))
+        raise InputError("is no name", key=key, found=repr(name), allowed=allowed)
+    if in_use is not None and name in in_use:
+        raise InputError(f"is the name of {in_use[name]}", key=key, found=name)
+    return name
+
+
+def _of_a_record(name: str) -> str:
+    return check_name(name, key=None)  # whoever reads the record says the place
+
+
+Name = Annotated[str, Field(min_length=1), AfterValidator(_of_a_record)]
