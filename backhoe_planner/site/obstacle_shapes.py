@@ -33,6 +33,7 @@ from backhoe_planner.site.survey_files import read_heights, read_points
 
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up; chosen, about what a bucket's teeth leave behind
 _TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep
+_MOST_PIECES = 20_000  # of one obstacle; chosen: with the 20 pieces of a machine that is 400,000 pairs
 _FLATTEST = 1e-5  # of the radius: no hull can be built of a flatter prism
 _ONE_POINT = 1e-9  # m: a shorter axis has no direction
 
@@ -61,7 +62,7 @@ class ObstacleRecord(Record):
 
         Raises
         ------
-        InputError: a file is missing, empty or malformed.
+        InputError: a file is missing, empty or malformed, or takes more than 20,000 pieces.
         """
 
 
@@ -203,7 +204,9 @@ class HeightMap(PlacedRecord):
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Columns under the ground."""
         heights = read_heights(folder / self.file)
-        columns = terrain_columns(heights, self.size, tolerance=_TERRAIN_TOLERANCE, depth=_TERRAIN_DEPTH)
+        columns = terrain_columns(
+            heights, self.size, tolerance=_TERRAIN_TOLERANCE, depth=_TERRAIN_DEPTH, most=_MOST_PIECES
+        )
         return [shapes.convex(points, self.placement) for points in columns]
 
 
@@ -218,7 +221,7 @@ class PointCloud(PlacedRecord):
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Boxes that fill the voxels in which a point lies."""
-        boxes = voxel_boxes(read_points(folder / self.file), self.resolution)
+        boxes = voxel_boxes(read_points(folder / self.file), self.resolution, most=_MOST_PIECES)
         return [shapes.box(size, self.placement * pin.SE3(np.eye(3), centre)) for centre, size in boxes]
 
 

@@ -22,8 +22,6 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import obstacle_shapes
 from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
 
-_MOST_PIECES = 20_000  # of one obstacle; chosen: with the 20 pieces of a machine that is 400,000 pairs
-
 
 @dataclass(frozen=True)
 class Obstacle:
@@ -123,17 +121,9 @@ def build_obstacle(
 
     Raises
     ------
-    InputError: its file is missing, empty or malformed, or it has too many pieces.
+    InputError: its file is missing, empty or malformed, or takes too many pieces.
     """
     pieces = spec.pieces(folder)
-    if len(pieces) > _MOST_PIECES:
-        raise InputError(
-            "is too fine to plan with",
-            key=spec.name,
-            found=f"{len(pieces)} convex pieces",
-            allowed=f"up to {_MOST_PIECES}",
-            hint="use a coarser resolution",
-        )
     velocity = np.array(spec.velocity, dtype=float)
     velocity.setflags(write=False)
     return Obstacle(

@@ -81,7 +81,7 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
         "a.xyz",
         b"\n".join(b"%d %d 0" % (k, 2 * (k % 200)) for k in range(0, 42000, 2)),
         {"resolution": 0.5},
-        "thing: is too fine.*convex pieces.*coarser resolution",
+        r"\(thing\)\.file: is too fine.*convex pieces.*coarser resolution",
     ),
 }
 

@@ -18,12 +18,15 @@ from vhacdx import compute_vhacd
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.shape.shapes import hull, is_flat
+from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
 
 Cells = NDArray[np.int64]
+Block = tuple[int, int, int, int]
+"""Of a height map: first and last row, first and last column."""
 
 _RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge
 _CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with them
+_HOLLOWS = (1, 2, 4, 8, 16)  # grid steps to either side with which a point is compared; chosen: wider ones are few
 _FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
 
 
@@ -105,7 +108,7 @@ def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[Ma
     return grown
 
 
-def voxel_boxes(points: Matrix, resolution: float) -> list[tuple[Matrix, Matrix]]:
+def voxel_boxes(points: Matrix, resolution: float, *, most: int | None = None) -> list[tuple[Matrix, Matrix]]:
     """Boxes that together are exactly the voxels in which a point lies.
 
     Neighbouring voxels are merged into larger boxes, first along x, then y, then z.
@@ -114,16 +117,32 @@ def voxel_boxes(points: Matrix, resolution: float) -> list[tuple[Matrix, Matrix]
     ----------
     points: (n, 3) [m].
     resolution: edge of a voxel [m].
+    most: the greatest number of boxes; any number by default.
 
     Returns
     -------
     (centre (3,), size (3,)) of each box [m].
+
+    Raises
+    ------
+    InputError: there are more than `most`.
     """
     corner = np.unique(np.floor(points / resolution).astype(np.int64), axis=0)
     extent = np.ones_like(corner)
     for axis in range(3):
         corner, extent = _merged_along(corner, extent, axis)
+    if most is not None and len(corner) > most:
+        raise _too_fine(str(len(corner)), most)
     return list(zip(resolution * (corner + 0.5 * extent), resolution * extent, strict=True))
+
+
+def _too_fine(count: str, most: int) -> InputError:
+    return InputError(
+        "is too fine to plan with",
+        found=f"{count} convex pieces",
+        allowed=f"up to {most}",
+        hint="use a coarser resolution",
+    )
 
 
 def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells]:
@@ -139,7 +158,9 @@ def _merged_along(corner: Cells, extent: Cells, axis: int) -> tuple[Cells, Cells
     return corner[first], merged
 
 
-def terrain_columns(heights: Matrix, size: tuple[float, float], *, tolerance: float, depth: float) -> list[Matrix]:
+def terrain_columns(
+    heights: Matrix, size: tuple[float, float], *, tolerance: float, depth: float, most: int | None = None
+) -> list[Matrix]:
     """Corners (k, 3) of convex columns that together fill the ground under a height map [m].
 
     Blocks of cells become one column where the hull of their surface points rises at most
@@ -152,28 +173,94 @@ def terrain_columns(heights: Matrix, size: tuple[float, float], *, tolerance: fl
     size: extent in x and y [m].
     tolerance: how deep a hollow may be filled up [m].
     depth: how far below the lowest point the columns reach [m].
+    most: the greatest number of columns; any number by default.
+
+    Raises
+    ------
+    InputError: it takes more than `most`. On ground that is hollow everywhere this is known
+        before any hull is built.
     """
     rows, columns = heights.shape
     x = np.linspace(-size[0] / 2.0, size[0] / 2.0, columns)
     y = np.linspace(-size[1] / 2.0, size[1] / 2.0, rows)
     floor = float(heights.min()) - depth
     found: list[Matrix] = []
-    stack = [(0, rows - 1, 0, columns - 1)]
+    extent = float(max(*size, np.ptp(heights)))
+    stack = _split_hollow_blocks(heights, tolerance + 2.0 * flatness(2.0 * extent), most)[::-1]
     while stack:
-        r0, r1, c0, c1 = stack.pop()
+        block = r0, r1, c0, c1 = stack.pop()
         xs, ys = np.meshgrid(x[c0 : c1 + 1], y[r0 : r1 + 1])
         top = np.column_stack((xs.ravel(), ys.ravel(), heights[r0 : r1 + 1, c0 : c1 + 1].ravel()))
-        single = r1 - r0 <= 1 and c1 - c0 <= 1
-        if single or _rise_of_hull(top) <= tolerance:
-            base = top.copy()
-            base[:, 2] = floor
-            around = hull(np.vstack((top, base)))
-            found.append(around.points[around.vertices])
+        if not _is_cell(block) and _rise_of_hull(top) > tolerance:
+            stack += _halves(block)
             continue
-        row, column = (r0 + r1) // 2, (c0 + c1) // 2
-        by_rows = r1 - r0 >= c1 - c0
-        stack += [(r0, row, c0, c1), (row, r1, c0, c1)] if by_rows else [(r0, r1, c0, column), (r0, r1, column, c1)]
+        if most is not None and len(found) == most:
+            raise _too_fine(f"more than {most}", most)
+        base = top.copy()
+        base[:, 2] = floor
+        around = hull(np.vstack((top, base)))
+        found.append(around.points[around.vertices])
     return found
+
+
+def _split_hollow_blocks(heights: Matrix, tolerance: float, most: int | None) -> list[Block]:
+    """The blocks that are left after halving all in which a grid point lies low between two others.
+
+    A hull rises above the middle of three points in a row by at least as much as it lies below
+    the line between the others, so that no block that was halved could have been one column.
+    """
+    rows, columns = heights.shape
+    lows = [(step, *_low_points(heights, tolerance, step)) for step in _HOLLOWS if 2 * step < max(rows, columns)]
+    found: list[Block] = []
+    stack: list[Block] = [(0, rows - 1, 0, columns - 1)]
+    while stack:
+        block = r0, r1, c0, c1 = stack.pop()
+        if not _is_cell(block) and any(
+            _any_in(along_x, r0, r1, c0 + step, c1 - step) or _any_in(along_y, r0 + step, r1 - step, c0, c1)
+            for step, along_x, along_y in lows
+        ):
+            stack += _halves(block)
+            continue
+        found.append(block)
+        if most is not None and len(found) > most:
+            raise _too_fine(f"more than {most}", most)
+    return found
+
+
+def _low_points(heights: Matrix, tolerance: float, step: int) -> tuple[Cells, Cells]:
+    """How many points lie more than `tolerance` below the middle of those `step` to both sides, along x and along y.
+
+    Each (rows + 1, columns + 1): the sums over all rows and columns before.
+    """
+    low = np.zeros((2, *heights.shape), dtype=bool)
+    low[0, :, step:-step] = (
+        0.5 * (heights[:, : -2 * step] + heights[:, 2 * step :]) - heights[:, step:-step] > tolerance
+    )
+    low[1, step:-step] = 0.5 * (heights[: -2 * step] + heights[2 * step :]) - heights[step:-step] > tolerance
+    sums = np.zeros((2, heights.shape[0] + 1, heights.shape[1] + 1), dtype=np.int64)
+    sums[:, 1:, 1:] = low.cumsum(axis=1).cumsum(axis=2)
+    return sums[0], sums[1]
+
+
+def _any_in(sums: Cells, r0: int, r1: int, c0: int, c1: int) -> bool:
+    """Whether any point is counted from row r0 to r1 and column c0 to c1, both included."""
+    if r1 < r0 or c1 < c0:
+        return False
+    return bool(sums[r1 + 1, c1 + 1] - sums[r0, c1 + 1] - sums[r1 + 1, c0] + sums[r0, c0])
+
+
+def _is_cell(block: Block) -> bool:
+    """Whether a block is a single cell."""
+    r0, r1, c0, c1 = block
+    return r1 - r0 <= 1 and c1 - c0 <= 1
+
+
+def _halves(block: Block) -> list[Block]:
+    """Both halves of a block, cut across its longer side."""
+    r0, r1, c0, c1 = block
+    row, column = (r0 + r1) // 2, (c0 + c1) // 2
+    by_rows = r1 - r0 >= c1 - c0
+    return [(r0, row, c0, c1), (row, r1, c0, c1)] if by_rows else [(r0, r1, c0, column), (r0, r1, column, c1)]
 
 
 def _rise_of_hull(top: Matrix) -> float:

@@ -17,6 +17,7 @@ import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine.shape.thinning import enclosing_corners, most_neighbours
 
 _SIDES = 32  # of the prism around a cylinder: its corners are 1 / cos(pi / 32) = 1.0049 radii from the axis
 _FLAT = 1e-6  # m, or part of the largest extent where that is more: Qhull cannot build hulls of thinner points
@@ -28,6 +29,8 @@ _CONTACT = 1e-9  # m: distances below this are measured again, see `measure_agai
 _TOLERANCE = 1e-12  # m, of coal's iterations: tests compare gradients with differences over 1e-6 rad
 _LOOSER = (1e-10, 1e-9, 1e-6)  # m, tolerances tried in turn where the first answer is in doubt
 _ITERATIONS = 256  # at most: twice coal's default, for that tolerance
+_NEIGHBOURS = 254  # of a corner: coal counts them in one byte, of which it keeps one value
+_EXCESS = 1e-3  # of the distance from the centroid; chosen: a fifth of what the prism around a cylinder has
 _Result = TypeVar("_Result", bound=Any)
 
 
@@ -89,12 +92,17 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
 
 
 def convex(points: Matrix, placement: pin.SE3) -> Piece:
-    """The convex hull of `points` (k, 3) [m] in the frame at `placement` T_body_hull; flat ones are thickened."""
+    """The convex hull of `points` (k, 3) [m] in the frame at `placement` T_body_hull; flat ones are thickened.
+
+    Where a corner has more neighbours than coal can count, as the tip of a cone of 300 sides, it
+    is a polytope with fewer faces around the hull, which sticks out of it by at most 0.1 % of the
+    distance from the centroid.
+    """
     points = np.asarray(points, dtype=float)
     centre = points.mean(axis=0)
     if np.linalg.norm(centre) > _FAR * np.max(np.ptp(points, axis=0)):
         points, placement = points - centre, placement * pin.SE3(np.eye(3), centre)
-    around = hull(points)
+    around = _countable(hull(points))
     corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for point in around.points[around.vertices]:
         corners.append(point)
@@ -108,10 +116,24 @@ def convex(points: Matrix, placement: pin.SE3) -> Piece:
     return _piece(coal.Convex(corners, triangles), placement, around.points)
 
 
+def _countable(around: ConvexHull) -> ConvexHull:
+    """A hull, or where a corner has too many neighbours, one with fewer faces that contains it."""
+    found, excess = around, _EXCESS
+    while len(found.vertices) > _NEIGHBOURS and most_neighbours(found) > _NEIGHBOURS:
+        found = hull(enclosing_corners(around, excess))
+        excess *= 2.0
+    return found
+
+
 def is_flat(points: Matrix) -> bool:
     """Whether `points` (k, 3) [m] lie so nearly in one plane, line or point that no hull can be built of them."""
     extents = np.ptp(points @ _axes(points).T, axis=0)
-    return len(points) < 4 or bool(np.min(extents) < _FLAT * max(1.0, float(np.max(extents))))
+    return len(points) < 4 or bool(np.min(extents) < flatness(float(np.max(extents))))
+
+
+def flatness(extent: float) -> float:
+    """The thickness below which points with the largest `extent` count as flat, both [m]."""
+    return _FLAT * max(1.0, extent)
 
 
 def thicken(points: Matrix) -> Matrix:
