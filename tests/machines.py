@@ -13,3 +13,14 @@ PENDULUM = f"""<robot name="pendulum">
   <link name="end"/>
   <joint name="tool" type="fixed"><origin xyz="{LENGTH} 0 0"/><parent link="arm"/><child link="end"/></joint>
 </robot>"""
+
+# a hinge at the origin and a slide along the arm, from 0 to 0.5 m; a ball of 0.1 m at its end is the tip
+TURNING_SLIDE = """<robot name="turning slide"><link name="base"/>
+  <link name="post"><collision><origin xyz="0 0 -1"/><geometry><sphere radius="0.02"/></geometry></collision></link>
+  <link name="ball"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <link name="tip"/>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="post"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="slide" type="prismatic"><parent link="post"/><child link="ball"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="0.5" effort="1" velocity="1"/></joint>
+  <joint name="end" type="fixed"><parent link="ball"/><child link="tip"/></joint></robot>"""

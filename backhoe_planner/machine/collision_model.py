@@ -3,6 +3,9 @@
 `travel_bounds` gives, for every collision piece and joint, the greatest distance r_j that a
 point of the piece can have from that joint's axis. A motion dq then moves no point of the
 piece further than sum_j |dq_j| r_j. The certificate and the broad phase rest on this bound.
+
+How far out a slide carries what is beyond it decides r_j. Within its limits that is known
+beforehand; where a posture lies outside of them, r_j is asked for with that posture.
 """
 
 from __future__ import annotations
@@ -26,14 +29,28 @@ def geometry_model(robot: Robot) -> pin.GeometryModel:
     return model
 
 
-def travel_bounds(robot: Robot) -> Matrix:
+def _slide_reach(robot: Robot, q: Matrix | None = None) -> Vector:
+    """(n,) how far every slide is run out from its zero at most [m]; 0 for a hinge.
+
+    Within the limits, in the postures q (..., n), anywhere between, and where the machine's
+    tracking error can take it from there.
+    """
+    limits = robot.limits
+    reach = np.maximum(np.abs(limits.lower), np.abs(limits.upper))
+    if q is not None:
+        reach = np.maximum(reach, np.abs(np.reshape(q, (-1, robot.n))).max(axis=0))
+    return np.where(robot.prismatic, reach if robot.tube is None else reach + robot.tube.joints, 0.0)
+
+
+def travel_bounds(robot: Robot, q: Matrix | None = None) -> Matrix:
     """(pieces, n) r of each of `robot.pieces` and each joint [m/rad], 1 for a prismatic joint.
 
-    0 for joints further out than the piece: they do not move it.
+    0 for joints further out than the piece: they do not move it. The bounds hold within the
+    limits; where postures q (..., n) are given, also in these and between them.
     """
-    bounds = np.zeros((len(robot.pieces), robot.n))
+    bounds, reach = np.zeros((len(robot.pieces), robot.n)), _slide_reach(robot, q)
     for row, piece in enumerate(robot.pieces):
-        bounds[row] = _bounds_of_points(robot, piece.joint, piece.piece.hull, piece.piece.radius)
+        bounds[row] = _bounds_of_points(robot, piece.joint, piece.piece.hull, piece.piece.radius, reach)
     return bounds
 
 
@@ -70,14 +87,18 @@ def tip_tracking_error(robot: Robot) -> float:
     return min(robot.tube.tip, float(tip_travel_bound(robot) @ robot.tube.joints))
 
 
-def tip_travel_bound(robot: Robot) -> Vector:
-    """(n,) r of each joint for the robot's tip [m/rad], 1 for a prismatic joint."""
+def tip_travel_bound(robot: Robot, q: Matrix | None = None) -> Vector:
+    """(n,) r of each joint for the robot's tip [m/rad], 1 for a prismatic joint; `q` as in `travel_bounds`."""
     frame = robot.model.frames[robot.tip_frame]
-    return _bounds_of_points(robot, int(frame.parentJoint), frame.placement.translation[None, :], 0.0)
+    tip = frame.placement.translation[None, :]
+    return _bounds_of_points(robot, int(frame.parentJoint), tip, 0.0, _slide_reach(robot, q))
 
 
-def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float) -> Vector:
-    """(n,) r for balls of `radius` [m] around points (k, 3) that are fixed in the frame of `joint`."""
+def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float, reach: Vector) -> Vector:
+    """(n,) r for balls of `radius` [m] around points (k, 3) that are fixed in the frame of `joint`.
+
+    reach: (n,) see `_slide_reach`.
+    """
     model = robot.model
     found = np.zeros(robot.n)
     if joint == 0:
@@ -88,19 +109,12 @@ def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float) -
     inner = int(model.parents[joint])
     while inner > 0:
         step = model.jointPlacements[outer].translation
-        from_origin += _slide(robot, outer)
+        from_origin += float(reach[outer - 1])
         off = _off_axis(step[None, :], robot.joint_axes[inner - 1])
         found[inner - 1] = 1.0 if robot.prismatic[inner - 1] else off + from_origin
         from_origin += float(np.linalg.norm(step))
         outer, inner = inner, int(model.parents[inner])
     return found
-
-
-def _slide(robot: Robot, joint: int) -> float:
-    """The longest slide of a prismatic joint away from its zero [m]; 0 for a hinge."""
-    if not robot.prismatic[joint - 1]:
-        return 0.0
-    return float(max(abs(robot.limits.lower[joint - 1]), abs(robot.limits.upper[joint - 1])))
 
 
 def _off_axis(points: Matrix, axis: Vector) -> float:

@@ -103,7 +103,8 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     kinematics = Kinematics(problem.robot)
     path, task = problem.path, problem.scene.task.path
     if path is not None and task is not None:
-        tracking = track_path(path, task.tolerance, trajectory, kinematics, tip_travel_bound(problem.robot))
+        reach = tip_travel_bound(problem.robot, trajectory.q)
+        tracking = track_path(path, task.tolerance, trajectory, kinematics, reach)
     else:
         assert problem.goal is not None
         tracking = track_goal(problem.goal, trajectory, kinematics)

@@ -44,6 +44,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     if not proximity.pairs:
         return ()
     time, q = _with_appearances(trajectory, proximity)
+    proximity.cover(q)
     owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
     searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
     least = np.full(len(searches), _NEVER)
@@ -163,6 +164,7 @@ def segment_is_clear(
     """
     if spare <= 0.0 and proximity.is_at(q_a, time=time) and proximity.stays_clear(q_b, time=time + dt):
         return True
+    proximity.cover(np.array([q_a, q_b]))
     travel = np.abs(q_b - q_a) @ proximity.travel.T + dt * proximity.speed
     least = proximity.clearance + spare
     floor = least + travel

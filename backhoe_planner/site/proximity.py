@@ -104,7 +104,8 @@ class Proximity:
     ----------
     pairs: the P pairs that are measured; results hold indices into them.
     clearance: (P,) of every pair [m].
-    travel: (P, n) r of every pair: travel @ |dq| bounds how much the distance changes.
+    travel: (P, n) r of every pair: travel @ |dq| bounds how much the distance changes; within the
+        limits, and in every posture that was measured or given to `cover`.
     speed: (P,) of the obstacle [m/s].
     owner: (P,) index of the obstacle, -1 for the machine itself.
     second: (P,) index of the other body's piece, in the obstacle's pieces or in the machine's.
@@ -149,8 +150,11 @@ class Proximity:
         self._moves = robot.support[joint_of[first]] > 0.0
         self._minus_mask_link = -robot.support[joint_of[first]]
         self._mask_other = robot.support[self._other_joint]
-        # joints that move both bodies do not change their distance
-        self.travel = np.where(self._mask_other > 0.0, 0.0, travel_bounds(robot)[first])
+        self._first, self._slides = first, bool(robot.prismatic.any())
+        # how far slides were run out at most; hinges do not count
+        limits = robot.limits
+        self._run_out = np.where(robot.prismatic, np.maximum(np.abs(limits.lower), np.abs(limits.upper)), np.inf)
+        self.travel = self._travel_of_pairs()
         room = tracking_room(robot, first.tolist(), self.travel)
         self.pairs = tuple(
             replace(pair, clearance=pair.clearance + more, tracking=more) if more else pair
@@ -171,6 +175,21 @@ class Proximity:
         # from the last measurement: lower bounds of all distances, and where and when they were found
         self._bound, self._q_bound, self._bound_time = np.full(len(pairs), -np.inf), np.zeros(robot.n), 0.0
         self.measured = 0
+
+    def cover(self, q: Matrix) -> None:
+        """Let `travel` hold in postures q (..., n) outside of the limits too, and between them and these.
+
+        Whatever is measured is covered already; only who reads `travel` before has to ask.
+        """
+        if self._slides:
+            run_out = np.abs(np.reshape(q, (-1, self.robot.n))).max(axis=0)
+            if np.count_nonzero(run_out > self._run_out):
+                self._run_out = np.maximum(self._run_out, run_out)
+                self.travel = self._travel_of_pairs()
+
+    def _travel_of_pairs(self) -> Matrix:
+        # joints that move both bodies do not change their distance
+        return np.where(self._mask_other > 0.0, 0.0, travel_bounds(self.robot, self._run_out)[self._first])
 
     @property
     def geometry(self) -> tuple[pin.GeometryModel, pin.GeometryData]:
@@ -221,6 +240,7 @@ class Proximity:
 
     def _lower(self, q: Vector, time: float) -> Vector:
         """(P,) lower bounds of the distances from the last measurement alone [m]."""
+        self.cover(q)
         lower = self._bound - self.travel @ np.abs(q - self._q_bound)
         if self._moving:
             lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from machines import TURNING_SLIDE
 from scipy.optimize import linprog
 
 import backhoe_planner as bp
@@ -391,6 +393,22 @@ def test_from_outside_a_limit_the_violation_shrinks_at_every_step(backhoe: Robot
             assert now < outside
         outside = now
     assert outside <= 0.0
+
+
+def test_from_a_slide_far_outside_its_limit_nothing_is_swung_into(tmp_path: Path) -> None:
+    """A ball of 0.1 m, 1 m beyond its slide's limit, is swung at a post of 0.15 m that is clear of all within it."""
+    path = tmp_path / "slide.urdf"
+    path.write_text(TURNING_SLIDE)
+    robot, foot = bp.load_robot(path), 1.35 * np.array([np.cos(0.8), np.sin(0.8)])
+    post = {"name": "post", "shape": "capsule", "radius": 0.15, "from": [*foot, -1.0], "to": [*foot, 1.0]}
+    scene = site(robot, [post], q=[0.0, 0.5])
+    servo = Servo(robot, scene, q=[0.0, 1.5])
+    for _ in range(1500):
+        state = servo.step(joint_velocity=[1.0, 1.0])
+        turned, out = state.q
+        ball = out * np.array([np.cos(turned), np.sin(turned)])
+        assert np.linalg.norm(ball - foot) - 0.25 >= 0.05 - 1e-6
+    assert turned > 0.4  # it did come near
 
 
 @pytest.mark.parametrize("depth", [0.02, 0.1, 0.2])

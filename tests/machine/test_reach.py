@@ -120,3 +120,12 @@ def test_what_stands_still_does_not_travel(backhoe: Robot) -> None:
     still = [row for row, piece in enumerate(backhoe.pieces) if piece.joint == 0]
     assert still
     assert not np.any(bounds[still])
+
+
+def test_a_slide_run_out_beyond_its_limit_reaches_as_far_as_it_stands(slider: Robot) -> None:
+    """Run out to 3 m instead of 2, or to -4 m: the hinge's radii grow by as much, the others stay."""
+    inside = travel_bounds(slider)
+    for slides, more in (([3.0], 1.0), ([-4.0], 2.0), ([-0.7, 1.9], 0.0)):
+        q = np.array([[0.3, slide, 0.1] for slide in slides])
+        np.testing.assert_allclose(travel_bounds(slider, q) - inside, [[more, 0, 0], [more, 0, 0]], atol=1e-12)
+        np.testing.assert_allclose(tip_travel_bound(slider, q) - tip_travel_bound(slider), [more, 0, 0], atol=1e-12)

@@ -6,10 +6,12 @@ joint 1 past a ball at 4.3 m, a corner of its end comes nearest.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from machines import TURNING_SLIDE
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
@@ -348,3 +350,28 @@ def test_segment_is_clear_knows_what_moves_and_appears(planar4: bp.Robot) -> Non
     late = bp.Proximity(planar4, build_problem(planar4, site([ball(0.0, at=2.5, appears_at=5.0)])).obstacles)
     assert segment_is_clear(late, STILL, STILL, time=0.0, dt=4.9)
     assert not segment_is_clear(late, STILL, STILL, time=0.0, dt=5.1)
+
+
+def test_beyond_a_slides_limit_the_distances_are_still_proven(tmp_path: Path) -> None:
+    """1 m beyond its limit a ball of 0.1 m swings past one of 0.1 m, both 1.5 m from the hinge: 0.2 m deep."""
+    path = tmp_path / "slide.urdf"
+    path.write_text(TURNING_SLIDE)
+    robot, out, angle = bp.load_robot(path), 1.5, 0.4
+    post = {
+        "name": "ball", "shape": "sphere", "radius": 0.1, "position": [out * np.cos(angle), out * np.sin(angle), 0.0],
+    }  # fmt: skip
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": {"turn": 0.0, "slide": out}},
+            "task": {"goal": {"position": [0.3, 0.0, 0.0]}},
+            "clearance": 0.0,
+            "obstacles": [post],
+        }
+    )
+    motion = straight(np.array([0.0, out]), np.array([0.9, out]))
+    ends = [2.0 * out * np.sin(0.5 * turned) - 0.2 for turned in (angle, 0.9 - angle)]
+    assert min(ends) > 0.3  # clear at both samples
+    certificate = certify(robot, scene, motion)
+    assert not certificate.safe
+    assert_proven(to(certificate), -0.2)

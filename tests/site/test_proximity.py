@@ -11,12 +11,21 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from machines import TURNING_SLIDE
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Robot, load_robot, travel_bounds
-from backhoe_planner.site import Nearby, Obstacle, Proximity, build_obstacles, scene_from_dict
+from backhoe_planner.site import (
+    Nearby,
+    Obstacle,
+    Proximity,
+    build_obstacle,
+    build_obstacles,
+    obstacle_from_dict,
+    scene_from_dict,
+)
 
 STRETCHED = np.zeros(4)  # link k of planar4 lies along x from k - 1 to k, 8 cm wide and high
 STEP = 1e-6
@@ -643,3 +652,20 @@ def test_two_proximities_do_not_share_their_memory(planar4: Robot) -> None:
     first.at(STRETCHED, time=2.0)
     assert by_link(second, STRETCHED, time=0.0)["link3"] == pytest.approx(2.66)
     np.testing.assert_array_equal(obstacles[0].pieces[0].placement.translation, [2.5, 3.0, 0.0])
+
+
+def test_what_is_known_of_a_slide_beyond_its_limit_is_never_too_much(tmp_path: Path) -> None:
+    """A ball of 0.1 m, 1.5 m out of the hinge where 0.5 m are allowed; one turns it by 0.8 rad into another."""
+    path = tmp_path / "slide.urdf"
+    path.write_text(TURNING_SLIDE)
+    robot, out, angle = load_robot(path), 1.5, 0.8
+    record = {"name": "post", "shape": "sphere", "radius": 0.1, "links": ["ball"]}
+    there = obstacle_from_dict({**record, "position": [out * np.cos(angle), out * np.sin(angle), 0.0]})
+    proximity = Proximity(robot, [build_obstacle(there, folder=Path(), clearance=0.0)])
+    chord = 2.0 * out * np.sin(0.5 * angle)
+    first = proximity.at(np.array([0.0, out]))
+    np.testing.assert_allclose(first.distance, [chord - 0.2], atol=1e-9)
+    touching = proximity.at(np.array([angle, out]), within=0.3)
+    np.testing.assert_allclose(touching.distance, [-0.2], atol=1e-9)
+    proximity.at(np.array([0.0, out]))
+    assert not proximity.stays_clear(np.array([angle, out]))

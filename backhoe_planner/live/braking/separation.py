@@ -54,6 +54,12 @@ class Separation:
 
     It owns its working memory: do not share one between threads.
 
+    Parameters
+    ----------
+    robot: the machine.
+    q: (n,) where it stands at the beginning. It may be outside of the limits; from there it only comes back.
+    self_collision: whether the machine is also kept clear of itself.
+
     Attributes
     ----------
     owner: (P,) number that the obstacle was added with; `MACHINE` for pairs of the machine with itself.
@@ -69,7 +75,7 @@ class Separation:
     turning: (n,) 1 for hinges, 0 for slides.
     """
 
-    def __init__(self, robot: Robot, *, self_collision: bool = True) -> None:
+    def __init__(self, robot: Robot, q: Vector | None = None, *, self_collision: bool = True) -> None:
         self.robot = robot
         self._gauge = shapes.Gauge()
         self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
@@ -83,7 +89,7 @@ class Separation:
         self._fat = np.array([piece.piece.radius for piece in robot.pieces])
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
         self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
-        radii = travel_bounds(robot)
+        radii = travel_bounds(robot, q)
         pairs = self_pairs(robot).kept if self_collision else ()
         rows = [*radii[self._moving]]
         for outer, inner in pairs:

@@ -117,7 +117,7 @@ class Servo:
         self._feedback = Feedback(dt) if feedback is None else feedback
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
         self._at = Placements(robot, MOST_PARTS + 2)
-        self._separation = Separation(robot, self_collision=self_collision)
+        self._separation = Separation(robot, q, self_collision=self_collision)
         self._influence = min(scene.influence, _INFLUENCE)
         self._bounds = PairBounds(self._separation, influence=self._influence)
         self._check = PathCheck(self._separation, self._bounds, self._joints, self._at)

@@ -88,6 +88,7 @@ class MotionCheck:
         self._pairs = np.flatnonzero(proximity.appears_at <= time)
         self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
         self._clearance = proximity.clearance[self._pairs]
+        proximity.cover(np.array(ends))
         self._travel = proximity.travel[self._pairs] * (1.0 + _SLOPE)
         self._transposed = np.ascontiguousarray(self._travel.T)
         self._nothing = np.zeros(len(self._pairs))
