@@ -1,6 +1,5 @@
 from .braking.braking_path import BrakingPath as BrakingPath
 from .braking.braking_path import Placements as Placements
-from .braking.braking_path import bend as bend
 from .braking.joint_bounds import VelocityRange as VelocityRange
 from .braking.separation import Separation as Separation
 from .follower import FollowerState as FollowerState

@@ -4,6 +4,7 @@ from .capability.data_sheet import digging_forces as digging_forces
 from .capability.data_sheet import reachable_points as reachable_points
 from .capability.data_sheet import working_envelope as working_envelope
 from .capability.denavit_hartenberg import dh_table as dh_table
+from .collision_model import bend_weights as bend_weights
 from .collision_model import geometry_model as geometry_model
 from .collision_model import tip_tracking_error as tip_tracking_error
 from .collision_model import tip_travel_bound as tip_travel_bound

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
 
@@ -121,3 +121,30 @@ def _off_axis(points: Matrix, axis: Vector) -> float:
     """The largest distance of (k, 3) points from the line through 0 along the unit vector `axis` [m]."""
     along = points @ axis
     return float(np.max(np.linalg.norm(points - along[:, None] * axis, axis=1)))
+
+
+def bend_weights(delta: Array, turning: Vector) -> Array:
+    """(..., n) weights b of the joints, so that a motion `delta` bends the way of no point by more than r . b [m].
+
+    On the motion q + s delta, 0 <= s <= 1, a point x moved by the joints 1 .. n, counted
+    from the base, has the second derivative
+
+        x'' = sum_j d_j^2 x_jj + 2 sum_{i<j} d_i d_j x_ij
+
+    For a hinge j, x_j = a_j x (x - o_j) is no longer than r_j (`travel_bounds`); for a slide,
+    x_j = a_j and r_j = 1. A hinge i further in turns x_j with it, x_ij = a_i x x_j; a slide i
+    only shifts it, x_ij = 0; likewise for i = j. So, with w = |d| for hinges and 0 for slides,
+
+        |x''| <= sum_j r_j |d_j| (w_j + 2 sum_{i<j} w_i) = r . b
+
+    The point is then nowhere further than r . b / 8 from the chord: from where it would be if
+    it moved straight and evenly from the one end to the other.
+
+    Parameters
+    ----------
+    delta: (..., n) the motion [rad or m], joints in the order from the base.
+    turning: (n,) 1 for hinges, 0 for slides.
+    """
+    size = np.abs(delta)
+    angle = size * turning
+    return np.asarray(size * (2.0 * angle.cumsum(axis=-1) - angle))

@@ -1,8 +1,7 @@
 """How well the tip keeps to its task, from the samples of a motion alone.
 
-Between two samples the tip leaves the straight line between its two positions by at most
-1/8 (sum_j |dq_j|) (sum_j |dq_j| r_j), because its acceleration under constant joint rates is
-at most that product. This sagitta is added to the errors at the samples.
+Between two samples the tip leaves the straight line between its two positions by at most a
+sagitta, see `bend_weights`. It is added to the errors at the samples.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
-from backhoe_planner.machine import Kinematics, TipTarget
+from backhoe_planner.machine import Kinematics, TipTarget, bend_weights, tip_travel_bound
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import Obstruction
@@ -96,9 +95,7 @@ def track_goal(goal: TipTarget, trajectory: Trajectory, kinematics: Kinematics) 
     return Tracking(not missing, " and ".join(missing), position, position, angle)
 
 
-def track_path(
-    path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics, reach: Vector
-) -> Tracking:
+def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
     """How the tip keeps to `path` at the samples, with a bound for what lies between them.
 
     Parameters
@@ -106,11 +103,11 @@ def track_path(
     path: what the tip is to follow.
     trajectory, kinematics: the motion, and the machine that makes it.
     tolerance: within which the tip counts as on the path [m].
-    reach: (n,) bound on the tip's travel per joint, as by `tip_travel_bound`.
     """
     station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
-    step = np.abs(np.diff(trajectory.q, axis=0))
-    sagitta = 0.125 * step.sum(axis=1) * (step @ reach)
+    robot = kinematics.robot
+    turning = np.where(robot.prismatic, 0.0, 1.0)
+    sagitta = bend_weights(np.diff(trajectory.q, axis=0), turning) @ tip_travel_bound(robot, trajectory.q) / 8.0
     between = np.maximum(np.append(sagitta, 0.0), np.append(0.0, sagitta))
     between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
     on = (error + between <= tolerance) & (angle <= ANGLE_TOLERANCE)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.machine import Kinematics, Robot, tip_travel_bound
+from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Detour, Problem, Tracking, Trajectory, build_problem, track_goal, track_path
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
@@ -103,8 +103,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     kinematics = Kinematics(problem.robot)
     path, task = problem.path, problem.scene.task.path
     if path is not None and task is not None:
-        reach = tip_travel_bound(problem.robot, trajectory.q)
-        tracking = track_path(path, task.tolerance, trajectory, kinematics, reach)
+        tracking = track_path(path, task.tolerance, trajectory, kinematics)
     else:
         assert problem.goal is not None
         tracking = track_goal(problem.goal, trajectory, kinematics)

@@ -16,8 +16,8 @@ from scipy.optimize import linprog
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.law import CompletedLaw, activation
-from backhoe_planner.live import BrakingPath, Command, Feedback, Placements, Separation, Servo, Status, bend, way_back
-from backhoe_planner.machine import Robot
+from backhoe_planner.live import BrakingPath, Command, Feedback, Placements, Separation, Servo, Status, way_back
+from backhoe_planner.machine import Robot, bend_weights
 from backhoe_planner.site import Nearby, Proximity, build_obstacles
 
 STANDING = [0.0, 0.3, -0.9, -0.5]  # the tip at (4.74, 0, -0.66)
@@ -111,7 +111,7 @@ def test_no_point_bends_more_than_said(backhoe: Robot) -> None:
         separation.offset[pairs] = 0.0
         gaps = separation.gaps(pairs, at, 3)
         off = np.abs(gaps[1] - 0.5 * (gaps[0] + gaps[2])).max(axis=1)
-        bound = bend(separation.travel, delta, separation.turning)[separation.classes[pairs]] / 8.0
+        bound = (separation.travel @ bend_weights(delta, separation.turning))[separation.classes[pairs]] / 8.0
         assert np.all(off <= bound + 1e-12)
         most = max(most, float(np.max(off / bound)))
     assert most > 0.2  # the bound is not idle

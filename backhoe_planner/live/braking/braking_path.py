@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
-from backhoe_planner.machine import Robot
+from backhoe_planner.machine import Robot, bend_weights
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
@@ -58,24 +58,6 @@ class PathClearance(NamedTuple):
     bound: Vector
     gaps: Array
     closely: Flags
-
-
-def bend(travel: Matrix, delta: Vector, turning: Vector) -> Vector:
-    """(C,) bound on how sharply points of C classes bend off a straight line over a motion delta [m].
-
-    With s from 0 to 1 along the motion, |x''| <= sum_j r_j |d_j| (w_j + 2 sum_{i<j} w_i),
-    since the second derivative by joints i <= j is a_i x (a_j x (x - o_j)); w is |d| for
-    hinges and 0 for slides.
-
-    Parameters
-    ----------
-    travel: (C, n) r, see `travel_bounds` [m/rad or m/m].
-    delta: (n,) the motion [rad or m].
-    turning: (n,) 1 for hinges, 0 for slides.
-    """
-    size = np.abs(delta)
-    angle = size * turning
-    return np.asarray(travel @ (size * (2.0 * angle.cumsum() - angle)))
 
 
 class Placements:
@@ -161,19 +143,13 @@ class BrakingPath:
         self.time = dt + braking
         self._slowest = slowest
         self._per_rate = 0.5 * sign if braking > 0.0 else 0.0
-        self._turning = turning
-        # no class of pairs bends more than this
-        most = inner = 0.0
-        for rate, radius, turns in zip(rates, furthest, turning.tolist(), strict=True):
-            size = abs(rate) * look
-            angle = size * turns
-            most += radius * size * (angle + 2.0 * inner)
-            inner += angle
+        self._bend = bend_weights(self.delta, turning)
+        most = float(self._bend @ np.array(furthest))  # no point of any pair bends more than this
         self.parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
 
     def off_chord(self, travel: Matrix) -> Vector:
         """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""
-        return bend(travel, self.delta, self._turning) / (8.0 * self.parts * self.parts)
+        return np.asarray(travel @ self._bend / (8.0 * self.parts * self.parts))
 
     @property
     def D(self) -> Matrix:

@@ -18,7 +18,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
-from backhoe_planner.machine import Robot, self_pairs, tracking_room, travel_bounds
+from backhoe_planner.machine import Robot, bend_weights, self_pairs, tracking_room, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
 
@@ -300,9 +300,7 @@ class Separation:
         mask = np.abs(self.mask[pair])
         size = size * mask
         radius = np.where(self.turning > 0.0, self.travel[self.classes[pair]] + far, 1.0)
-        angle = size * self.turning
-        beyond = angle.sum() - angle.cumsum()
-        sharp = float(radius @ (size * (angle + 2.0 * beyond)))
+        sharp = float(radius[::-1] @ bend_weights(size[::-1], self.turning[::-1]))
         return float(gaps.min()) - sharp / (8.0 * path.parts**2)
 
     # --- rows ------------------------------------------------------------------------
