@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.machine import Dynamics, Hydraulics, JointLimits, Robot, load_robot
+from backhoe_planner.machine import BatchKinematics, Dynamics, Hydraulics, JointLimits, Robot, load_robot
 from backhoe_planner.motion import (
     Drive,
     Problem,
@@ -92,6 +92,30 @@ def test_the_tip_speed_that_is_asked_bounds_the_motion(planar4: Robot) -> None:
     part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
     slow = time_along(2.0 * part, q, with_limits(planar4.limits, velocity=9.0, acceleration=1e3), speed=0.1)
     assert slow.duration == pytest.approx(2.0 / 0.1, rel=1e-3)
+
+
+def test_the_tip_itself_is_as_fast_as_asked_whatever_the_arc_lengths_say(planar4: Robot) -> None:
+    """Joint 1 alone, stretched out: the tip goes 0.5 rad times the arm's length, of which the arc lengths say half."""
+    kinematics = BatchKinematics(planar4)
+    arm = float(np.linalg.norm(kinematics.at(np.zeros((1, 4))).tip_position[0, :2]))
+    part, q = line([0.0] * 4, [0.5, 0.0, 0.0, 0.0])
+    limits = with_limits(planar4.limits, velocity=9.0, acceleration=1e3)
+    motion = time_along(0.5 * 0.5 * arm * part, q, limits, speed=0.1, kinematics=kinematics)
+    assert motion.duration == pytest.approx(0.5 * arm / 0.1, rel=1e-3)
+
+
+def test_samples_at_which_the_tip_would_be_too_fast_are_timed_again(planar4: Robot) -> None:
+    """A kinked way, sampled unevenly: its spline swings about it."""
+    rng = np.random.default_rng(5)
+    part = np.sort(np.concatenate(([0.0, 1.0], rng.uniform(0.0, 1.0, 30))))
+    kinks = np.interp(part, [0.0, 0.3, 0.5, 1.0], [0.0, 0.4, 0.3, 0.9])
+    q = np.column_stack((part, -kinks, 0.5 * kinks, 0.2 * part))
+    kinematics = BatchKinematics(planar4)
+    motion = time_along(part, q, planar4.limits, speed=0.05, kinematics=kinematics)
+    moved = np.linalg.norm(np.diff(kinematics.at(motion.q).tip_position, axis=0), axis=1)
+    assert np.max(moved / np.diff(motion.time)) <= 0.05 * 1.001
+    # from rest to rest, else at the speed itself
+    assert motion.duration <= 1.02 * np.sum(moved) / 0.05
 
 
 @pytest.mark.parametrize(("begin", "end", "effort"), [(-1.2, 1.0, 400.0), (1.3, -1.3, 400.0), (-0.4, 0.4, 420.0)])

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import JointLimits
+from backhoe_planner.machine import BatchKinematics, JointLimits
 from backhoe_planner.motion.path import SmoothWay, step_lengths
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
@@ -36,6 +36,8 @@ _HALVINGS = 6  # of the first and last interval, within which a slow machine may
 DRIVE_TOLERANCE = 0.01
 _ENOUGH = 0.5 * DRIVE_TOLERANCE
 _ROUNDING = 1e-7  # part of a limit of the joints
+_SPEED_WITHIN = 1e-3  # part of the asked speed of the tip; chosen, far below what a certificate allows
+_SPEED_ROUNDS = 3  # of slowing down where the samples show a higher speed; one is enough but for very short paths
 _SLOWEST = 50.0  # factor; chosen: a motion that even this does not help stays as it is
 
 
@@ -45,6 +47,7 @@ def time_along(
     limits: JointLimits,
     *,
     speed: float | None = None,
+    kinematics: BatchKinematics | None = None,
     period: float = SAMPLE_PERIOD,
     drive: Drive | None = None,
     intervals: int = _LEAST_GRID,
@@ -59,7 +62,8 @@ def time_along(
         joints turn.
     q: (K, n) joints there [rad or m].
     limits: of the joints.
-    speed: the greatest speed of the tip along the path [m/s]; None for no such limit.
+    speed: the greatest speed of the tip [m/s]; None for no such limit.
+    kinematics: of the machine, which say how the tip moves; without them it is taken to be at `stations`.
     period: between the samples of the result [s].
     drive: what moves the joints; None for no limits but those of the joints.
     intervals: about how many, at least, have their ends checked for limits.
@@ -72,12 +76,16 @@ def time_along(
         along, np.column_stack((q, stations)), bc_type="not-a-knot" if len(along) > 3 else "natural", axis=0
     )
     grid = _denser_at_ends(_refined(along, max(2 * (len(along) - 1), intervals)))
-    slope, bend = curve(grid, 1), curve(grid, 2)[:, :-1]
-    shape = PathShape(grid, curve(grid)[:, :-1], slope[:, :-1], bend[:-1], bend[1:], tip_slope=slope[:, -1])
+    places, slope, bend = curve(grid)[:, :-1], curve(grid, 1), curve(grid, 2)[:, :-1]
+    tip_slope = slope[:, -1]
+    if speed is not None and kinematics is not None:
+        tip_slope = _tip_rates(kinematics, places, slope[:, :-1])
+    shape = PathShape(grid, places, slope[:, :-1], bend[:-1], bend[1:], tip_slope=tip_slope)
     law = time_path(shape, limits, drive=drive, tip_speed=speed)
     if law is None:
         time, samples = _ramp(along, q, limits)
-        return retime(Trajectory.from_steps(time, samples), limits, drive=drive)
+        ramp = Trajectory.from_steps(time, samples)
+        return retime(_slow_to_speed(ramp, limits, speed, kinematics), limits, drive=drive)
     time, samples = _thin_out(
         _samples(law.duration, period),
         lambda moments: np.asarray(curve(law.at(moments))),
@@ -86,7 +94,38 @@ def time_along(
     samples = samples[:, :-1]
     samples[0], samples[-1] = q[0], q[-1]
     # a spline may swing a little beyond a limit at which its samples stand
-    return _slow_to_limits(Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper)), limits, drive)
+    motion = Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
+    return _slow_to_limits(_slow_to_speed(motion, limits, speed, kinematics), limits, drive)
+
+
+def _tip_rates(kinematics: BatchKinematics, q: Matrix, rates: Matrix) -> Vector:
+    """(K,) how fast the tip moves [m] at q (K, n) where the joints move at `rates` (K, n), per unit of the rates."""
+    return np.asarray(np.linalg.norm(np.einsum("kin,kn->ki", kinematics.at(q).position_jacobian(), rates), axis=1))
+
+
+def _tip_speeds(kinematics: BatchKinematics, trajectory: Trajectory) -> Vector:
+    """(T - 1,) the tip's speed from sample to sample [m/s]."""
+    moved = np.diff(kinematics.at(trajectory.q).tip_position, axis=0)
+    return np.asarray(np.linalg.norm(moved, axis=1) / np.diff(trajectory.time))
+
+
+def _slow_to_speed(
+    trajectory: Trajectory, limits: JointLimits, speed: float | None, kinematics: BatchKinematics | None
+) -> Trajectory:
+    """The motion, slowed where the tip is faster than `speed` [m/s] from sample to sample."""
+    if speed is None or kinematics is None or len(trajectory) < 3:
+        return trajectory
+    for _ in range(_SPEED_ROUNDS):
+        tip = _tip_speeds(kinematics, trajectory)
+        if float(np.max(tip)) <= (1.0 + _SPEED_WITHIN) * speed:
+            return trajectory
+        beside = np.maximum(np.append(tip, 0.0), np.append(0.0, tip))
+        slower = _locally(trajectory, limits, None, 1.0, tip_slope=beside, tip_speed=speed)
+        if slower is None:
+            break
+        trajectory = slower
+    over = float(np.max(_tip_speeds(kinematics, trajectory))) / speed
+    return Trajectory.from_steps(trajectory.time * max(over, 1.0), trajectory.q)
 
 
 def _refined(along: Vector, count: int) -> Vector:
@@ -279,20 +318,33 @@ def _drive_use(trajectory: Trajectory, drive: Drive) -> float:
     return worst
 
 
-def _locally(trajectory: Trajectory, limits: JointLimits, drive: Drive, part: float) -> Trajectory | None:
+def _locally(
+    trajectory: Trajectory,
+    limits: JointLimits,
+    drive: Drive | None,
+    part: float,
+    *,
+    tip_slope: Vector | None = None,
+    tip_speed: float | None = None,
+) -> Trajectory | None:
     """The motion, slower where it must be and never faster; None where no such run is found.
 
     The path parameter is the old time, so that velocity and acceleration of the samples are
     the slope and the bend.
+
+    Parameters
+    ----------
+    part: of the speed that it had, at most.
+    tip_slope: (T,) the tip's speed at the samples [m/s]; tip_speed: the greatest that it may have [m/s].
     """
     v, a = trajectory.v.copy(), trajectory.accelerations()
     segment = trajectory.segment_velocities()
     v[0], v[-1] = segment[0], segment[-1]  # in motion at once, as the samples are
     bend = a.copy()
     bend[0], bend[-1] = bend[1], bend[-2]
-    shape = PathShape(trajectory.time, trajectory.q, v, bend[:-1], bend[1:])
+    shape = PathShape(trajectory.time, trajectory.q, v, bend[:-1], bend[1:], tip_slope=tip_slope)
     wide = replace(limits, acceleration=np.maximum(limits.acceleration, 1.001 * np.max(np.abs(a), axis=0)))
-    law = time_path(shape, wide, drive=drive, most=part, rests=False)
+    law = time_path(shape, wide, drive=drive, tip_speed=tip_speed, most=part, rests=False)
     return None if law is None else Trajectory.from_steps(law.time, trajectory.q)
 
 

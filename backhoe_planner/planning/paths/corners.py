@@ -69,6 +69,7 @@ def time_stretch(
     """
     task, drive, stations, q = problem.scene.task.path, drive_of(problem), stretch.stations, stretch.q
     assert task is not None
+    kinematics = BatchKinematics(problem.robot)
     marks = {0, len(stations) - 1}
     for corner in (path.corners(SHARP) if stops is None else stops).tolist():
         if stations[0] < corner < stations[-1]:
@@ -76,7 +77,7 @@ def time_stretch(
     return [
         time_along(
             stations[first : last + 1], q[first : last + 1], problem.limits,
-            speed=task.speed, period=period, drive=drive,
+            speed=task.speed, kinematics=kinematics, period=period, drive=drive,
         )
         for first, last in pairwise(sorted(marks))
     ]  # fmt: skip
