@@ -1,7 +1,8 @@
 """How well the tip keeps to its task, from the samples of a motion alone.
 
 Between two samples the tip leaves the straight line between its two positions by at most a
-sagitta, see `bend_weights`. It is added to the errors at the samples.
+sagitta, see `bend_weights`. It is added to the errors at the samples. How far the tip turns
+between two samples is bounded likewise, see `orientation`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine import Kinematics, TipTarget, bend_weights, tip_travel_bound
+from backhoe_planner.motion.orientation import angle_bounds
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import Obstruction
@@ -56,7 +58,7 @@ class Tracking:
     shortfall: in words, what is missing; empty where done.
     max_error, mean_error: of the tip's position [m]: at the goal, or over the followed parts
         of the path, where the greatest includes the bound for what lies between samples.
-    max_angle_error: at the goal, or the greatest on the followed parts [rad].
+    max_angle_error: the same of its angle, the bound at most 0.001 rad above what was measured [rad].
     path_length: of the specified path [m]; 0 for a goal.
     followed: part of it that was followed [m].
     approach_time: when the tip first is on the path [s].
@@ -110,13 +112,23 @@ def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinemati
     sagitta = bend_weights(np.diff(trajectory.q, axis=0), turning) @ tip_travel_bound(robot, trajectory.q) / 8.0
     between = np.maximum(np.append(sagitta, 0.0), np.append(0.0, sagitta))
     between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
-    on = (error + between <= tolerance) & (angle <= ANGLE_TOLERANCE)
-    if not on.any():
-        nearest = int(np.argmin(error))
-        return Tracking(
-            False, f"the tip never comes onto the path; nearest {error[nearest]:.3f} m", float(error[nearest]),
-            float(error[nearest]), float(angle[nearest]), path.length,
+    near = error + between <= tolerance
+    on = near & (angle <= ANGLE_TOLERANCE)
+    if path.asks_orientation:
+        turned = angle_bounds(
+            path, robot, q=trajectory.q, station=station, angle=angle, segments=on[:-1] & on[1:],
+            allowed=ANGLE_TOLERANCE,
         )  # fmt: skip
+        angle = np.maximum(angle, np.maximum(np.append(turned, 0.0), np.append(0.0, turned)))
+        on &= angle <= ANGLE_TOLERANCE
+    if not on.any():
+        nearest = int(np.argmin(np.where(near, angle, np.inf) if near.any() else error))
+        short = f"the tip never comes onto the path; nearest {error[nearest]:.3f} m"
+        if near.any():
+            degrees = np.degrees(angle[nearest])
+            short = f"the tip is never on the path with the asked orientation; nearest {degrees:.1f} deg"
+        off = float(error[nearest])
+        return Tracking(False, short, off, off, float(angle[nearest]), path.length)
     # the approach ends where the tip comes nearest to the path's beginning
     at_begin = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
     begins = np.flatnonzero(on & at_begin & (station <= _beginning(path, tolerance)))

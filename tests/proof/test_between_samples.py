@@ -38,3 +38,80 @@ def test_a_slide_outboard_of_a_hinge(turntable: bp.Robot, tolerance: float, veri
     assert certificate.verified == verified
     if verified:
         assert certificate.tracking.max_error == pytest.approx(0.0625)
+
+
+# --- turning along a path -----------------------------------------------------------------
+
+SPINDLE = """<robot name="spindle"><link name="base"/><link name="carriage"/>
+<link name="tool"><collision><geometry><sphere radius="0.01"/></geometry></collision></link><link name="tip"/>
+<joint name="slide" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="0 1 0"/>
+  <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="spin" type="revolute"><parent link="carriage"/><child link="tool"/><axis xyz="0 -1 0"/>
+  <limit lower="-20" upper="20" effort="1" velocity="1"/></joint>
+<joint name="end" type="fixed"><parent link="tool"/><child link="tip"/><origin xyz="{lever} 0 0"/></joint></robot>"""
+
+
+def spindle(folder: Path, lever: float) -> bp.Robot:
+    """A tool that turns about the axis along which it slides; turned up, its pitch is the angle."""
+    path = folder / "spindle.urdf"
+    path.write_text(SPINDLE.format(lever=lever))
+    return bp.load_robot(path, tip="tip")
+
+
+def along_y(
+    robot: bp.Robot, turns: list[float], *, asked: list[dict[str, object]], tolerance: float = 0.005
+) -> bp.Certificate:
+    """Of the slide from 0 to 0.4 m in equal steps with the tool at `turns`; `asked` at the path's ends."""
+    lever = float(bp.Kinematics(robot).at(np.zeros(2)).tip_position[0])
+    ends = [[lever, 0.0, 0.0], [lever, 0.4, 0.0]]
+    waypoints = [{"position": p} | extra for p, extra in zip(ends, asked, strict=True)]
+    scene = bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": waypoints, "tolerance": tolerance}}})
+    q = np.column_stack((np.linspace(0.0, 0.4, len(turns)), turns))
+    return bp.certify(robot, scene, bp.Trajectory.from_steps(np.linspace(0.0, 1e4, len(turns)), q))
+
+
+LEVEL: dict[str, object] = {"rpy": [0, 0, 0]}
+
+
+@pytest.mark.parametrize("turns", [1, -1, 3])
+@pytest.mark.parametrize("samples", [2, 3, 4])
+def test_whole_turns_between_samples_are_not_the_asked_orientation(tmp_path: Path, turns: int, samples: int) -> None:
+    """At every sample the tip is where it is to be, and turned by nothing."""
+    angles = (2.0 * np.pi * turns * np.arange(samples)).tolist()
+    certificate = along_y(spindle(tmp_path, 0.0), angles, asked=[LEVEL, LEVEL])
+    assert not certificate.verified
+    assert any("orientation" in problem for problem in certificate.problems)
+
+
+def test_a_whole_turn_between_two_samples_is_not_within_a_pitch_range(tmp_path: Path) -> None:
+    level: dict[str, object] = {"pitch": [-0.2, 0.2]}
+    robot = spindle(tmp_path, 0.1)
+    assert along_y(robot, [0.0, 0.1, -0.1], asked=[level, level], tolerance=0.8).verified
+    assert not along_y(robot, [0.0, 2.0 * np.pi], asked=[level, level], tolerance=0.8).verified
+
+
+@pytest.mark.parametrize(("off", "verified"), [(0.0, True), (0.0095, True), (0.0105, False)])
+def test_an_orientation_that_turns_with_the_path_is_kept_by_two_samples(
+    tmp_path: Path, off: float, verified: bool
+) -> None:
+    """The path asks for a turn by -1 rad about y, and so does the tool; 0.01 rad are allowed."""
+    asked: list[dict[str, object]] = [LEVEL, {"rpy": [0, -1, 0]}]
+    certificate = along_y(spindle(tmp_path, 0.0), [off, 1.0 + off], asked=asked)
+    assert certificate.verified == verified
+    if verified:
+        assert certificate.tracking.max_angle_error == pytest.approx(off, abs=1e-3)
+        assert certificate.tracking.max_angle_error >= off
+
+
+def test_a_bump_between_samples_beside_ones_that_keep_the_orientation(tmp_path: Path) -> None:
+    """One turn in the middle of 21 samples: as with many samples, that part is off the path."""
+    robot = spindle(tmp_path, 0.0)
+    still = [0.0] * 10 + [2.0 * np.pi] * 11
+    few = along_y(robot, still, asked=[LEVEL, LEVEL])
+    (detour,) = few.detours
+    many = along_y(robot, np.interp(np.linspace(0, 20, 1001), np.arange(21), still).tolist(), asked=[LEVEL, LEVEL])
+    (expected,) = many.detours
+    # the step from 0.18 to 0.20 m, and one step of few samples to each side
+    assert detour.path_from == pytest.approx(0.16)
+    assert detour.path_to == pytest.approx(0.22)
+    assert detour.path_from < expected.path_from < expected.path_to < detour.path_to

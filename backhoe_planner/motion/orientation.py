@@ -1,0 +1,148 @@
+"""How far the tip is turned from what a path asks for, between two samples too.
+
+Between two samples the joints move evenly, and the tip turns by at most the sum of |dq_j|
+over the hinges. If the tip's place along the path moves evenly too, what is asked turns by
+an amount V that is known. So, with L the sum of both, the error between two moments with
+the errors e_a and e_b is at most (e_a + e_b + L) / 2. Where that says too little, the error
+is measured halfway, and so on: L halves with every step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, wrap_angle
+from backhoe_planner.motion.path import TipPath
+
+_RESOLUTION = 1e-3  # rad that a bound may lie above the errors that were measured; chosen, 0.06 degrees
+_FINEST = 1e-5  # rad of L at which a part is not halved again; chosen, so that errors just below what is allowed pass
+_MOST = 200_000  # measurements for one motion; chosen, some seconds
+
+
+def angle_bounds(
+    path: TipPath, robot: Robot, *, q: Matrix, station: Vector, angle: Vector, segments: Flags, allowed: float
+) -> Vector:
+    """(T - 1,) the most that the tip is turned from what `path` asks for on each of `segments` [rad].
+
+    Where more than `allowed` was found, that; 0 on other segments.
+
+    Parameters
+    ----------
+    q: (T, n) the samples [rad or m]; station: (T,) arc lengths of the path there [m].
+    angle: (T,) the errors there [rad].
+    segments: (T - 1,) which to look at.
+    allowed: error at which a segment is not looked at further [rad].
+    """
+    found = np.zeros(len(q) - 1)
+    measure = _Measure(path, robot, q, station)
+    parts = measure.whole(np.flatnonzero(segments), angle)
+    looks = 0
+    while len(parts.segment):
+        measured, bound = np.maximum(parts.before, parts.after), 0.5 * (parts.before + parts.after + parts.turn)
+        looks += len(bound)
+        # settled, as fine as it gets, or more than allowed
+        ends = (bound <= allowed) & (bound <= measured + _RESOLUTION)
+        ends |= (parts.turn <= _FINEST) | (measured > allowed) | (looks > _MOST)
+        value = np.where(measured > allowed, measured, bound)
+        np.maximum.at(found, parts.segment[ends], value[ends])
+        parts = measure.halved(parts.take(~ends & (found[parts.segment] <= allowed)))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """P parts of segments, each on one leg of the path.
+
+    Attributes
+    ----------
+    segment: (P,)
+    begin, end: (P,) 0 to 1 within the segment.
+    low, high: (P,) arc length at the begin and at the end [m], on the leg.
+    before, after: (P,) errors there [rad].
+    turn: (P,) L, by which the error can change on the part [rad].
+    """
+
+    segment: Indices
+    begin: Vector
+    end: Vector
+    low: Vector
+    high: Vector
+    before: Vector
+    after: Vector
+    turn: Vector
+
+    def take(self, rows: Flags) -> _Parts:
+        """Some of them."""
+        return _Parts(*(values[rows] for values in vars(self).values()))
+
+
+class _Measure:
+    """Errors of one motion along one path."""
+
+    def __init__(self, path: TipPath, robot: Robot, q: Matrix, station: Vector) -> None:
+        self._path, self._q, self._station = path, q, station
+        self._kinematics = BatchKinematics(robot)
+        self._turn = np.abs(np.diff(q, axis=0)) @ np.where(robot.prismatic, 0.0, 1.0)
+
+    def whole(self, segments: Indices, angle: Vector) -> _Parts:
+        """The parts of `segments` between the path's waypoints."""
+        rows: list[tuple[int, float, float, float, float]] = []
+        for segment in segments.tolist():
+            low, high = self._station[segment : segment + 2].tolist()
+            marks = [mark for mark in self._path.stations.tolist() if min(low, high) < mark < max(low, high)]
+            begin, here = 0.0, low
+            for mark in marks if low < high else marks[::-1]:
+                part = (mark - low) / (high - low)
+                # what is asked may jump there: it belongs to the leg that the part is on
+                near, far = (np.nextafter(mark, -np.inf), mark) if low < high else (mark, np.nextafter(mark, -np.inf))
+                rows.append((segment, begin, part, here, float(near)))
+                begin, here = part, float(far)
+            rows.append((segment, begin, 1.0, here, high))
+        count, table = len(rows), np.array(rows).reshape(-1, 5)
+        segment, begin, end, low, high = (table[:, 0].astype(np.intp), *table[:, 1:].T)
+        errors = self._errors(np.tile(segment, 2), np.append(begin, end), np.append(low, high))
+        asked = [_turn(self._path.target(a), self._path.target(b)) for a, b in zip(low, high, strict=True)]
+        return _Parts(
+            segment, begin, end, low, high,
+            before=np.where(begin == 0.0, angle[segment], errors[:count]),
+            after=np.where(end == 1.0, angle[segment + 1], errors[count:]),
+            turn=(end - begin) * self._turn[segment] + np.array(asked),
+        )  # fmt: skip
+
+    def halved(self, parts: _Parts) -> _Parts:
+        """Both halves of every part; on a leg what is asked turns evenly."""
+        middle, place = 0.5 * (parts.begin + parts.end), 0.5 * (parts.low + parts.high)
+        error = self._errors(parts.segment, middle, place)
+        return _Parts(
+            segment=np.tile(parts.segment, 2),
+            begin=np.append(parts.begin, middle), end=np.append(middle, parts.end),
+            low=np.append(parts.low, place), high=np.append(place, parts.high),
+            before=np.append(parts.before, error), after=np.append(error, parts.after),
+            turn=np.tile(0.5 * parts.turn, 2),
+        )  # fmt: skip
+
+    def _errors(self, segment: Indices, part: Vector, place: Vector) -> Array:
+        """(P,) at a part 0 to 1 of segments, where the path is followed to `place` [m]."""
+        if len(segment) == 0:
+            return np.zeros(0)
+        q = (1.0 - part)[:, None] * self._q[segment] + part[:, None] * self._q[segment + 1]
+        targets = TargetBatch.of([self._path.target(s) for s in place.tolist()])
+        return np.asarray(np.linalg.norm(targets.errors(self._kinematics.at(q))[:, 3:], axis=1))
+
+
+def _turn(a: TipTarget, b: TipTarget) -> float:
+    """How far the asked error can change from `a` to `b`, on one leg of a path, by what is asked alone [rad]."""
+    if a.rotation is not None and b.rotation is not None:
+        return float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
+    if a.pitch is None and b.pitch is None:
+        return 0.0
+    # any pitch is a range of half a turn to either side
+    (low_a, high_a), (low_b, high_b) = (target.pitch or (-np.pi, np.pi) for target in (a, b))
+    wider = 0.5 * abs((high_a - low_a) - (high_b - low_b))
+    if a.pitch is None or b.pitch is None:
+        return wider
+    return wider + abs(wrap_angle(0.5 * (low_a + high_a) - 0.5 * (low_b + high_b)))
