@@ -11,16 +11,17 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from dataclasses import asdict, dataclass
+from itertools import count as numbers
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from validation.habitats import load_machine
 from validation.obstacles import Record, appearing_obstacle
 from validation.servo_drives import CLOSE, broken_limits, stopping_line
@@ -119,6 +120,19 @@ class Drive:
         return f"{self.status}, " + ("end taken" if self.end_taken else f"end free, planner: {self.planner}")
 
 
+def places_on_machine(robot: bp.Robot, postures: Matrix, rng: np.random.Generator) -> Matrix:
+    """(K, 3) where a random point of a link is in each posture (K, n), the outer links more often."""
+    covers = [cover for cover in link_shapes(robot)[0] if cover.joint > 1]
+    weights = np.square([float(cover.joint) for cover in covers])
+    cover = covers[int(rng.choice(len(covers), p=weights / weights.sum()))]
+    point, data = rng.choice(cover.points), robot.model.createData()
+    found = []
+    for q in postures:
+        pin.forwardKinematics(robot.model, data, q)
+        found.append(data.oMi[cover.joint].act(point))
+    return np.array(found)
+
+
 class Placement:
     """One obstacle on one plan, and the drive past it."""
 
@@ -137,9 +151,9 @@ class Placement:
         while not self.follower.done and self.follower.step().plan_time < at - lead:
             pass
         line = stopping_line(servo)
-        content = _content(plan.scene)
+        content = scene_content(plan.scene)
         for _ in range(30):
-            place = self._place_on_machine(plan.trajectory.at(at))
+            (place,) = places_on_machine(self.robot, plan.trajectory.at(at)[None], rng)
             new = appearing_obstacle(place, rng)
             new["name"] = f"new {new['shape']}"
             self.scene = bp.scene_from_dict({**content, "obstacles": [*content.get("obstacles", []), new]})
@@ -153,15 +167,6 @@ class Placement:
                 self.obstacle, self.end_taken = new["name"], end < self.scene.clearance - 1e-4
                 return True
         return False
-
-    def _place_on_machine(self, q: Vector) -> Vector:
-        """(3,) a random point of a link, the outer ones more often."""
-        data = self.robot.model.createData()
-        pin.forwardKinematics(self.robot.model, data, q)
-        covers = [cover for cover in link_shapes(self.robot)[0] if cover.joint > 1]
-        weights = np.square([float(cover.joint) for cover in covers])
-        cover = covers[int(self.rng.choice(len(covers), p=weights / weights.sum()))]
-        return np.asarray(data.oMi[cover.joint].act(self.rng.choice(cover.points)))
 
     def drive(self, site: str, turn: int, *, every: int) -> Drive:
         """Follow the plan to its end, or until it is clear that it does not arrive."""
@@ -209,13 +214,14 @@ class Placement:
     def _way_from_here(self) -> bp.Plan:
         """The planner's own answer: from where the machine stands to the tip's pose at the end of the plan."""
         end = bp.Kinematics(self.robot).at(self.plan.trajectory.q[-1])
-        content = _content(self.scene)
+        content = scene_content(self.scene)
         content["start"] = {"joints": dict(zip(self.robot.joint_names, self.servo.q.tolist(), strict=True))}
         content["task"] = {"goal": {"position": end.tip_position.tolist(), "pitch": float(end.pitch)}}
         return bp.plan(self.robot, bp.scene_from_dict(content))
 
 
-def _content(scene: bp.Scene) -> Record:
+def scene_content(scene: bp.Scene) -> Record:
+    """The scene as a file has it, to be changed."""
     return dict(scene.model_dump(by_alias=True, exclude_none=True))
 
 
@@ -229,24 +235,31 @@ def place_obstacles(
     every: distances are checked at every so many steps, and where the margin is small.
     progress: takes a line about every drive.
     """
-    robot = load_machine("backhoe")
     drives: list[Drive] = []
-    number = 0
-    while len(drives) < count:
-        kind, task = _SITES[number % len(_SITES)]
-        site = random_site(robot, SiteKey("backhoe", kind, task, number // len(_SITES), seed))
-        number += 1
-        plan = bp.plan(robot, site.scene, seed=seed)
-        if not plan.verified or plan.trajectory.duration < 2.0:
+    for number, site, plan in random_plans("backhoe", seed=seed):
+        if plan.trajectory.duration < 2.0:
             continue
         for turn in range(_PER_PLAN):
             placement = Placement(plan, np.random.default_rng([seed, number, turn]))
             if len(drives) == count or not placement.put():
                 continue
-            drives.append(placement.drive(str(site.key), turn, every=every))
+            drives.append(placement.drive(str(site), turn, every=every))
             shown = {k: v for k, v in asdict(drives[-1]).items() if k not in ("searches", "seconds")}
             progress(f"{len(drives)} {json.dumps(shown)}")
+        if len(drives) == count:
+            break
     return drives, _figures(drives)
+
+
+def random_plans(machine: str, *, seed: int) -> Iterator[tuple[int, SiteKey, bp.Plan]]:
+    """The verified plans of random sites of a machine, each with its number, counted from 1, and its key."""
+    robot = load_machine(machine)
+    for number in numbers(1):
+        kind, task = _SITES[(number - 1) % len(_SITES)]
+        site = random_site(robot, SiteKey(machine, kind, task, (number - 1) // len(_SITES), seed))
+        plan = bp.plan(robot, site.scene, seed=seed)
+        if plan.verified:
+            yield number, site.key, plan
 
 
 def _figures(drives: list[Drive]) -> dict[str, Any]:

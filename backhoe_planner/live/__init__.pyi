@@ -14,6 +14,7 @@ from .recovery.escape import EscapeRoute as EscapeRoute
 from .recovery.escape import EscapeSearch as EscapeSearch
 from .recovery.escape import RouteSearch as RouteSearch
 from .recovery.violation_descent import way_back as way_back
+from .reference import Reference as Reference
 from .rejoining import NoRejoining as NoRejoining
 from .rejoining import Rejoining as Rejoining
 from .rejoining import RejoiningQuery as RejoiningQuery

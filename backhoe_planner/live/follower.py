@@ -2,13 +2,15 @@
 
 The plan's own clock s runs slower the further the machine is off the plan:
 
-    v_w = s' v_p(s) + min(k |e|, sqrt(a |e|)) sgn e,    e = q_p(s) - q,    s' = max(0, 1 - |e| / tolerance)
+    v_w = s' v_p(s) + min(|e| / dt, sqrt(a |e|)) sgn e,    e = q_p(s) - q,
+    s' = 1 where |e| is at most d, falling linearly to 0 at the tolerance
 
-So the machine waits for what is in its way, leaves the plan as far as it must, and comes
-back to it. Where it gets nowhere for a while, it holds still, and a way from there to the
-earliest clear place on the rest of the plan is searched in the background (`rejoining`).
-That way is followed by the same law under the same servo; the rest of the plan stays as it
-was. Whatever is planned, the servo alone decides what is safe.
+v_p is the mean rate over the next step: with nothing in the way the machine is on the plan after
+every step, and loses no time. Otherwise it waits for what is in its way, leaves the plan as far
+as it must, and comes back to it. Where it gets nowhere for a while, it holds still, and a way
+from there to the earliest clear place on the rest of the plan is searched in the background
+(`rejoining`). That way is followed by the same law under the same servo; the rest of the plan
+stays as it was. Whatever is planned, the servo alone decides what is safe.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Vector
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
+from backhoe_planner.live.reference import Reference
 from backhoe_planner.live.rejoining import (
     LONGEST,
     NoRejoining,
@@ -38,10 +41,10 @@ from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import Plan
 
 # The numbers are chosen; validation/placements.py drives machines with them.
-_PULL = 10.0  # 1/s: k, fast beside any motion, and slow beside a step
 _PART = 0.5  # part of the acceleration that brakes the way back onto the plan; the rest follows the plan
 _TOLERANCE = 0.03  # rad or m off the plan at which its clock stands still
 _ARRIVED = 1e-3  # rad or m from the end of the plan
+_ON_PLAN = _ARRIVED  # rad or m off the plan within which its clock does not wait
 _RESTS_AT_END = 1e-2  # rad/s or m/s: slower than that the machine rests at the end of the plan
 _STILL = 1e-6  # rad/s or m/s: slower than that a way may begin, which is planned from rest
 _PUSHED = 0.2  # rad or m by which the machine is pushed away: more than it slides to and fro
@@ -107,17 +110,27 @@ class PlanFollower:
         the follower's own, which shares the interpreter with the loop: steps may come some
         milliseconds late while the machine holds still. A `ProcessPoolExecutor` avoids that.
     seed: of the searches, not negative.
+    allow_failed: whether a plan whose verdict is ``failed`` is followed as well, to the end of what
+        motion it has, which is not the end of its task and may lead past limits and clearances;
+        the servo keeps those.
 
     Raises
     ------
-    InputError: the plan has no motion, or other joints than the machine; the seed is negative.
+    InputError: the plan failed, and that is not allowed, or it has no motion; it is for other joints
+        than the machine's; the seed is negative.
 
     `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own thread
     once a running search is over.
     """
 
     def __init__(
-        self, servo: Servo, plan: Plan | Trajectory, *, executor: Executor | None = None, seed: int = 0
+        self,
+        servo: Servo,
+        plan: Plan | Trajectory,
+        *,
+        executor: Executor | None = None,
+        seed: int = 0,
+        allow_failed: bool = False,
     ) -> None:
         robot = servo.robot
         if isinstance(plan, Plan) and plan.robot.joint_names != robot.joint_names:
@@ -125,6 +138,8 @@ class PlanFollower:
             raise InputError(
                 "is a plan for other joints than the machine's", key="plan.robot", found=found, allowed=own
             )
+        if isinstance(plan, Plan) and not plan.verified:
+            _refuse_failed(plan, allowed=allow_failed)
         trajectory = plan.trajectory if isinstance(plan, Plan) else plan
         count = trajectory.q.shape[1]
         if count != robot.n:
@@ -134,7 +149,7 @@ class PlanFollower:
             raise InputError("must not be negative", key="seed", found=seed)
         self.servo = servo
         self._trajectory = trajectory
-        self._plan = _Reference(trajectory)
+        self._plan = Reference(trajectory, servo.limits)
         self._round: _Round | None = None
         self._steps = 0
         self._slowest = float(servo.limits.velocity.min())
@@ -146,6 +161,7 @@ class PlanFollower:
         self._again_at = 0.0  # s: when to search again
         self._failed_at, self._failed_for = 0.0, -1  # s, and revision of the surroundings, of the last failure
         self._may_succeed = True  # another search, with more effort
+        self._seen, self._seen_at = servo.revision, -np.inf  # revision of the surroundings, and s, of the last change
         self._was_holding = False
         self._holding = False
         self._blocked = ""
@@ -164,7 +180,7 @@ class PlanFollower:
     @property
     def done(self) -> bool:
         """Whether the machine rests at the end of the plan."""
-        servo, end = self.servo, self._plan.q[-1]
+        servo, end = self.servo, self._plan.last_q
         arrived = self._plan.ended and float(np.abs(end - servo.q).max()) < _ARRIVED
         return arrived and bool((np.abs(servo.v) < _RESTS_AT_END).all())
 
@@ -172,6 +188,7 @@ class PlanFollower:
         """Move on by the servo's dt."""
         servo = self.servo
         self._steps += 1
+        self._look_around()
         self._take_answer()
         if self._must_hold():
             self._was_holding = True
@@ -193,11 +210,22 @@ class PlanFollower:
             state=state,
             plan_time=self._plan.clock,
             behind=max(self._steps * servo.dt - self._plan.clock, 0.0),
-            deviation=float(np.abs(self._plan.at()[0] - state.q).max()),
+            deviation=float(np.abs(self._plan.q - state.q).max()),
             done=done,
             status=status,
             reason=reason,
         )
+
+    def _look_around(self) -> None:
+        """Be patient anew where the site has changed: what was in the way may be gone.
+
+        Not where it changes all the time, as an obstacle does that is tracked: a way would never be searched.
+        """
+        servo = self.servo
+        if servo.revision != self._seen:
+            if servo.time > self._seen_at + _PATIENCE_CROSSING:
+                self._progress.waited = 0.0
+            self._seen, self._seen_at = servo.revision, servo.time
 
     def _must_hold(self) -> bool:
         """Whether to hold still: while a way is searched, and, where there is none, until something changes."""
@@ -210,18 +238,17 @@ class PlanFollower:
 
     # --- along a reference -------------------------------------------------------------
 
-    def _follow(self, reference: _Reference) -> ServoState:
+    def _follow(self, reference: Reference) -> ServoState:
         servo = self.servo
-        goal, rates = reference.at()
-        off = goal - servo.q
+        off, rates = reference.q - servo.q, reference.rates(servo.dt)
         deviation = float(np.abs(off).max())
-        pace = max(0.0, 1.0 - _late(off, rates) / _TOLERANCE)
+        pace = min(max((_TOLERANCE - _late(off, rates)) / (_TOLERANCE - _ON_PLAN), 0.0), 1.0)
         # no faster towards the plan than can be braked in time
         size = np.abs(off)
-        pull = np.copysign(np.minimum(_PULL * size, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
+        pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
         state = servo.step(joint_velocity=pace * rates + pull)
         reference.advance(pace * servo.dt)
-        if self._progress.made(reference.clock, deviation, servo.dt):
+        if self._progress.made(reference, deviation, servo.dt):
             self._got_on()
         elif self._progress.waited > _PATIENCE and not (
             reference is self._plan and reference.ended and deviation < _ARRIVED
@@ -308,7 +335,10 @@ class PlanFollower:
             if float(np.abs(answer.motion.q[0] - servo.q).max()) > _OFF:
                 return
             self._round = _Round(
-                _Reference(answer.motion), answer.rejoins_at, answer.around, checked=self._searches.revision
+                Reference(answer.motion, servo.limits),
+                answer.rejoins_at,
+                answer.around,
+                checked=self._searches.revision,
             )
             self._progress = _Progress(self._slowest)
             self._blocked = ""
@@ -337,39 +367,23 @@ class PlanFollower:
         return f"{state.nearest.link} is held back by {state.nearest.name}"
 
 
-class _Reference:
-    """A motion with a clock of its own [s]."""
-
-    def __init__(self, trajectory: Trajectory) -> None:
-        self.time, self.q = trajectory.time, trajectory.q
-        self._rates = trajectory.segment_velocities() if len(trajectory) > 1 else np.zeros_like(self.q)
-        self._end = float(self.time[-1])
-        self.clock = 0.0
-
-    @property
-    def ended(self) -> bool:
-        return self.clock >= self._end
-
-    def advance(self, by: float) -> None:
-        self.clock = min(self.clock + by, self._end)
-
-    def at(self) -> tuple[Vector, Vector]:
-        """(n,), (n,) joint positions [rad or m] and rates [rad/s or m/s] at the clock's time."""
-        row = min(max(int(self.time.searchsorted(self.clock, side="right")) - 1, 0), len(self._rates) - 1)
-        rates = self._rates[row]
-        q = self.q[row] + (self.clock - float(self.time[row])) * rates
-        return q, np.zeros_like(rates) if self.ended else rates
-
-    def rest(self) -> Array:
-        """(K, n) the samples after the clock's time."""
-        return np.asarray(self.q[int(self.time.searchsorted(self.clock, side="right")) :])
+def _refuse_failed(plan: Plan, *, allowed: bool) -> None:
+    """A plan that failed is followed only where that is asked for, and never the start alone: it would arrive."""
+    why = f"{plan.verdict}: {plan.reason}" + (f" ({plan.message})" if plan.message else "")
+    if not allowed:
+        raise InputError(
+            "a plan that failed is not followed", key="plan", found=why, allowed="verified",
+            hint="allow_failed=True follows what motion it has",
+        )  # fmt: skip
+    if len(plan.trajectory) < 2:
+        raise InputError("the plan failed and has no motion", key="plan", found=why)
 
 
 @dataclass
 class _Round:
     """A way round that is being followed."""
 
-    reference: _Reference
+    reference: Reference
     rejoins_at: float
     around: str | None
     checked: int  # revision of the surroundings for which it is known to be clear
@@ -408,12 +422,16 @@ class _Progress:
         self._clock = self._nearest = np.inf
         self._looked = 0.0
 
-    def made(self, clock: float, deviation: float, dt: float) -> bool:
+    def made(self, reference: Reference, deviation: float, dt: float) -> bool:
         """Whether this step completes some progress."""
+        clock = reference.clock
         if deviation > self._nearest + _PUSHED or self._clock == np.inf:
             self._clock, self._nearest = clock, deviation
         self._looked += dt
-        if clock > self._clock + _PACE * _WINDOW or deviation < self._nearest - self._approach:
+        # near the end no more is asked for than what is left
+        further = clock > self._clock + _PACE * _WINDOW or (reference.ended and self._clock < clock)
+        approach = min(self._approach, 0.5 * self._nearest)
+        if further or (deviation < self._nearest - approach and self._nearest > _ARRIVED):
             self._clock, self._nearest, self._looked, self.waited = clock, deviation, 0.0, 0.0
             return True
         if self._looked > _WINDOW:

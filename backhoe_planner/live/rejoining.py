@@ -173,6 +173,8 @@ class _Search:
             if first == 0 and here:
                 ahead = np.abs(self._q[: end + 1] - self._query.q).max(axis=1) > _HERE
                 if not ahead.any():
+                    if end == last:  # the end is near: there is no place behind it
+                        yield last
                     continue
                 first = int(ahead.argmax())
             yielded = self._roomiest(first, end)

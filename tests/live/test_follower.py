@@ -18,6 +18,7 @@ from backhoe_planner.live import (
     FollowerStatus,
     NoRejoining,
     PlanFollower,
+    Reference,
     Rejoining,
     RejoiningQuery,
     Servo,
@@ -28,6 +29,7 @@ from backhoe_planner.live import (
 from backhoe_planner.live import follower as follower_module
 from backhoe_planner.machine import Robot
 from backhoe_planner.planning import EFFORTS
+from backhoe_planner.proof import certify_problem
 from backhoe_planner.site import Proximity, build_obstacles
 
 START = [-0.3, 0.3, -0.9, -0.5]
@@ -137,8 +139,8 @@ def placed(robot: Robot, what: str, moment: float = 3.2) -> dict[str, Any]:
 def test_with_nothing_in_the_way_it_arrives_on_time(backhoe: Robot) -> None:
     steps = followed(PlanFollower(Servo(backhoe, site(backhoe), DT), smooth_motion(), executor=Never()), 9000)
     assert steps[-1].done
-    assert max(step.deviation for step in steps) < 0.01
-    assert steps[-1].behind < 1.5
+    assert max(step.deviation for step in steps) < 1e-3
+    assert steps[-1].behind < 1.5 * DT
     np.testing.assert_allclose(steps[-1].state.q, END, atol=1e-3)
     assert {step.status for step in steps[:-1]} == {FollowerStatus.FOLLOWING}
     assert steps[-1].status is FollowerStatus.ARRIVED
@@ -172,6 +174,119 @@ def test_it_waits_still_while_a_way_is_searched_and_goes_on_once_the_plan_is_fre
     assert never.futures[0].cancelled()
     assert resumed[-1].done
     np.testing.assert_allclose(resumed[-1].state.q, END, atol=1e-3)
+
+
+# --- with nothing in the way --------------------------------------------------------------
+
+POSTURES = {
+    "planar4": ([0.3, 0.5, -0.4, 0.2], [0.9, 0.1, 0.3, -0.4]),
+    "backhoe": (START, END),
+    "panda": ([0.0, -0.4, 0.0, -2.0, 0.0, 1.8, 0.8], [0.6, 0.1, 0.3, -1.6, 0.2, 2.1, 0.3]),
+}
+
+
+@pytest.mark.parametrize("machine", POSTURES)
+@pytest.mark.parametrize("dt", [0.001, 0.004])
+def test_with_nothing_in_the_way_a_plan_takes_as_long_as_planned(
+    request: pytest.FixtureRequest, machine: str, dt: float
+) -> None:
+    """The plan ends within a step; one more may be needed to come to rest."""
+    robot: Robot = request.getfixturevalue(machine)
+    start, end = POSTURES[machine]
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": dict(zip(robot.joint_names, start, strict=True))},
+            "task": {"goal": {"position": tip(robot, end)}},
+        }
+    )
+    plan = bp.plan(robot, scene, effort="quick")
+    assert plan.verified
+    follower = PlanFollower(Servo(robot, scene, dt), plan, executor=Never())
+    steps = followed(follower, int(plan.trajectory.duration / dt) + 1000)
+    assert steps[-1].done
+    assert len(steps) <= int(np.ceil(plan.trajectory.duration / dt)) + 1
+    assert max(step.deviation for step in steps) < 1e-3
+    assert {step.status for step in steps[:-1]} == {FollowerStatus.FOLLOWING}
+
+
+def test_what_is_followed_is_no_faster_than_certified_and_close_to_the_samples(backhoe: Robot) -> None:
+    """A bang of acceleration, then of braking: 1 rad/s^2 over 0.4 s each, samples 0.02 s apart, 0.16 rad in all.
+
+    Between the samples of constant acceleration the parabola is 1 * 0.02^2 / 8 off the chord.
+    """
+    time = np.linspace(0.0, 0.8, 41)
+    way = np.where(time <= 0.4, 0.5 * time**2, 0.16 - 0.5 * (0.8 - time) ** 2)
+    motion = bp.Trajectory.from_steps(time, np.array(START) + way[:, None] * [1.0, 0.0, 0.0, 0.0])
+    reference = Reference(motion, replace(backhoe.limits, acceleration=np.ones(4)))
+    places = []
+    for _ in range(801):
+        places.append(reference.q)
+        reference.advance(0.001)
+    assert reference.ended
+    np.testing.assert_array_equal(places[0], motion.q[0])
+    np.testing.assert_array_equal(reference.q, motion.q[-1])
+    np.testing.assert_allclose(places, motion.at(np.linspace(0.0, 0.8, 801)), atol=2.0 * 0.02**2 / 8.0)
+    rates = np.diff(places, axis=0) / 0.001
+    assert np.abs(np.diff(rates, axis=0)).max() <= 0.001 * 1.0 + 1e-9
+    assert np.abs(rates[[0, -1]]).max() < 1e-3
+
+
+def test_samples_that_are_far_apart_are_followed_on_straight_lines(backhoe: Robot) -> None:
+    """A corner of a right angle: halfway along each leg, and on the corner itself."""
+    q = np.array(START) + np.array([[0.0, 0.0, 0.0, 0.0], [0.4, 0.0, 0.0, 0.0], [0.4, 0.4, 0.0, 0.0]])
+    reference = Reference(bp.Trajectory.from_steps(np.array([0.0, 2.0, 4.0]), q), backhoe.limits)
+    for moment, before, after, part in ((1.0, 0, 1, 0.5), (2.0, 1, 1, 0.0), (3.0, 1, 2, 0.5), (9.0, 2, 2, 0.0)):
+        reference.clock = moment
+        np.testing.assert_allclose(reference.q, q[before] + part * (q[after] - q[before]), atol=1e-12)
+
+
+# --- near the end -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stays", [1.2, 2.2, 3.2])
+def test_what_stood_before_the_end_and_is_gone_is_forgotten(backhoe: Robot, stays: float) -> None:
+    """The ball is 2 cm too near to the end: the machine stands close before it, whenever the ball goes."""
+    motion = smooth_motion(1.6)
+    before, end = np.array(tip(backhoe, motion.at(1.2))), np.array(tip(backhoe, END))
+    way = (end - before) / np.linalg.norm(end - before)
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3}
+    reach = np.linspace(1.0, 0.0, 500)
+    balls = [ball | {"position": (end + far * way).tolist()} for far in reach]
+    ball = next(one for one in balls if least_margin_of(backhoe, [END], one) < -0.02)
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, motion, executor=Immediate())
+    followed(follower, 200)
+    servo.add(ball)
+    held = followed(follower, round((0.8 + stays) / DT))
+    assert not held[-1].done
+    assert 0.001 < float(np.abs(servo.q - END).max()) < 0.1
+    servo.remove("ball")
+    steps = followed(follower, round(2.0 / DT))
+    assert steps[-1].done
+
+
+def test_the_end_is_a_place_to_go_to_however_near_it_is(backhoe: Robot) -> None:
+    q = np.array(END) - [0.02, 0.0, 0.0, 0.0]
+    asked = replace(query(backhoe, since=6.0), q=q)
+    found = find_rejoining(asked)
+    assert isinstance(found, Rejoining)
+    assert found.rejoins_at == 6.0
+    np.testing.assert_allclose(found.motion.q[0], q, atol=1e-9)
+    np.testing.assert_allclose(found.motion.q[-1], END, atol=1e-9)
+
+
+def test_an_obstacle_that_is_moved_all_the_time_does_not_keep_it_from_searching(backhoe: Robot) -> None:
+    """Tracked at 25 Hz, to and fro by a millimetre: patience is not begun anew each time."""
+    never = Never()
+    servo = Servo(backhoe, site(backhoe), DT)
+    follower = PlanFollower(servo, smooth_motion(), executor=never)
+    followed(follower, 300)
+    servo.add(placed(backhoe, "ball"))
+    for turn in range(150):
+        followed(follower, 10)
+        servo.move("ball", [0.0, 0.0, 0.001 * (-1) ** turn])
+    assert never.futures != []
 
 
 # --- going round -------------------------------------------------------------------------
@@ -425,8 +540,8 @@ def test_a_plan_that_brakes_at_the_limit_is_followed_to_its_end(backhoe: Robot) 
     servo = Servo(backhoe, scene, 0.01, q=plan.trajectory.q[0])
     steps = followed(PlanFollower(servo, plan, executor=never), 1000, until=lambda step: step.done)
     assert steps[-1].done
-    assert steps[-1].behind < 0.5
-    assert max(step.deviation for step in steps) < 0.05
+    assert steps[-1].behind < 0.01
+    assert max(step.deviation for step in steps) < 1e-3
     assert never.futures == []
 
 
@@ -460,3 +575,30 @@ def test_a_plan_for_other_joints_is_refused(backhoe: Robot, planar4: Robot) -> N
     plan = bp.plan(planar4, bp.scene_from_dict(content))
     with pytest.raises(bp.InputError, match="for other joints"):
         PlanFollower(Servo(backhoe, site(backhoe), DT), plan)
+
+
+def failed(plan: bp.Plan, samples: int) -> bp.Plan:
+    """The beginning of a plan, with the certificate that belongs to it: its goal is not reached."""
+    motion = bp.Trajectory.from_steps(plan.trajectory.time[:samples], plan.trajectory.q[:samples])
+    found = replace(plan, trajectory=motion, certificate=certify_problem(plan.problem, motion))
+    assert found.verdict == "failed"
+    return found
+
+
+def test_a_plan_that_failed_is_refused_unless_it_is_allowed_by_name(around_a_ball: bp.Plan) -> None:
+    robot, scene = around_a_ball.robot, around_a_ball.scene
+    part = failed(around_a_ball, 60)
+    servo = Servo(robot, scene, q=part.trajectory.q[0])
+    with pytest.raises(bp.InputError, match=f"plan: .*failed: {part.reason}.*allow_failed=True"):
+        PlanFollower(servo, part)
+    steps = followed(PlanFollower(servo, part, allow_failed=True, executor=Never()), 4000)
+    assert steps[-1].done
+    np.testing.assert_allclose(steps[-1].state.q, part.trajectory.q[-1], atol=1e-3)
+
+
+@pytest.mark.parametrize("allow_failed", [False, True])
+def test_a_plan_that_failed_without_a_motion_never_arrives(around_a_ball: bp.Plan, allow_failed: bool) -> None:
+    alone = failed(around_a_ball, 1)
+    servo = Servo(alone.robot, alone.scene, q=alone.trajectory.q[0])
+    with pytest.raises(bp.InputError, match="plan: "):
+        PlanFollower(servo, alone, allow_failed=allow_failed)

@@ -1,0 +1,113 @@
+"""A motion as it is followed: smooth between its samples, with a clock of its own.
+
+Between the samples of a trajectory the joints move linearly, so their rates jump at every
+sample. A machine cannot jump. The reference has the rate of each segment in the middle of that
+segment, rest at both ends, and rates that change linearly between: no acceleration is greater
+than those that are certified (`Trajectory.accelerations`), and so a machine can keep to it
+exactly. It leaves the straight lines by a T^2 / 8 on a corner (`chord_sagitta`); what it falls
+short of is spread evenly over the motion. Where the samples are too far apart for that, the
+straight lines are followed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.motion import Trajectory, chord_sagitta
+
+_LARGEST_CUT = 4.0  # times the sagitta: a corner, half a corner at both ends, and as much again for uneven samples
+
+
+class _Pieces(NamedTuple):
+    """A motion of constant acceleration from knot to knot.
+
+    Attributes
+    ----------
+    time: (K,) of the knots [s].
+    q, v, a: (K, n) at each knot, and from there on [rad or m, and per s, s^2].
+    """
+
+    time: Vector
+    q: Matrix
+    v: Matrix
+    a: Matrix
+
+    def at(self, time: float) -> Vector:
+        """(n,) joint positions at `time` [s], not before the first knot."""
+        row = int(self.time.searchsorted(time, side="right")) - 1
+        since = time - float(self.time[row])
+        return np.asarray(self.q[row] + since * (self.v[row] + 0.5 * since * self.a[row]))
+
+
+class Reference:
+    """A motion with a clock, from rest to rest.
+
+    Parameters
+    ----------
+    limits: of the machine that follows it.
+
+    Attributes
+    ----------
+    clock: the time of the motion that has come [s]; may be set.
+    end: of the motion [s].
+    """
+
+    def __init__(self, motion: Trajectory, limits: JointLimits) -> None:
+        self.clock, self.end = 0.0, float(motion.time[-1])
+        self._motion = motion
+        self._pieces = _straight(motion)
+        if len(motion) > 2:
+            smooth = _smooth(motion)
+            cut = np.abs([smooth.at(moment) for moment in motion.time.tolist()] - motion.q).max(axis=0)
+            if (cut <= _LARGEST_CUT * chord_sagitta(limits)).all():
+                self._pieces = smooth
+
+    @property
+    def ended(self) -> bool:
+        """Whether the clock has come to the end."""
+        return self.clock >= self.end
+
+    @property
+    def q(self) -> Vector:
+        """(n,) joint positions at the clock's time [rad or m]."""
+        return self._at(self.clock)
+
+    @property
+    def last_q(self) -> Vector:
+        """(n,) joint positions at the end [rad or m]."""
+        return np.asarray(self._motion.q[-1])
+
+    def rates(self, dt: float) -> Vector:
+        """(n,) mean rates over the next `dt` [rad/s or m/s]."""
+        return (self._at(self.clock + dt) - self._at(self.clock)) / dt
+
+    def advance(self, by: float) -> None:
+        """Let the clock go on `by` [s], to the end at most."""
+        self.clock = min(self.clock + by, self.end)
+
+    def rest(self) -> Matrix:
+        """(K, n) the samples after the clock's time."""
+        return np.asarray(self._motion.q[int(self._motion.time.searchsorted(self.clock, side="right")) :])
+
+    def _at(self, time: float) -> Vector:
+        return self.last_q if time >= self.end else self._pieces.at(time)
+
+
+def _straight(motion: Trajectory) -> _Pieces:
+    """The motion as it is: linear between the samples."""
+    still = np.zeros_like(motion.q)
+    return _Pieces(motion.time, motion.q, np.vstack((motion.segment_velocities(), still[-1:])), still)
+
+
+def _smooth(motion: Trajectory) -> _Pieces:
+    """Rates that are linear in time between the middles of the segments."""
+    rates, rest = motion.segment_velocities(), np.zeros((1, motion.q.shape[1]))
+    time = np.concatenate(([0.0], 0.5 * (motion.time[1:] + motion.time[:-1]), motion.time[-1:]))
+    v, spans = np.vstack((rest, rates, rest)), np.diff(time)[:, None]
+    q = motion.q[0] + np.vstack((rest, np.cumsum(0.5 * spans * (v[1:] + v[:-1]), axis=0)))
+    missing = (motion.q[-1] - q[-1]) / motion.duration
+    return _Pieces(time, q + time[:, None] * missing, v + missing, np.vstack((np.diff(v, axis=0) / spans, rest)))

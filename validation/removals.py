@@ -1,0 +1,158 @@
+"""An obstacle put before the end of a plan while a servo follows it, and then taken away.
+
+Random verified plans of the backhoe (`validation.placements`) are streamed through a servo. A
+ball, a box or a post appears that is up to `_DEEPEST` too near to the end of the plan, so that
+the machine stands close before it. After a moment, or after longer than the patience of the
+follower, the obstacle is taken away. Nothing is in the way then, so each drive must arrive;
+`_PATIENCE` is longer than the longest break of the follower.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+import backhoe_planner as bp
+from backhoe_planner.site import build_obstacles
+from validation.obstacles import Record, appearing_obstacle
+from validation.placements import Immediate, places_on_machine, random_plans, scene_content
+from validation.servo_drives import stopping_line
+
+_DT = 0.004  # s
+_PER_PLAN = 6  # removals on every plan
+_DEEPEST = 0.05  # m less than its clearance that the obstacle has of the machine at the end of the plan
+_LEAD = (0.3, 1.5)  # s before the end of the plan at which the obstacle appears
+_STAYS = (0.0, 5.0)  # s beyond the planned end after which the obstacle is taken away: before and after a search
+_PATIENCE = 30.0  # s from the removal on, beside the rest of the plan
+_SPARE = 0.02  # m beyond the clearance that the machine has of what appears while it brakes
+_FARTHEST = 1.5  # m that the obstacle is moved on, to be as near as it is to be
+_TRIES = 20
+
+
+@dataclass(frozen=True)
+class Removal:
+    """How one drive ended.
+
+    Attributes
+    ----------
+    site, turn, obstacle: what was driven up to what.
+    stayed: when the obstacle was taken away, after the end that was planned [s].
+    before: status of the follower then.
+    off, left: how far the machine was from the end of the plan [rad or m], and its clock [s].
+    arrived: at the end of the plan.
+    status, reason: of the follower at the end.
+    took: from the removal on [s].
+    """
+
+    site: str
+    turn: int
+    obstacle: str
+    stayed: float
+    before: str
+    off: float
+    left: float
+    arrived: bool
+    status: str
+    reason: str
+    took: float
+
+
+def take_obstacles_away(
+    *, count: int, seed: int, progress: Callable[[str], None]
+) -> tuple[list[Removal], dict[str, Any]]:
+    """Put obstacles before the ends of plans, and take them away: every drive, and the figures of all."""
+    drives: list[Removal] = []
+    for number, site, plan in random_plans("backhoe", seed=seed):
+        for turn in range(_PER_PLAN):
+            found = _drive(plan, np.random.default_rng([seed, number, turn, 1]), str(site), turn)
+            if found is not None and len(drives) < count:
+                drives.append(found)
+                progress(f"{len(drives)} {json.dumps(asdict(found))}")
+        if len(drives) == count:
+            break
+    return drives, _figures(drives)
+
+
+def _drive(plan: bp.Plan, rng: np.random.Generator, site: str, turn: int) -> Removal | None:
+    """One drive; None where nothing fits near the end, or the machine arrives in spite of it."""
+    servo = bp.Servo(plan.robot, plan.scene, _DT, q=plan.trajectory.q[0])
+    follower = bp.PlanFollower(servo, plan, executor=Immediate())
+    appears, stays = plan.trajectory.duration - float(rng.uniform(*_LEAD)), float(rng.uniform(*_STAYS))
+    while follower.step().plan_time < appears:
+        pass
+    new = _before_the_end(plan, rng, servo)
+    if new is None:
+        return None
+    servo.add(new)
+    for _ in range(int((plan.trajectory.duration - appears + stays) / _DT)):
+        followed = follower.step()
+    if followed.done:
+        return None
+    before, off = followed.status.value, float(np.abs(plan.trajectory.q[-1] - servo.q).max())
+    left = plan.trajectory.duration - followed.plan_time
+    servo.remove(new["name"])
+    removed = servo.time
+    while not followed.done and servo.time < removed + left + _PATIENCE:
+        followed = follower.step()
+    return Removal(
+        site=site,
+        turn=turn,
+        obstacle=new["shape"],
+        stayed=stays,
+        before=before,
+        off=off,
+        left=left,
+        arrived=followed.done,
+        status=followed.status.value,
+        reason=followed.reason,
+        took=servo.time - removed,
+    )
+
+
+def _before_the_end(plan: bp.Plan, rng: np.random.Generator, servo: bp.Servo) -> Record | None:
+    """A new obstacle a little too near to the end of the plan, clear of where the machine can brake."""
+    motion, clearance = plan.trajectory, plan.scene.clearance
+    line = stopping_line(servo)[::3]
+    for _ in range(_TRIES):
+        wanted = clearance - float(rng.uniform(0.0, _DEEPEST))
+        here, end = places_on_machine(plan.robot, np.array([servo.q, motion.q[-1]]), rng)
+        way = (end - here) / max(float(np.linalg.norm(end - here)), 1e-9)
+        new = {"name": "new", **appearing_obstacle(end, rng)}
+        place, near, far = np.array(new["position"]), 0.0, _FARTHEST
+        while far - near > 1e-4:
+            middle = 0.5 * (near + far)
+            new["position"] = (place + middle * way).tolist()
+            if _alone(plan, new).distances(motion.q[-1]).min() < wanted:
+                near = middle
+            else:
+                far = middle
+        found = new | {"position": (place + far * way).tolist()}
+        alone = _alone(plan, found)
+        if alone.distances(motion.q[-1]).min() < clearance - 1e-4 and all(
+            alone.distances(q).min() > clearance + _SPARE for q in line
+        ):
+            return found
+    return None
+
+
+def _alone(plan: bp.Plan, new: Record) -> bp.Proximity:
+    """Distances to one obstacle alone."""
+    scene = bp.scene_from_dict(scene_content(plan.scene) | {"obstacles": [new], "zones": []})
+    return bp.Proximity(plan.robot, build_obstacles(scene, plan.robot), self_collision=False)
+
+
+def _figures(drives: list[Removal]) -> dict[str, Any]:
+    later = [drive.took - drive.left for drive in drives if drive.arrived]
+    return {
+        "taken away": len(drives),
+        "stuck": sum(not drive.arrived for drive in drives),
+        "endings": dict(Counter(f"{drive.before}, then {drive.status}" for drive in drives)),
+        "later than the rest of the plan [s], median, p90, longest": (
+            [float(np.quantile(later, part)) for part in (0.5, 0.9, 1.0)] if later else []
+        ),
+    }

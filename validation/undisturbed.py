@@ -1,0 +1,79 @@
+"""How long plans take that are followed live with nothing new in the way, beside how long they are planned.
+
+Random verified plans of three machines (`validation.placements`) are streamed through a servo from
+their start. What stands around was known to the planner. Each drive may end one step after the step
+in which the plan ends: that one is needed where the machine still comes to rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+import backhoe_planner as bp
+from validation.obstacles import MACHINES
+from validation.placements import Immediate, random_plans
+
+_STEPS = (0.001, 0.004)  # s: of the servo
+_LATEST = 10.0  # s beyond the plan after which a drive is ended
+
+
+@dataclass(frozen=True)
+class UndisturbedDrive:
+    """One drive.
+
+    Attributes
+    ----------
+    site: what was driven.
+    dt: step of the servo [s].
+    duration: as planned [s].
+    steps_late: steps after the one in which the plan ends.
+    deviation: greatest, of any joint [rad or m].
+    arrived: at the end of the plan.
+    paced: whether a zone slowed the machine.
+    """
+
+    site: str
+    dt: float
+    duration: float
+    steps_late: int
+    deviation: float
+    arrived: bool
+    paced: bool
+
+
+def follow_undisturbed(
+    *, count: int, seed: int, progress: Callable[[str], None]
+) -> tuple[list[UndisturbedDrive], dict[str, Any]]:
+    """Follow `count` plans of every machine: every drive, and the figures of all."""
+    drives = []
+    for machine in MACHINES:
+        for _, site, plan in islice(random_plans(machine, seed=seed), count):
+            for dt in _STEPS:
+                drives.append(_drive(plan, str(site), dt))
+                progress(f"{len(drives)} {drives[-1]}")
+    late = [drive for drive in drives if drive.steps_late > 1 or not drive.arrived]
+    return drives, {
+        "followed": len(drives),
+        "not arrived": sum(not drive.arrived for drive in drives),
+        "later than one step": [f"{drive.site} at {drive.dt:g} s: {drive.steps_late} steps" for drive in late],
+        "greatest deviation [rad or m]": max(drive.deviation for drive in drives),
+    }
+
+
+def _drive(plan: bp.Plan, site: str, dt: float) -> UndisturbedDrive:
+    servo = bp.Servo(plan.robot, plan.scene, dt, q=plan.trajectory.q[0])
+    follower = bp.PlanFollower(servo, plan, executor=Immediate())
+    duration = plan.trajectory.duration
+    steps, deviation, paced = 0, 0.0, False
+    while not follower.done and steps * dt < duration + _LATEST:
+        followed = follower.step()
+        steps += 1
+        deviation, paced = max(deviation, followed.deviation), paced or followed.state.pace < 1.0
+    late = steps - math.ceil(duration / dt - 1e-6)
+    return UndisturbedDrive(site, dt, duration, late, float(np.round(deviation, 6)), follower.done, paced)
