@@ -6,8 +6,8 @@ tool) counts as itself. Left out are pieces
 
     on one body             they never move against each other
     that cannot meet        one joint apart, proven over the joint's whole range
-    that touch at the pin   one joint apart, of links that touch over the joint's whole range:
-                            near its axis, throughout, or only grazing
+    that touch at the pin   of the joint's own two links, near its axis only; of other links one joint
+                            apart that touch over its whole range, near its axis or only grazing
     that touch at the stop  of the joint's own two links, grazing at the ends of its range
     of links that touch     in nearly every posture, two or more joints apart
 
@@ -133,13 +133,15 @@ def _reasons_beside(robot: Robot, joint: int, pairs: list[tuple[int, int]]) -> d
         touching = sweep.distance[:, rows] <= _TOUCH
         throughout = np.mean(touching.any(axis=1)) >= _TOUCHES_BY_CONSTRUCTION
         size = sweep.size(rows)
-        pin_radius = sweep.pin_radius(rows, size) if throughout else 0.0
+        pin_radius = sweep.pin_radius(rows, size) if throughout else _PIN_OF_LINK * size
         graze = min(_GRAZE, _GRAZE_OF_LINK * size)
         for row in rows:
             if sweep.never_meets(row):
                 reasons[pairs[row]] = False, f"cannot meet over the range of {name}"
-            elif throughout and sweep.touches_within(row, pin_radius, graze):
-                reasons[pairs[row]] = True, f"touch at {name} over its range"
+            elif (throughout or set(links) == its_own) and sweep.touches_within(
+                row, pin_radius, graze if throughout else 0.0
+            ):
+                reasons[pairs[row]] = True, f"touch at {name}"
             elif set(links) == its_own and sweep.grazes_at_the_ends(row, graze):
                 reasons[pairs[row]] = True, f"touch at the stop of {name}"
     return reasons

@@ -274,6 +274,6 @@ class _Along:
     def _blocked(self, resolved: Resolution, trajectory: Trajectory) -> Outcome:
         assert resolved.obstruction is not None
         why = ", and no way round was found" if self._may_leave else ", and detours are not allowed"
-        if resolved.routes >= self._world.work.effort.routes:
+        if resolved.gave_up:
             why += f"; none of {resolved.routes:,} routes that were tested leads to its end"
         return blocked_path(trajectory, resolved.obstruction, self._path, why)

@@ -87,6 +87,10 @@ class LayeredGraph:
     turning: arc length that a turn counts as [m].
     detours: whether the path may be left.
     brake: checked by every search; by default none.
+
+    Attributes
+    ----------
+    looked_at: how many pairs of nodes all searches have looked at, turns and detours among them.
     """
 
     def __init__(
@@ -110,10 +114,17 @@ class LayeredGraph:
         self._forbidden: dict[tuple[int, int], set[tuple[int, int]]] = {}
         self._refused: set[tuple[int, int]] = set()
         self._only: tuple[Edge, ...] | None = None
+        self.looked_at = 0
+        # per layer, what the last search found, as far as nothing has been forbidden since
+        self._begin: Vector | None = None
+        self._found_values: list[Vector] = []
+        self._found_sources: list[NDArray[np.intp]] = []
+        self._leaving: list[float] = []
 
     def forbid(self, edge: Edge) -> None:
         """Take an edge out, because it cannot be driven."""
         (layer_a, a), (layer_b, b) = edge.start, edge.end
+        self._forget_from(layer_b)
         if edge.kind is EdgeKind.STEP:
             self._step_costs(layer_b)[a, b] = np.inf
         elif edge.kind is EdgeKind.TURN:
@@ -123,10 +134,12 @@ class LayeredGraph:
 
     def forbid_detours(self, start: int, end: int) -> None:
         """No detour from layer `start` to layer `end`."""
+        self._forget_from(end)
         self._refused.add((start, end))
 
     def only_detours(self, edges: Iterable[Edge]) -> None:
         """Allow no other detours than these from now on."""
+        self._forget_from(0)
         self._only = tuple(sorted(edges, key=lambda edge: (edge.start, edge.end)))
 
     def best_route(self, begin: Vector | None = None, *, end: int | None = None) -> Route | None:
@@ -164,20 +177,28 @@ class LayeredGraph:
         values, _ = self._values(begin)
         return max((layer for layer, value in enumerate(values) if np.isfinite(value).any()), default=-1)
 
+    def _forget_from(self, layer: int) -> None:
+        """What was found is as it was up to the layer before `layer` only."""
+        del self._found_values[layer:], self._found_sources[layer:], self._leaving[layer:]
+
     def _values(self, begin: Vector | None) -> tuple[list[Vector], list[NDArray[np.intp]]]:
         """Per layer: (N,) the least total from the beginning, and (N, 3) kind, layer and node it comes from."""
-        values: list[Vector] = []
-        sources: list[NDArray[np.intp]] = []
-        # of every layer, the least total that its nodes have, minus the path up to it
-        leaving: list[float] = []
-        for layer, nodes in enumerate(self.layers):
+        first = np.zeros(len(self.layers[0])) if begin is None else np.array(begin, dtype=float)
+        if self._begin is None or not np.array_equal(first, self._begin):
+            self._forget_from(0)
+            self._begin = first
+        # `leaving`: of every layer, the least total that its nodes have, minus the path up to it
+        values, sources, leaving = self._found_values, self._found_sources, self._leaving
+        for layer in range(len(values), len(self.layers)):
+            nodes = self.layers[layer]
             self._brake.check()
             value = np.full(len(nodes), np.inf)
             source = np.zeros((len(nodes), 3), dtype=np.intp)
             if layer == 0:
-                value = np.zeros(len(nodes)) if begin is None else np.array(begin, dtype=float)
+                value = first.copy()
             elif len(nodes) and len(values[layer - 1]):
                 total = values[layer - 1][:, None] + self._step_costs(layer)
+                self.looked_at += total.size
                 best = np.argmin(total, axis=0)
                 value = total[best, np.arange(len(nodes))]
                 source[:, 0], source[:, 1], source[:, 2] = EdgeKind.STEP, layer - 1, best
@@ -198,6 +219,7 @@ class LayeredGraph:
         costs = self._turn_costs(layer)
         for _ in range(_TURNS):
             total = value[:, None] + costs
+            self.looked_at += total.size
             best = np.argmin(total, axis=0)
             found = total[best, np.arange(len(value))]
             better = found < value * (1.0 - 1e-12) - 1e-12
@@ -227,6 +249,7 @@ class LayeredGraph:
             price = _LEFT_OUT * (float(self.stations[layer] - self.stations[start]) + _LEAVING)
             change = np.linalg.norm(nodes[None, :, :] - self.layers[start][:, None, :], axis=2)
             total = before[:, None] + price + change
+            self.looked_at += total.size
             for a, b in self._forbidden.get((start, layer), ()):
                 total[a, b] = np.inf
             best = np.argmin(total, axis=0)

@@ -37,6 +37,8 @@ _JUMP = 0.02  # rad or m that it may be longer still, where the straight way is 
 _EXTENSION = 0.005  # m to within which a detour is begun late and ended early; chosen: half of `_FINE`
 _NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
 _TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
+_AS_FAR_PART = 4  # one in so many of the routes is for how far a path can be followed at all; chosen
+_AT_END = 1e-9  # m: rounding of an arc length
 _FEW = 8  # nodes of a layer that are followed back to where the path is free again; chosen to be quick
 _AT_LIMIT = 1e-3  # rad or m: chosen, nearer than this a joint stands at its limit
 _IN_THE_WAY = 0.1  # m: chosen, what has less margin is blamed rather than a joint
@@ -66,11 +68,13 @@ class Resolution:
     obstruction: what is in the way, and of which part of the path; None where the pieces
         lead to its end.
     routes: how many routes through the layers were tested.
+    gave_up: whether there are more that were not.
     """
 
     pieces: tuple[Stretch | Bypass, ...]
     obstruction: Obstruction | None = None
     routes: int = 0
+    gave_up: bool = False
 
 
 class PathResolver:
@@ -166,12 +170,17 @@ class PathResolver:
         pieces = self._search(graph, costs)
         return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
 
+    def _has_effort(self, graph: LayeredGraph) -> bool:
+        """Whether another route may be looked for."""
+        effort = self._work.effort
+        return self._routes < effort.routes and graph.looked_at < effort.node_pairs
+
     def _search(self, graph: LayeredGraph, costs: Vector) -> tuple[Stretch | Bypass, ...] | None:
         """The pieces of the best route that can be driven, None where there is no route."""
         failures: dict[tuple[int, int], int] = {}
         effort = self._work.effort
         self._routes = 0
-        while self._routes < effort.routes:
+        while self._has_effort(graph):
             if sum(failures.values()) >= effort.detours:
                 break
             self._routes += 1
@@ -342,7 +351,7 @@ class PathResolver:
         pieces: tuple[Stretch | Bypass, ...] = ()
         obstruction = None
         left = 0.0
-        for _ in range(self._work.effort.routes):
+        for _ in range(self._work.effort.routes // _AS_FAR_PART):
             reached = graph.furthest(costs)
             if reached < 0:
                 break
@@ -357,11 +366,15 @@ class PathResolver:
             reached_pieces = list(self._pieces(graph, route))
             _append(reached_pieces, further)
             pieces, left = tuple(reached_pieces), further.reached
+            if left > self._path.length - _AT_END:
+                return Resolution(pieces, None, self._routes)
             break
         again = self._free_again(left)
         if obstruction is None:
             obstruction = self._obstruction(self._problem.robot.middle, left)
-        return Resolution(pieces, replace(obstruction, path_from=left, path_to=again), self._routes)
+        return Resolution(
+            pieces, replace(obstruction, path_from=left, path_to=again), self._routes, not self._has_effort(graph)
+        )
 
 
 def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:

@@ -34,7 +34,9 @@ class Effort:
     sweeps: of the dynamic programming that makes a path cheaper, of the plan (30 to 80 a
         second); it converges in 20 to 220.
     routes: through the layered graph of which the motions are tested, of one resolution
-        of a path (20 to 100 a second).
+        of a path (20 to 100 a second where a layer has some dozens of nodes).
+    node_pairs: of the graph, from node to node, that these routes may look at, of one
+        resolution (300 to 400 million a second): it bounds the routes through large layers.
     detours: off the path that are looked for in vain, of one resolution.
     """
 
@@ -44,6 +46,7 @@ class Effort:
     law_steps: int
     sweeps: int
     routes: int
+    node_pairs: int
     detours: int
 
 
@@ -53,7 +56,8 @@ _NORMAL = Effort(
     starting_points=48,
     law_steps=12_000,
     sweeps=600,
-    routes=400,
+    routes=200,
+    node_pairs=2_000_000_000,
     detours=24,
 )
 
