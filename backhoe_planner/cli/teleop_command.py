@@ -25,6 +25,18 @@ def teleop(
     port: Annotated[
         int | None, typer.Option(metavar="N", min=0, max=65535, help="By default the first free one from 7000 on.")
     ] = None,
+    password: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WORD",
+            envvar="BACKHOE_PLANNER_PASSWORD",
+            show_default=False,
+            help="Whoever opens the page must give it; needed, or --allow-anyone, where others can connect.",
+        ),
+    ] = None,
+    allow_anyone: Annotated[
+        bool, typer.Option("--allow-anyone", help="Let everybody who can reach the address see and drive.")
+    ] = False,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="FILE", help="Plan file to which a recording is written.")
     ] = Path("teleop.json"),
@@ -34,9 +46,14 @@ def teleop(
     check_writable(output)
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
-    with show.TeleopStation(robot, loaded, host=host, port=port, output=output) as station:
+    with show.TeleopStation(
+        robot, loaded, host=host, port=port, password=password, allow_anyone=allow_anyone, output=output
+    ) as station:
         print_warnings((*robot.warnings, *station.warnings))
         ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
+        if station.url_from_elsewhere is not None:
+            ERR.print(f"from other computers: {station.url_from_elsewhere}")
+            print_warnings([station.openness])
         if not no_browser:
             webbrowser.open(station.url)
         while station.running:

@@ -34,6 +34,8 @@ from .teleop.station import TeleopStation as TeleopStation
 from .teleop.station import free_name as free_name
 from .teleop.wording import Caption as Caption
 from .teleop.wording import Wording as Wording
+from .viewer.address import find_address as find_address
 from .viewer.live_server import LiveServer as LiveServer
 from .viewer.live_server import LiveSocket as LiveSocket
+from .viewer.password import Password as Password
 from .viewer.viewer import Viewer as Viewer

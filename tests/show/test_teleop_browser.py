@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time as clock
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +19,24 @@ from backhoe_planner.show import TeleopStation, write_page
 HOSTILE = "<img src=x onerror='window.pwned=1'> \"q\" a/b &amp;"
 
 
-def open_page(browser: Any, url: str) -> tuple[Any, list[str]]:
-    page = browser.new_page(viewport={"width": 860, "height": 420}, reduced_motion="reduce")
+def open_page(browser: Any, url: str, *, password: str = "", height: int = 420) -> tuple[Any, list[str]]:
+    page = browser.new_page(viewport={"width": 860, "height": height}, reduced_motion="reduce")
     page.set_default_timeout(1e3 * PATIENCE)
     complaints: list[str] = []
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.goto(url)
+    if password:
+        assert page.url == f"{url}login"
+        page.locator("#password").fill(password)
+        page.keyboard.press("Enter")
     page.wait_for_function("window.backhoe && backhoe.teleop && backhoe.teleop.state && backhoe.teleop.page !== null")
     page.evaluate("document.querySelector('[data-node=shadows]').click()")  # they cost most without a graphics card
     return page, complaints
+
+
+def unexpected(complaints: list[str]) -> list[str]:
+    return [text for text in complaints if not any(w in text for w in ("WebSocket", "has no shadow", "GPU"))]
 
 
 def rest(page: Any) -> None:
@@ -51,12 +61,13 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
         tip = "backhoe.teleop.state.tip"
         start = page.evaluate(tip)
 
-        # keys move the tip; the first key takes the controls
+        # keys move the tip
+        page.locator("#take").click()
+        page.wait_for_function("backhoe.teleop.driving")
         page.keyboard.down("KeyW")
         page.wait_for_function(f"{tip}[0] > {start[0]} + 0.3")
         page.keyboard.up("KeyW")
         rest(page)
-        assert page.evaluate("backhoe.teleop.driving")
         assert page.locator("#take").inner_text() == "Let go"
         assert abs(page.evaluate(tip)[1]) < 0.02
         assert page.locator("#zones .warn").inner_text() == "power line: warn"
@@ -124,8 +135,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
         page.wait_for_function("backhoe.teleop.state.driver === null")
         assert page.evaluate("window.pwned") is None
         page.close()
-    unexpected = [text for text in complaints if not any(w in text for w in ("WebSocket", "has no shadow", "GPU"))]
-    assert unexpected == []
+    assert unexpected(complaints) == []
 
     # the recording plays, and is safe
     plan = bp.load_plan(file)
@@ -229,7 +239,7 @@ def test_ground_stays_and_what_is_taken_away_is_put_back(backhoe: Robot, browser
         page.wait_for_selector("#trouble")
         assert page.locator("#trouble").inner_text() == "A rock cannot be drawn: Error"
         page.close()
-    assert [text for text in complaints if not any(w in text for w in ("WebSocket", "has no shadow", "GPU"))] == []
+    assert unexpected(complaints) == []
 
 
 def test_obstacles_are_dropped_and_dragged_with_the_mouse(backhoe: Robot, browser: Any, tmp_path: Path) -> None:
@@ -281,6 +291,82 @@ def test_obstacles_are_dropped_and_dragged_with_the_mouse(backhoe: Robot, browse
         page.close()
 
 
+def test_the_controls_are_taken_by_a_click_on_their_button_and_by_nothing_else(
+    backhoe: Robot, browser: Any, tmp_path: Path
+) -> None:
+    joints = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+    scene = bp.scene_from_dict(
+        {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [4.0, 0.0, 0.0]}}}
+    )
+    with TeleopStation(backhoe, scene, port=0, password="spade", output=tmp_path / "driven.json") as station:
+        session = station.session
+
+        # a foreign page lays it invisibly over its own
+        foreign = browser.new_page()
+        foreign.set_content(f"<iframe src='{station.url}' style='opacity: 0; position: fixed; inset: 0'></iframe>")
+        foreign.wait_for_timeout(300)
+        assert not any(frame.url.startswith(station.url) for frame in foreign.frames)
+        assert session.snapshot().pages == ()
+        foreign.close()
+
+        page, complaints = open_page(browser, station.url, password="spade", height=200)
+        page.evaluate(PAD)
+        assert page.locator("#take").inner_text() == "Take the controls"
+        at = session.snapshot().state.q
+
+        # keys, mouse and gamepad do nothing
+        page.wait_for_timeout(100)  # the stick was seen at its middle
+        page.evaluate("window.axes[1] = -1")
+        page.keyboard.down("KeyW")
+        page.mouse.click(200, 100)
+        page.wait_for_function("document.getElementById('toast').textContent === 'Take the controls first'")
+        page.wait_for_timeout(300)
+        assert session.snapshot().driver is None
+        np.testing.assert_array_equal(session.snapshot().state.q, at)
+
+        # nor does what is still held when the button is clicked
+        def take() -> None:
+            page.locator("#take").click()
+            page.wait_for_function("backhoe.teleop.driving")
+            assert page.locator("#take").inner_text() == "Let go"
+
+        def go() -> None:
+            page.keyboard.down("KeyW")
+            page.wait_for_function("backhoe.teleop.state.speed > 0.1")
+
+        def braked() -> None:
+            page.wait_for_function("backhoe.teleop.state.driver === null && backhoe.teleop.state.speed === 0")
+            assert page.locator("#take").inner_text() == "Take the controls"
+            page.keyboard.up("KeyW")
+
+        take()
+        page.wait_for_timeout(300)
+        np.testing.assert_array_equal(session.snapshot().state.q, at)
+        page.evaluate("window.axes[1] = 0")
+        page.keyboard.up("KeyW")
+
+        # letting go brakes: by the button, by Esc, and by leaving the window
+        ways: list[Callable[[], object]] = [
+            lambda: page.locator("#take").click(),
+            lambda: page.keyboard.press("Escape"),
+            lambda: page.evaluate("window.dispatchEvent(new Event('blur'))"),
+        ]
+        for let_go in ways:
+            go()
+            let_go()
+            braked()
+            take()
+        go()
+        page.close()
+        for _ in range(round(10 * PATIENCE)):
+            if session.snapshot().driver is None and not session.snapshot().state.v.any():
+                break
+            clock.sleep(0.1)
+        assert session.snapshot().driver is None
+        assert not session.snapshot().state.v.any()
+        assert unexpected(complaints) == []
+
+
 PAD = "window.axes = [0, 0, -1]; navigator.getGamepads = () => [null, {connected: true, axes: window.axes}];"
 
 
@@ -296,9 +382,10 @@ def test_a_gamepad_drives_and_an_axis_that_rests_at_its_end_does_not(backhoe: Ro
         page.wait_for_function("!document.getElementById('gamepad').hidden")
         tip = "backhoe.teleop.state.tip"
         start = page.evaluate(tip)
+        page.locator("#take").click()
+        page.wait_for_function("backhoe.teleop.driving")
         page.wait_for_timeout(400)
         np.testing.assert_array_equal(page.evaluate(tip), start)
-        assert not page.evaluate("backhoe.teleop.driving")
 
         page.evaluate("window.axes[1] = -1")  # the stick forward: out
         page.wait_for_function(f"{tip}[0] > {start[0]} + 0.2")
@@ -310,5 +397,5 @@ def test_a_gamepad_drives_and_an_axis_that_rests_at_its_end_does_not(backhoe: Ro
         page.wait_for_function(f"{tip}[1] < {reached[1]} - 0.2")
         page.evaluate("window.axes[0] = 0")
         rest(page)
-        assert [text for text in complaints if not any(w in text for w in ("WebSocket", "has no shadow", "GPU"))] == []
+        assert unexpected(complaints) == []
         page.close()

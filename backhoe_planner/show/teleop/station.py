@@ -51,9 +51,19 @@ class TeleopServer(LiveServer):
     session: what the pages watch and drive.
     """
 
-    def __init__(self, session: Session, *, host: str = "127.0.0.1", port: int | None = None) -> None:
+    opens = "see the machine and drive it"
+
+    def __init__(
+        self,
+        session: Session,
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        password: str | None = None,
+        allow_anyone: bool = False,
+    ) -> None:
         self.session = session
-        super().__init__(host=host, port=port)
+        super().__init__(host=host, port=port, password=password, allow_anyone=allow_anyone)
 
     def routes(self) -> list[Any]:
         """The addresses that are served, as tornado's rules."""
@@ -68,7 +78,7 @@ class TeleopStation:
     Parameters
     ----------
     robot, scene: the machine, and the site with the start.
-    host, port: see `LiveServer`.
+    host, port, password, allow_anyone: see `LiveServer`.
     output: file for recordings. It is never overwritten: further recordings get a number.
     dt: length of a step [s].
 
@@ -79,7 +89,8 @@ class TeleopStation:
 
     Raises
     ------
-    InputError, SceneError, RobotError: the scene does not fit the machine.
+    InputError, SceneError, RobotError: the scene does not fit the machine; or other computers can connect,
+        and neither a password nor `allow_anyone` is given.
     OutputError: the port is in use, or recordings cannot be written there.
     """
 
@@ -90,13 +101,15 @@ class TeleopStation:
         *,
         host: str = "127.0.0.1",
         port: int | None = None,
+        password: str | None = None,
+        allow_anyone: bool = False,
         output: str | Path = "teleop.json",
         dt: float = 0.005,
     ) -> None:
         self._output = Path(output)
         check_writable(self._output)
         self.session = Session(robot, scene, dt=dt)
-        self._server = TeleopServer(self.session, host=host, port=port)
+        self._server = TeleopServer(self.session, host=host, port=port, password=password, allow_anyone=allow_anyone)
         try:
             self._picture = Picture(self.session, self._server.display)
         except Exception:
@@ -116,6 +129,16 @@ class TeleopStation:
     def url(self) -> str:
         """Address of the page."""
         return self._server.url
+
+    @property
+    def url_from_elsewhere(self) -> str | None:
+        """Address of the page for other computers; None where none can connect."""
+        return self._server.url_from_elsewhere
+
+    @property
+    def openness(self) -> str:
+        """Who can connect, and what they can do, in words."""
+        return self._server.openness
 
     @property
     def running(self) -> bool:

@@ -8,67 +8,56 @@ several about the same thing only the newest waits.
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import json
-import socket
 import threading
 import time
 from typing import Any
-from urllib.parse import urlsplit
 
 import tornado.httpserver
 import tornado.web
 import tornado.websocket
 
-from backhoe_planner.errors import OutputError
+from backhoe_planner.errors import InputError
 from backhoe_planner.show.page.display import Display, Key, Message, Messages
 from backhoe_planner.show.page.page import live_page
+from backhoe_planner.show.viewer.address import find_address
+from backhoe_planner.show.viewer.entrance import Login, NotFound, OwnPages
+from backhoe_planner.show.viewer.password import Password
 
-_FIRST_PORT, _PORTS = 7000, 100  # meshcat's own server begins at the same port; how many are tried is chosen
 _FLUSH_EVERY = 0.02  # s between deliveries; chosen, less than a frame
 _LARGEST_MESSAGE = 4 << 20  # bytes that a page may send at once; chosen, a driving one sends some hundred
+_LARGEST_BODY = 4096  # bytes of a posted form; chosen, it holds nothing but a password
 _MOST_PAGES = 64  # chosen: each costs memory for what waits for it
 _MESSAGES_PER_SECOND, _MESSAGES_AT_ONCE = 500.0, 1000.0  # that a page may send; chosen, a driving one needs some 60
 _MOST_UNREAD = 1 << 20  # bytes of answers that a page may leave unread; chosen, thousands of answers
 _FAREWELL = 0.5  # s for a page that is shut out to read why; chosen
 
 
-class LivePage(tornado.web.RequestHandler):
+class LivePage(OwnPages):
     """The page itself."""
 
     def initialize(self, page: str, server: LiveServer) -> None:
         """Take what the route gives."""
         self.page, self.server = page, server
 
-    def prepare(self) -> None:
-        """Refuse requests by a name that is not this server's."""
-        if not self.server.answers_to(self.request.host):
-            raise tornado.web.HTTPError(403)
-
     def get(self) -> None:
-        """Answer with the page."""
-        self.set_header("Cache-Control", "no-store")
-        self.finish(self.page)
+        """Answer with the page, or ask for the password first."""
+        if self.may_enter:
+            self.finish(self.page)
+        else:
+            self.redirect("/login", status=303)
 
 
-class LiveSocket(tornado.websocket.WebSocketHandler):
+class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
     """The connection to one page, through which drawings and numbers are sent."""
 
     def prepare(self) -> None:
-        """Refuse requests by another name, from other pages, and beyond the greatest number of pages."""
-        origin = self.request.headers.get("Origin")
-        if not self.server.answers_to(self.request.host) or not (origin is None or self.check_origin(origin)):
+        """Refuse also browsers that have not given the password, and those beyond the greatest number of pages."""
+        super().prepare()
+        if not self.may_enter:
             raise tornado.web.HTTPError(403)
         if self.server.full:
             raise tornado.web.HTTPError(503)
-
-    def check_origin(self, origin: str) -> bool:
-        """Whether a page from `origin` may connect: only this server's own."""
-        try:
-            found = urlsplit(origin)
-        except ValueError:  # no address at all
-            return False
-        return found.scheme in ("http", "https") and found.netloc.lower() == self.request.host.lower()
 
     def initialize(self, server: LiveServer) -> None:
         """Take what the route gives."""
@@ -154,34 +143,62 @@ class LiveSocket(tornado.websocket.WebSocketHandler):
 class LiveServer:
     """A web server in a thread of its own.
 
+    Other computers can connect only where somebody said who may: with `password` or with
+    `allow_anyone`. The connection is not encrypted.
+
     Parameters
     ----------
-    host: the address on which it listens; by default this machine alone can connect.
+    host: the address on which it listens, a name, IPv4 or IPv6; by default this computer alone can connect.
     port: where it listens; None takes the first free one from 7000 on, 0 any free one.
+    password: that a browser must give before it sees anything.
+    allow_anyone: whether everybody who can reach `host` may connect without one.
 
     Attributes
     ----------
     display: what is drawn on it, the pages show.
     url: address of the page.
+    url_from_elsewhere: its address for other computers; None where none can connect.
+    openness: who can connect, and what they can do, in words.
     somebody_watches: set while at least one page is open that has drawn the picture.
     left_at: when the last page was closed, by `time.monotonic` [s]; None while one is open, or none was yet.
 
     Raises
     ------
+    InputError: other computers can connect, and neither a password nor `allow_anyone` is given;
+        `host` is no address of this computer; the password is empty.
     OutputError: the port is in use.
     """
 
-    def __init__(self, *, host: str = "127.0.0.1", port: int | None = None) -> None:
+    opens = "see what is shown"  # to whoever connects
+
+    def __init__(
+        self,
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        password: str | None = None,
+        allow_anyone: bool = False,
+    ) -> None:
+        self._address = find_address(host)
+        self.password = None if password is None else Password(password)
+        if self.password is not None and allow_anyone:
+            raise InputError("is not asked for where anyone is allowed", key="password", hint="give one of the two")
+        if not (self._address.is_of_this_computer_alone or self.password is not None or allow_anyone):
+            raise InputError(
+                f"everybody who can reach this address over the network could {self.opens}", key="host", found=host,
+                allowed="127.0.0.1 or ::1, which only this computer can reach; any other with --password WORD or "
+                "--allow-anyone (in Python: password=..., allow_anyone=True)",
+            )  # fmt: skip
         self.display = Display(self._post)
         self.somebody_watches = threading.Event()
         self.left_at: float | None = None
         self._pages: set[LiveSocket] = set()
         self._fresh: list[tuple[Key, Message]] = []
         self._lock = threading.Lock()
-        self._host = host
-        self._listening = _listen(host, port)
+        self._listening = self._address.listen(port, backlog=_MOST_PAGES)
         number = self._listening.getsockname()[1]
-        self.url = f"http://{'127.0.0.1' if host in ('', '0.0.0.0') else host}:{number}/"
+        self.url, self.url_from_elsewhere = self._address.url(number), self._address.url_from_elsewhere(number)
+        self.cookie = f"backhoe_planner_{number}"  # browsers do not tell cookies of different ports apart
         self._loop = asyncio.new_event_loop()
         self._stop = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
@@ -207,22 +224,21 @@ class LiveServer:
             self.somebody_watches.clear()
 
     def answers_to(self, host: str) -> bool:
-        """Whether a request's Host header names this server.
+        """Whether a request's Host header names this server; see `Address.answers_to`."""
+        return self._address.answers_to(host)
 
-        The owner of another name can make it point to this machine. A page from there would then
-        count as one of this server.
-        """
-        try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:  # no address at all
-            return False
-        if name in ("localhost", self._host, socket.gethostname().lower()):
-            return True
-        try:
-            address = ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return address.is_loopback or self._host in ("", "0.0.0.0", "::") or name == self._host
+    @property
+    def openness(self) -> str:
+        """Who can connect, and what they can do, in words."""
+        if self._address.is_of_this_computer_alone:
+            who = "only this computer can connect"
+            return who if self.password is None else f"{who}, with the password"
+        if self.password is None:
+            return f"everybody who can reach this computer over the network can {self.opens}, without a password"
+        return (
+            f"everybody on the network who knows the password can {self.opens}; the connection is not encrypted, "
+            "so whoever can listen to the network can read the password"
+        )
 
     def routes(self) -> list[Any]:
         """The addresses that are served, as tornado's rules."""
@@ -252,13 +268,15 @@ class LiveServer:
 
     async def _serve(self) -> None:
         application = tornado.web.Application(
-            self.routes(),
+            [*self.routes(), ("/login", Login, {"server": self})],
+            default_handler_class=NotFound,
+            default_handler_args={"server": self},
             log_function=lambda handler: None,
             websocket_max_message_size=_LARGEST_MESSAGE,
             websocket_ping_interval=5,
             compress_response=True,
         )
-        server = tornado.httpserver.HTTPServer(application)
+        server = tornado.httpserver.HTTPServer(application, max_body_size=_LARGEST_BODY)
         server.add_socket(self._listening)
         while not self._stop.is_set():
             self._deliver()
@@ -279,17 +297,3 @@ class LiveServer:
             for key, message in fresh:
                 page.waiting.put(key, message)
             page.send_waiting()
-
-
-def _listen(host: str, port: int | None) -> socket.socket:
-    tried: Any = range(_FIRST_PORT, _FIRST_PORT + _PORTS) if port is None else [port]
-    for number in tried:
-        try:
-            listening = socket.create_server((host, number), backlog=_MOST_PAGES)
-        except OSError as error:
-            if port is not None:
-                raise OutputError("the port cannot be used", key="port", found=port, hint=str(error)) from error
-            continue
-        listening.setblocking(False)
-        return listening
-    raise OutputError("no free port", key="port", allowed=f"{_FIRST_PORT} to {_FIRST_PORT + _PORTS - 1}")

@@ -28,10 +28,11 @@ class Viewer:
 
     Parameters
     ----------
-    host, port: see `LiveServer`.
+    host, port, password, allow_anyone: see `LiveServer`.
 
     Raises
     ------
+    InputError: other computers can connect, and neither a password nor `allow_anyone` is given.
     OutputError: the port is in use.
 
     Examples
@@ -41,9 +42,16 @@ class Viewer:
     True
     """
 
-    def __init__(self, *, host: str = "127.0.0.1", port: int | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        password: str | None = None,
+        allow_anyone: bool = False,
+    ) -> None:
         self._thread = threading.get_ident()
-        self._server = LiveServer(host=host, port=port)
+        self._server = LiveServer(host=host, port=port, password=password, allow_anyone=allow_anyone)
         self._graph: SceneGraph | None = None
         self._proximity: Proximity | None = None
         self._obstacles: tuple[str, ...] = ()

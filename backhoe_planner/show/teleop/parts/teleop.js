@@ -25,10 +25,11 @@
   // ---- hands -----------------------------------------------------------------------
 
   const held = new Set();
+  const ALWAYS = [["Space", "stop"], ["Esc", "let go"]];
   const sticks = (left, right) => [["A / D", "swing"], ["W / S", left], ["\u2191 / \u2193", right],
-    ["\u2190 / \u2192", "curl, dump"], ["Space", "stop"]];
+    ["\u2190 / \u2192", "curl, dump"], ...ALWAYS];
   const KEYS = {
-    tip: [["W / S", "out, in"], ["A / D", "left, right"], ["E / Q", "up, down"], ["Z / X", "curl, dump"], ["Space", "stop"]],
+    tip: [["W / S", "out, in"], ["A / D", "left, right"], ["E / Q", "up, down"], ["Z / X", "curl, dump"], ...ALWAYS],
     iso: sticks("stick out, in", "boom down, up"),
     sae: sticks("boom down, up", "stick out, in"),
   };
@@ -70,35 +71,62 @@
     ? content.velocity.some((x) => x !== 0) || content.pitch_rate !== undefined
     : [...content.left, ...content.right].some((x) => x !== 0);
 
-  let moving = false, askedAt = 0;
+  let moving = false;
   function drive() {
     if (performance.now() > toastUntil) get("toast").hidden = true;
     const content = wish();
+    if (!driving() || !document.hasFocus()) return;
     if (something(content)) {
-      if (driving()) { send(content); moving = true; } else if (state !== null && performance.now() - askedAt > 1500) {
-        askedAt = performance.now();
-        send({ type: "take" });
-      }
+      send(content);
+      moving = true;
     } else if (moving) {
       moving = false;
-      if (driving()) send({ type: "stop" });
+      send({ type: "stop" });
     }
   }
 
-  function letGo() { held.clear(); drive(); }
+  function rest() { held.clear(); drive(); }
+
+  function letGo() {
+    rest();
+    if (driving()) send({ type: "release" });
+  }
+
+  let drove = false;
+  function changeHands() {
+    if (driving() === drove) return;
+    drove = driving();
+    stage.classList.toggle("driving", drove);
+    moving = false;
+    drag = null;
+    arm(null);
+    // a key or a stick that was already held does not count
+    held.clear();
+    centred.clear();
+  }
 
   addEventListener("keydown", (event) => {
-    if (event.code === "Escape") arm(null);
+    if (event.code === "Escape") { arm(null); letGo(); return; }
     if (event.ctrlKey || event.metaKey || event.altKey || !USED.has(event.code) || event.target.matches("select, input[type=text]")) return;
+    if (!driving()) {
+      if (!event.repeat && event.target === document.body && state !== null) toast("Take the controls first");
+      return;
+    }
     event.preventDefault();
     if (event.target.matches("button, input")) event.target.blur();
-    if (event.code === "Space") { letGo(); if (driving()) send({ type: "stop" }); return; }
+    if (event.code === "Space") { rest(); send({ type: "stop" }); return; }
+    if (event.repeat) return;
     held.add(event.code);
-    if (!event.repeat) drive();
+    drive();
   });
   addEventListener("keyup", (event) => { held.delete(event.code); });
-  addEventListener("blur", letGo);
-  document.addEventListener("visibilitychange", letGo);
+  function lookAway() {
+    if (driving()) toast("You let go of the controls: this window was left");
+    letGo();
+  }
+  addEventListener("blur", lookAway);
+  addEventListener("pagehide", lookAway);
+  document.addEventListener("visibilitychange", () => { if (document.hidden) lookAway(); });
   setInterval(drive, 40);
 
   // ---- the bar ---------------------------------------------------------------------
@@ -112,9 +140,12 @@
     const speed = Number(get("drive-speed").value);
     get("drive-speed-value").textContent = get("mode").value === "tip" ? `${speed.toFixed(2)} m/s` : `${Math.round(100 * speed)} %`;
   }
-  get("mode").addEventListener("change", () => { get("mode").blur(); letGo(); showMode(); });
+  get("mode").addEventListener("change", () => { get("mode").blur(); rest(); showMode(); });
   get("drive-speed").addEventListener("input", showMode);
-  get("take").addEventListener("click", () => send({ type: driving() ? "release" : "take" }));
+  get("take").addEventListener("click", () => {
+    get("take").blur();
+    if (driving()) letGo(); else send({ type: "take" });
+  });
   get("hand-over").addEventListener("click", () => send({ type: "hand_over", to: state.asking[0] }));
   get("record").addEventListener("click", () => send({ type: "record", on: state.recording === "idle" }));
   get("circulate").addEventListener("change", (event) => send({ type: "circulate", on: event.target.checked }));
@@ -242,6 +273,7 @@
 
   function showState(content) {
     state = content;
+    changeHands();
     const { kind, word, more } = content.caption;
     get("status").className = kind;
     get("status-word").textContent = word;

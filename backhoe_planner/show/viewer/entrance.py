@@ -1,0 +1,116 @@
+"""The entrance of a live page: its own names and pages only, never in a frame, and with the password if one is set."""
+
+from __future__ import annotations
+
+import html
+import math
+from functools import cache
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+
+import tornado.web
+
+from backhoe_planner.show.page.page import read_parts
+
+if TYPE_CHECKING:
+    from backhoe_planner.show.viewer.live_server import LiveServer
+
+_HEADERS = {
+    # a foreign page could lay this one invisibly over its own, so that a click there drives
+    "X-Frame-Options": "DENY",
+    "Content-Security-Policy": "frame-ancestors 'none'; base-uri 'none'; form-action 'self'; object-src 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+
+
+class OwnPages(tornado.web.RequestHandler):
+    """Answers only to this server's names and to its own pages, which no other page may frame."""
+
+    server: LiveServer
+
+    def set_default_headers(self) -> None:
+        """Give every response, errors too, the headers that keep foreign pages off."""
+        for name, value in _HEADERS.items():
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        """Refuse requests by a name that is not this server's, and requests from other pages."""
+        origin = self.request.headers.get("Origin")
+        if not self.server.answers_to(self.request.host) or not (origin is None or self.check_origin(origin)):
+            raise tornado.web.HTTPError(403)
+
+    def check_origin(self, origin: str) -> bool:
+        """Whether `origin` is this server's own."""
+        try:
+            found = urlsplit(origin)
+        except ValueError:  # no address at all
+            return False
+        return found.scheme in ("http", "https") and found.netloc.lower() == self.request.host.lower()
+
+    @property
+    def may_enter(self) -> bool:
+        """Whether no password is asked for, or this browser has given it."""
+        password = self.server.password
+        return password is None or password.opens(self.get_cookie(self.server.cookie))
+
+
+class NotFound(OwnPages):
+    """What is asked for is not here."""
+
+    def initialize(self, server: LiveServer) -> None:
+        """Take what the route gives."""
+        self.server = server
+
+    def prepare(self) -> None:
+        """Refuse the request."""
+        super().prepare()
+        raise tornado.web.HTTPError(404)
+
+
+class Login(OwnPages):
+    """Asks for the password."""
+
+    def initialize(self, server: LiveServer) -> None:
+        """Take what the route gives."""
+        self.server = server
+
+    def get(self) -> None:
+        """Answer with the form, unless this browser has given the password."""
+        if self.may_enter:
+            self.redirect("/", status=303)
+        else:
+            self._ask("")
+
+    def post(self) -> None:
+        """Take the password, and give whoever says it the key as a cookie that no script can read."""
+        password, client = self.server.password, self.request.remote_ip or ""
+        if password is None:
+            self.redirect("/", status=303)
+            return
+        wait = password.wait(client)
+        if wait > 0.0:
+            self.set_status(429)
+            self.set_header("Retry-After", str(math.ceil(wait)))
+            self._ask(f"Too many wrong passwords. Try again in {math.ceil(wait)} s.")
+        elif password.try_word(self.get_body_argument("password", "", strip=False), client=client):
+            self.set_cookie(self.server.cookie, password.key, path="/", httponly=True, samesite="Strict")
+            self.redirect("/", status=303)
+        else:
+            self.set_status(403)
+            self._ask("That is not the password.")
+
+    def _ask(self, problem: str) -> None:
+        page = _login_page()
+        for name, text in {"opens": self.server.opens, "problem": problem}.items():
+            page = page.replace(f"{{{name}}}", html.escape(text))
+        self.finish(page)
+
+
+@cache
+def _login_page() -> str:
+    """The page that asks for the password, with places for what it opens and for what went wrong."""
+    (css,) = read_parts("backhoe_planner.show.page", "page.css")
+    login_css, body = read_parts("backhoe_planner.show.viewer", "login.css", "login.html")
+    return body.replace("{css}", css + login_css)
