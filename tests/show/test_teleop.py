@@ -564,6 +564,58 @@ def test_what_was_dragged_away_and_back_is_noted(backhoe: Robot) -> None:
     assert recording.notes == [f"pole was moved until {moved:.2f} s; where it was before is left out"]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_whatever_is_done_to_the_site_is_in_the_recording_or_in_its_notes(seed: int, backhoe: Robot) -> None:
+    """At every moment, what stood there is where the recording has it, or a note names it; so is what did not."""
+    rng = np.random.default_rng(seed)
+    cart = {"name": "cart", "shape": "box", "size": [1, 1, 1], "position": [2, -9, 0.5], "velocity": [0.5, 0, 0]}
+    late = {"name": "late", "shape": "sphere", "radius": 1, "position": [-3, 9, 0.5], "appears_at": 0.2}
+    session = make(backhoe, obstacles=[*SITE["obstacles"], cart, late])
+    page = session.join()
+    done(session, page, type="take")
+    seen: list[tuple[float, dict[str, np.ndarray]]] = []
+    begun, recording = 0.0, None
+    for k in range(200):
+        if k in (10, 60):
+            done(session, page, type="record", on=k == 10)
+        if k < 60 and rng.random() < 0.25:
+            kind, name = rng.choice(["add", "move", "remove", "put_back"]), str(rng.choice(["pole", "late", "a"]))
+            place = [0.0, 0.0, 0.0] if rng.random() < 0.4 else rng.uniform(-6.0, 6.0, 3).tolist()
+            content: Data = {"name": name}
+            if kind == "add":
+                content = {"obstacle": {"name": name, "shape": "sphere", "radius": 0.2, "position": place}}
+            elif kind == "move":
+                content["to"] = place
+            say(session, page, type=kind, **content)
+        session.step()
+        snapshot = session.snapshot()
+        if snapshot.recording in ("on", "ending"):
+            begun = begun or snapshot.state.time
+            shifts = {o.name: (o, snapshot.shifts[o.name]) for o in snapshot.obstacles if o.zone is None}
+            where = {
+                n: o.pieces[0].placement.translation + shift for n, (o, shift) in shifts.items() if shift is not None
+            }
+            seen.append((snapshot.state.time - begun, where))
+        recording = recording or session.take_recording()
+    assert recording is not None
+    assert len(seen) > 40
+    scene = bp.scene_from_dict({**SITE, "obstacles": list(recording.obstacles), "zones": []})
+    listed = {obstacle.name: obstacle for obstacle in build_obstacles(scene, backhoe)}
+    for time, there in seen:
+        for name in {*there, *listed}:
+            standing = listed.get(name)
+            if any(note.startswith(f"{name} was ") for note in recording.notes):
+                continue
+            assert standing is not None, f"{name} stood there at {time:.3f} s"
+            since = time - standing.appears_at
+            if abs(since) <= session.dt:
+                continue
+            assert (name in there) == (since > 0.0), f"{name} at {time:.3f} s"
+            if name in there:
+                expected = standing.pieces[0].placement.translation + since * standing.velocity
+                np.testing.assert_allclose(there[name], expected, atol=2 * session.dt)
+
+
 def test_only_a_recording_leaves_something_out(backhoe: Robot) -> None:
     plan = bp.plan(backhoe, bp.scene_from_dict(SITE))
     assert (is_recording(plan), unrecorded_changes(plan)) == (False, ())
