@@ -28,7 +28,7 @@ def open_page(browser: Any, url: str, *, password: str = "", height: int = 420) 
     page.goto(url)
     if password:
         assert page.url == f"{url}login"
-        page.locator("#password").fill(password)
+        page.locator("#password:focus").fill(password)
         page.keyboard.press("Enter")
     page.wait_for_function("window.backhoe && backhoe.teleop && backhoe.teleop.state && backhoe.teleop.page !== null")
     page.evaluate("document.querySelector('[data-node=shadows]').click()")  # they cost most without a graphics card
