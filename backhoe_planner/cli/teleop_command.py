@@ -47,7 +47,14 @@ def teleop(
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
     with show.TeleopStation(
-        robot, loaded, host=host, port=port, password=password, allow_anyone=allow_anyone, output=output
+        robot,
+        loaded,
+        host=host,
+        port=port,
+        password=password,
+        allow_anyone=allow_anyone,
+        output=output,
+        say=ERR.print,
     ) as station:
         print_warnings((*robot.warnings, *station.warnings))
         ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")

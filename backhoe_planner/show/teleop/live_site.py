@@ -18,6 +18,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live import Servo, shifted
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, critical_points
+from backhoe_planner.show.teleop.changes import Change
 from backhoe_planner.site import (
     Obstacle,
     Proximity,
@@ -175,14 +176,14 @@ class LiveSite:
             found[ITSELF] = critical_points(self._itself, (ITSELF,), q, time=0.0, within=within)[0]
         return found
 
-    def records(self, begun: float) -> tuple[list[dict[str, Any]], list[str]]:
+    def records(self, begun: float) -> tuple[list[dict[str, Any]], list[Change]]:
         """The obstacles as a scene file has them, for a recording that began at `begun` [s].
 
         Returns
         -------
-        The records, and in words the changes that a scene file cannot hold.
+        The records, and the moves that a scene file cannot hold.
         """
-        records, notes = [], []
+        records, moves = [], []
         for name, standing in self._standing.items():
             obstacle = standing.obstacle
             if obstacle.zone is not None:  # stays, and stands in the scene's zones
@@ -197,8 +198,8 @@ class LiveSite:
             content["appears_at"] = max(appears - begun, 0.0)
             records.append(content)
             if standing.since > begun and standing.moved:
-                notes.append(f"{name} was moved until {standing.since - begun:.2f} s; where it was before is left out")
-        return records, notes
+                moves.append(Change(standing.since - begun, name, "moved"))
+        return records, moves
 
     # --- room -----------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ recording idle -> arming (to rest) -> on -> ending (to rest) -> idle
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time as clock
@@ -29,6 +30,7 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Drive, Trajectory
 from backhoe_planner.planning import Plan, RecordingNotes
 from backhoe_planner.show.drawing.timeline import CriticalPoint
+from backhoe_planner.show.teleop.changes import Change, ChangeKind, describe_changes
 from backhoe_planner.show.teleop.live_site import LiveSite
 from backhoe_planner.show.teleop.messages import Message, Sticks, Stop, Tip
 from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog, zone_log
@@ -163,7 +165,7 @@ class Session:
         self._samples: list[Vector] = []  # of the recording that is going on
         self._begun = 0.0
         self._recordings: list[Recording] = []
-        self._changes: list[tuple[float, str, str, str]] = []
+        self._changes: list[Change] = []  # since it began
         self._state = self._servo.step()
 
     # --- pages -----------------------------------------------------------------------
@@ -225,15 +227,20 @@ class Session:
             self._site.move(message.name, message.to)
         elif isinstance(message, messages.Remove):
             self._site.remove(message.name)
-            self._changes.append((self._servo.time, message.name, "taken away at", " and is left out"))
+            self._note("taken away", message.name)
         elif isinstance(message, messages.PutBack):
             self._site.put_back(message.name)
-            self._changes.append((self._servo.time, message.name, "put back at", "; where it was before is left out"))
+            self._note("put back", message.name)
         elif isinstance(message, messages.Circulate):
             self._servo.circulate = message.on
         else:
             return self._record(message)
         return ""
+
+    def _note(self, kind: ChangeKind, name: str) -> None:
+        """Note a change of the site while a recording runs."""
+        if self._samples:
+            self._changes.append(Change(self._servo.time - self._begun, name, kind))
 
     def _take(self, page: int) -> str:
         if self._driver is None:
@@ -273,6 +280,9 @@ class Session:
                 except Exception as error:  # noqa: BLE001  whatever it was, the machine must not be left moving
                     self._fail(error)
             self._state = self._servo.step(joint_velocity=np.zeros(self.robot.n))
+            if self._phase == "ending":  # what was recorded up to here is not lost
+                with contextlib.suppress(Exception):
+                    self._keep(self._state)
             return self._state
 
     @property
@@ -292,8 +302,7 @@ class Session:
     def _fail(self, error: Exception) -> None:
         self._failure = f"the machine was stopped, as a step failed: {_in_one_line(error)}"
         self._driver, self._wish, self._held = None, None, None
-        self._samples = []
-        self._begin_phase("idle")
+        self._begin_phase("ending" if self._samples else "idle")
 
     def _held_wish(self, wish: Wish | None) -> Wish | None:
         """The wish, or else the last one; once the watchdog's time is over, the wish to stop."""
@@ -344,8 +353,8 @@ class Session:
             self._changes.clear()
             self._begin_phase("on")
         elif self._phase == "ending" and (at_rest or self._waited > _PATIENCE):
-            obstacles, notes = self._site.records(self._begun)
-            notes += [f"{name} was {what} {at - self._begun:.2f} s{so}" for at, name, what, so in self._changes]
+            obstacles, moves = self._site.records(self._begun)
+            notes = describe_changes([*moves, *self._changes])
             self._recordings.append(Recording(self.dt, np.array(self._samples), obstacles, notes))
             self._samples = []
             self._begin_phase("idle")

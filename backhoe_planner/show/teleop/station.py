@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 import time as clock
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from backhoe_planner.errors import InputError
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.machine import Robot
+from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.timeline import FRAME
 from backhoe_planner.show.page.page import live_page, read_parts
 from backhoe_planner.show.teleop.picture import Picture
-from backhoe_planner.show.teleop.session import AT_REST, Recording, Session
+from backhoe_planner.show.teleop.recorder import Recorder
+from backhoe_planner.show.teleop.session import AT_REST, Session
 from backhoe_planner.show.viewer.live_server import LivePage, LiveServer, LiveSocket
 from backhoe_planner.site import Scene
 
@@ -81,6 +82,7 @@ class TeleopStation:
     host, port, password, allow_anyone: see `LiveServer`.
     output: file for recordings. It is never overwritten: further recordings get a number.
     dt: length of a step [s].
+    say: is called with what there is to say of recordings, in words, from another thread.
 
     Attributes
     ----------
@@ -105,6 +107,7 @@ class TeleopStation:
         allow_anyone: bool = False,
         output: str | Path = "teleop.json",
         dt: float = 0.005,
+        say: Callable[[str], None] | None = None,
     ) -> None:
         self._output = Path(output)
         check_writable(self._output)
@@ -118,12 +121,10 @@ class TeleopStation:
         self.warnings = self._picture.warnings
         self._reported: set[str] = set()
         self._ending = threading.Event()
-        self._writing = threading.Lock()
-        self._recordings: queue.SimpleQueue[Recording | None] = queue.SimpleQueue()
+        self._say = say or _say_nothing
+        self._recorder = Recorder(self.session.robot, scene, self._output, self._tell_recorded)
         self._loop = threading.Thread(target=self._run, name="teleop loop", daemon=True)
-        self._writer = threading.Thread(target=self._write, name="teleop recordings", daemon=True)
         self._loop.start()
-        self._writer.start()
 
     @property
     def url(self) -> str:
@@ -150,13 +151,21 @@ class TeleopStation:
         """Why the machine was stopped for good; else empty."""
         return self.session.failure
 
+    @property
+    def unwritten(self) -> tuple[Plan, ...]:
+        """Recordings that could not be written anywhere yet; they are tried again."""
+        return self._recorder.unwritten
+
     def close(self) -> None:
-        """End everything; a file that is being written is finished first. May be called again."""
+        """End everything; recordings that have ended are proven and written first. May be called again."""
         self._ending.set()
-        self._recordings.put(None)
         self._loop.join(timeout=2.0)
-        with self._writing:  # a file is there whole or not at all
-            pass
+        self._take_recordings()
+        if self._recorder.busy:
+            self._say("the recording is proven and written; Ctrl-C once more gives it up")
+        self._recorder.close()
+        for plan in self.unwritten:
+            self._say(f"a recording of {plan.trajectory.duration:.1f} s could not be written anywhere")
         self._server.close()
 
     def __enter__(self) -> TeleopStation:
@@ -175,17 +184,19 @@ class TeleopStation:
             at_an_end = bool(session.failure) and float(np.abs(state.v).max()) < AT_REST
             if now >= frame_due or at_an_end:
                 self._draw()
+                self._take_recordings()
                 if at_an_end:
                     return
-                recording = session.take_recording()
-                if recording is not None:
-                    self._recordings.put(recording)
                 frame_due = now + FRAME
                 now = clock.monotonic()
             if now < due:
                 self._ending.wait(due - now)
             elif now - due > _LATEST:  # the computer is too slow or was asleep: the lost time is not made up
                 due = now
+
+    def _take_recordings(self) -> None:
+        while (recording := self.session.take_recording()) is not None:
+            self._recorder.take(recording)
 
     def _draw(self) -> None:
         """Show the present state. If that fails, the pages are told once, and the machine is driven on."""
@@ -202,33 +213,17 @@ class TeleopStation:
             self._reported.add(trouble)
             self._server.display.tell("trouble", {"text": text})
 
-    def _write(self) -> None:
-        while (recording := self._recordings.get()) is not None:
-            self._tell(writing=True)
-            try:
-                plan = recording.plan(self.session.robot, self.session.scene)
-                with self._writing:
-                    if self._ending.is_set():
-                        return
-                    file = free_name(self._output)
-                    plan.save(file)
-                notes, zones = recording.notes, len(plan.findings.zones)
-                self._tell(
-                    file=str(file), verdict=plan.verdict, seconds=recording.duration, zones=zones, left_out=notes
-                )
-            except InputError as error:
-                self._tell(error=str(error))
-            except Exception as error:  # noqa: BLE001  the next recording is written all the same
-                self._tell(error=f"the recording could not be written: {type(error).__name__}")
-
-    def _tell(self, **content: object) -> None:
+    def _tell_recorded(self, **content: object) -> None:
+        """Tell the pages, and whoever runs the station, how it goes with a recording."""
         self._server.display.tell("recorded", content)
+        if "file" in content:
+            instead = f" ({content['instead']})" if content["instead"] else ""
+            self._say(
+                f"recording written: {content['file']}, {content['seconds']:.1f} s, {content['verdict']}{instead}"
+            )
+        elif "error" in content:
+            self._say(f"recording: {content['error']}")
 
 
-def free_name(path: Path) -> Path:
-    """`path`, or, where that exists, the first of ``name-2``, ``name-3``, ... that does not."""
-    found, number = path, 2
-    while found.exists():
-        found = path.with_name(f"{path.stem}-{number}{path.suffix}")
-        number += 1
-    return found
+def _say_nothing(_: str) -> None:
+    pass

@@ -13,7 +13,6 @@ import threading
 import time
 from typing import Any
 
-import tornado.httpserver
 import tornado.web
 import tornado.websocket
 
@@ -21,6 +20,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.show.page.display import Display, Key, Message, Messages
 from backhoe_planner.show.page.page import live_page
 from backhoe_planner.show.viewer.address import find_address
+from backhoe_planner.show.viewer.connections import CappedServer
 from backhoe_planner.show.viewer.entrance import Login, NotFound, OwnPages
 from backhoe_planner.show.viewer.password import Password
 
@@ -195,6 +195,7 @@ class LiveServer:
         self._pages: set[LiveSocket] = set()
         self._fresh: list[tuple[Key, Message]] = []
         self._lock = threading.Lock()
+        self._connections: CappedServer | None = None
         self._listening = self._address.listen(port, backlog=_MOST_PAGES)
         number = self._listening.getsockname()[1]
         self.url, self.url_from_elsewhere = self._address.url(number), self._address.url_from_elsewhere(number)
@@ -214,6 +215,8 @@ class LiveServer:
         """Take in a page that has connected, and bring it up to date."""
         page.waiting = self.display.messages()
         self._pages.add(page)
+        if self._connections is not None and page.ws_connection is not None:
+            self._connections.keep(page.ws_connection.stream)
         self.left_at = None
 
     def remove(self, page: LiveSocket) -> None:
@@ -276,7 +279,7 @@ class LiveServer:
             websocket_ping_interval=5,
             compress_response=True,
         )
-        server = tornado.httpserver.HTTPServer(application, max_body_size=_LARGEST_BODY)
+        server = self._connections = CappedServer(application, max_body_size=_LARGEST_BODY)
         server.add_socket(self._listening)
         while not self._stop.is_set():
             self._deliver()

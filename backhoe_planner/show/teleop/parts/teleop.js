@@ -319,6 +319,7 @@
     get("recorded").textContent = content.writing ? "Writing the recording…" : content.error ? content.error
       : `${content.file.split("/").pop()}: ${content.seconds.toFixed(1)} s, ${content.verdict}`
         + (content.zones ? `, ${content.zones} zone visit${content.zones > 1 ? "s" : ""}` : "")
+        + (content.instead ? `, in ${content.file}: ${content.instead}` : "")
         + (out.length === 1 ? `; ${out[0]}` : out.length ? `; ${out.length} changes of the site are left out` : "");
     get("recorded").title = content.file ? [get("recorded").textContent, content.file, ...out].join("\n") : "";
   }
