@@ -65,7 +65,7 @@ def _print_motion(found: bp.Plan) -> None:
     for detour in metrics.detours:
         OUT.print(
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
-            f"{detour.length:.2f} m long, up to {detour.max_deviation:.3f} m off{_around(detour)}"
+            f"{detour.length:.2f} m long, {detour.size}{_around(detour)}"
         )
     if found.findings.waits > 0.0:
         OUT.print(f"waits         {found.findings.waits:.2f} s until moving obstacles have passed")

@@ -4,6 +4,7 @@ from .costs import trajectory_energy as trajectory_energy
 from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import Nodes as Nodes
 from .orientation import angle_bounds as angle_bounds
+from .path import TURN_LEVER as TURN_LEVER
 from .path import SmoothWay as SmoothWay
 from .path import TipPath as TipPath
 from .path import step_lengths as step_lengths

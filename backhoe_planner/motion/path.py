@@ -10,17 +10,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import TipTarget, wrap_angle
+from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.machine import Configuration, TipTarget, wrap_angle
 from backhoe_planner.site import Waypoint
 
-_TURN_LENGTH = 0.5  # m per rad that a leg counts on which the tip only turns; chosen
+# m per rad: what a turn of the tip counts as. Chosen: a leg keeps its arc length unless it turns by more than 4 rad
+# for each metre, 23 deg in 10 cm, which bucket paths do not
+TURN_LEVER = 0.25
 _JOINT_TURN_LENGTH = 0.1  # m per rad of the joints, so that a motion goes on where the tip stands; chosen
-_NO_LENGTH = 1e-9  # m: on a shorter leg the tip only turns
+_NO_LENGTH = 1e-9  # m: a shorter leg has none
+_EXACT = 1e-9  # part of a leg: a range of the pitch that allows no more of it is one angle
+_NO_METRES, _NO_DEGREES = 0.005, 0.05  # what is printed as 0
 _BESIDE = 1e-6  # m before and behind a waypoint, where the direction of travel is taken
 
 
@@ -37,29 +43,48 @@ def step_lengths(stations: Vector, q: Matrix, *, least: float) -> Vector:
 
 
 class TipPath:
-    """A path of the tip, evaluated by arc length.
+    """A path of the tip, evaluated by one measure s of progress over position and orientation.
+
+    A leg from waypoint to waypoint is max(|dp|, 0.25 m/rad * angle) long: s is the arc length of
+    the tip, but where the tip turns by more than 4 rad for each metre it is the turn that
+    counts. So a turn on the spot is a leg like any other.
 
     Parameters
     ----------
     waypoints: W of them, at least two.
+    numbers: (W,) by which messages call them; by default from 1.
 
     Attributes
     ----------
     points: (W, 3) waypoints [m], world.
-    stations: (W,) arc length at each waypoint [m].
+    stations: (W,) s at each waypoint [m].
+    turning: (W - 1,) whether s counts the turn of a leg.
     """
 
-    def __init__(self, waypoints: Sequence[Waypoint]) -> None:
+    def __init__(self, waypoints: Sequence[Waypoint], *, numbers: Sequence[int] = ()) -> None:
         self.waypoints = tuple(waypoints)
         self.points = np.array([waypoint.position for waypoint in self.waypoints], dtype=float)
+        self._numbers = tuple(numbers) or tuple(range(1, len(self.waypoints) + 1))
         self._targets = [waypoint.target for waypoint in self.waypoints]
-        lengths = [self._leg_length(leg) for leg in range(len(self.waypoints) - 1)]
-        self.stations = np.concatenate(([0.0], np.cumsum(lengths)))
+        moved = np.array([np.linalg.norm(b - a) for a, b in pairwise(self.points)])
+        moved[moved <= _NO_LENGTH] = 0.0
+        self._angles = np.array([_leg_angle(a, b) for a, b in pairwise(self._targets)])
+        turned = TURN_LEVER * self._angles
+        turned[turned <= _NO_LENGTH] = 0.0
+        self.turning: Flags = turned > moved
+        self._standing: Flags = moved == 0.0
+        self.stations = np.concatenate(([0.0], np.cumsum(np.maximum(moved, turned))))
+        self._arcs = np.concatenate(([0.0], np.cumsum(moved)))
 
     @property
     def length(self) -> float:
-        """[m]"""
+        """Of the whole path, by its measure [m]."""
         return float(self.stations[-1])
+
+    @property
+    def turns(self) -> bool:
+        """Whether s counts a turn anywhere; where not, s is the arc length of the tip."""
+        return bool(self.turning.any())
 
     @property
     def asks_orientation(self) -> bool:
@@ -67,7 +92,7 @@ class TipPath:
         return any(target.rotation is not None or target.pitch is not None for target in self._targets)
 
     def __call__(self, s: float, order: int = 0) -> Vector:
-        """(3,) position [m] (order 0) or direction of travel (order 1) at arc length `s` [m]."""
+        """(3,) position [m] (order 0) or its derivative (order 1) at `s` [m]."""
         leg, part = self._locate(s)
         step = self.points[leg + 1] - self.points[leg]
         if order == 0:
@@ -76,12 +101,18 @@ class TipPath:
         return np.asarray(step / length if length > 0.0 else step)
 
     def target(self, s: float) -> TipTarget:
-        """The target of the tip at arc length `s` [m].
+        """The target of the tip at `s` [m].
 
         Between a waypoint with a pitch and one without, the range widens until any pitch is
-        allowed.
+        allowed. Of waypoints at one s, the first that asks for an orientation counts.
         """
-        leg, part = self._locate(s)
+        for index in np.flatnonzero(self.stations == s).tolist() if self._has_doubles else ():
+            if self._targets[index].rotation is not None or self._targets[index].pitch is not None:
+                return self._targets[index]
+        return self._target_on(*self._locate(s))
+
+    def _target_on(self, leg: int, part: float) -> TipTarget:
+        """The target of the tip at a `part` 0..1 of a leg."""
         position = (1.0 - part) * self.points[leg] + part * self.points[leg + 1]
         before, after = self._targets[leg].rotation, self._targets[leg + 1].rotation
         rotation = before if before is not None else after
@@ -90,11 +121,11 @@ class TipPath:
         return TipTarget(position=position, pitch=self._pitch(leg, part), rotation=rotation)
 
     def nearest(self, point: Vector, *, low: float = 0.0, high: float | None = None) -> tuple[float, float]:
-        """Arc length [m] of the path's point nearest to `point` (3,) [m], and its distance [m].
+        """Where the path's point nearest to `point` (3,) [m] is, s [m], and its distance [m]; no angles are compared.
 
         Parameters
         ----------
-        low, high: the part of the path that is searched, by arc length [m]; by default all.
+        low, high: the part of the path that is searched, by s [m]; by default all.
         """
         high = self.length if high is None else high
         best = (low, float(np.linalg.norm(point - self(low))))
@@ -113,29 +144,136 @@ class TipPath:
                 best = (s0 + part * (s1 - s0), distance)
         return best
 
+    def place(self, at: Configuration, *, low: float, high: float, slack: float) -> tuple[float, float, float]:
+        """Where on the path the tip is, by its position and its orientation: s [m], and how far off it is [m], [rad].
+
+        Parameters
+        ----------
+        low, high: the part of the path that is searched, by s [m].
+        slack: an earlier leg is preferred that is at most this much worse [m], a radian as 0.25 m:
+            where a path turns to and fro, the tip is on its way to, not yet on its way back.
+        """
+        tip, spans = at.tip_position, np.diff(self.stations)
+        nearest = _distances_to_legs(self.points, tip)
+        legs = np.flatnonzero((spans > 0.0) & (self.stations[1:] >= low) & (self.stations[:-1] <= high))
+        if not len(legs):
+            return (low, *self.target(low).distances(at))
+        found: dict[int, tuple[float, float, float]] = {}
+        least = np.inf
+        for leg in [int(legs[np.argmin(nearest[legs])]), *legs.tolist()]:
+            if leg in found or nearest[leg] > least + slack:
+                continue
+            begin, span = float(self.stations[leg]), float(spans[leg])
+            part = self._nearest_part(leg, at, max((low - begin) / span, 0.0), min((high - begin) / span, 1.0))
+            found[leg] = (float(np.clip(begin + part * span, low, high)), *self._target_on(leg, part).distances(at))
+            least = min(least, _cost(found[leg]))
+        return next(found[leg] for leg in sorted(found) if _cost(found[leg]) <= least + slack)
+
     def turn(self, a: float, b: float) -> float:
-        """How far the asked orientation turns from arc length `a` to `b` [rad]; 0 where none is asked."""
+        """How far the asked orientation turns from `a` to `b` [m of s], [rad]; 0 where none is asked."""
         return self.target(a).turn_to(self.target(b))
 
     def corners(self, angle: float) -> Vector:
-        """(C,) arc lengths [m] at which the path bends by more than `angle` [rad]."""
+        """(C,) s [m] at which the path bends by more than `angle` [rad].
+
+        Where a leg beside turns, the bend is that of position and orientation together: two turns
+        in a row about one axis are no corner, a turn on the spot behind a straight leg is one.
+        """
         found = []
         for mark in self.stations[1:-1].tolist():
-            before, after = self(mark - _BESIDE, 1), self(mark + _BESIDE, 1)
+            before, after = self._travel(mark - _BESIDE), self._travel(mark + _BESIDE)
+            if not self.turning[self._locate(mark - _BESIDE)[0]] and not self.turning[self._locate(mark + _BESIDE)[0]]:
+                before, after = before[:3], after[:3]
             size = float(np.linalg.norm(before) * np.linalg.norm(after))
             if size < 1e-12 or float(before @ after) / size < np.cos(angle):
                 found.append(mark)
         return np.array(found)
+
+    @property
+    def turned_waypoints(self) -> NDArray[np.intp]:
+        """Indices of the waypoints whose own angle counts: at an end of a turn, or at the same place as another."""
+        return _ends_of(self.turning | self._standing)
+
+    @property
+    def standing_waypoints(self) -> NDArray[np.intp]:
+        """Of these, the ones at which the tip stands: no detour may leave them out."""
+        return _ends_of(self._standing)
+
+    @property
+    def without_angles(self) -> TipPath:
+        """The positions alone, by arc length."""
+        return TipPath([Waypoint(position=tuple(point)) for point in self.points.tolist()])
+
+    # --- for people ---------------------------------------------------------------
+
+    def arc(self, s: float) -> float:
+        """How far the tip has moved at `s` [m]: turns do not count."""
+        return float(np.interp(s, self.stations, self._arcs)) if self.turns else s
+
+    def number(self, index: int) -> int:
+        """By which messages call a waypoint."""
+        return self._numbers[index]
+
+    def describe(self, s: float) -> str:
+        """Where `s` [m] is: ``1.20 m``; on a path that turns, ``waypoint 2`` or ``12.3 deg behind waypoint 2``."""
+        if not self.turns:
+            return f"{s:.2f} m"
+        leg, part = self._locate(s)
+        moved, turned = part * float(np.diff(self._arcs)[leg]), part * float(np.degrees(self._angles[leg]))
+        if self.turning[leg]:
+            left, words, least = (1.0 - part) * float(np.degrees(self._angles[leg])), f"{turned:.1f} deg", _NO_DEGREES
+            gone = turned
+        else:
+            left, words, least = (1.0 - part) * float(np.diff(self._arcs)[leg]), f"{moved:.2f} m", _NO_METRES
+            gone = moved
+        if min(gone, left) < least:
+            return f"waypoint {self._numbers[leg if gone <= left else leg + 1]}"
+        return f"{words} behind waypoint {self._numbers[leg]}"
+
+    def describe_end(self) -> str:
+        """Of how much: ``3.40 m``, or the last waypoint's number on a path that turns."""
+        return str(self._numbers[-1]) if self.turns else f"{self.length:.2f} m"
+
+    # --- legs ---------------------------------------------------------------------
+
+    @property
+    def _has_doubles(self) -> bool:
+        return bool(np.any(np.diff(self.stations) == 0.0))
+
+    def _travel(self, s: float) -> Vector:
+        """(7,) how position [m], orientation and pitch [rad, times 0.25 m] change with s."""
+        leg, _ = self._locate(s)
+        found = np.zeros(7)
+        span = float(self.stations[leg + 1] - self.stations[leg])
+        if span > 0.0:
+            a, b = self._targets[leg], self._targets[leg + 1]
+            found[:3] = self.points[leg + 1] - self.points[leg]
+            if a.rotation is not None and b.rotation is not None:
+                found[3:6] = TURN_LEVER * a.rotation @ pin.log3(a.rotation.T @ b.rotation)
+            elif a.pitch is not None and b.pitch is not None:
+                found[6] = TURN_LEVER * _pitch_turn(a.pitch, b.pitch)
+            found /= span
+        return found
+
+    def _nearest_part(self, leg: int, at: Configuration, low: float, high: float) -> float:
+        """The part of a leg between `low` and `high` at which the tip is."""
+        step = self.points[leg + 1] - self.points[leg]
+        square = float(step @ step)
+        along = float((at.tip_position - self.points[leg]) @ step) / square if square > 0.0 else high
+        if self.turning[leg]:
+            first, last = _turned_parts(self._targets[leg], self._targets[leg + 1], at, low, high)
+            if last - first > _EXACT:  # the pitch may have a range: anything within it will do
+                along = float(np.clip(along, first, last))
+            else:
+                weight = (TURN_LEVER * float(self._angles[leg])) ** 2
+                along = (square * along + weight * first) / (square + weight)
+        return float(np.clip(along, low, high))
 
     def _locate(self, s: float) -> tuple[int, float]:
         s = float(np.clip(s, 0.0, self.length))
         leg = int(np.clip(np.searchsorted(self.stations, s, side="right") - 1, 0, len(self.points) - 2))
         span = self.stations[leg + 1] - self.stations[leg]
         return leg, float((s - self.stations[leg]) / span) if span > 0.0 else 0.0
-
-    def _leg_length(self, leg: int) -> float:
-        length = float(np.linalg.norm(self.points[leg + 1] - self.points[leg]))
-        return length if length > _NO_LENGTH else _TURN_LENGTH * self._targets[leg].turn_to(self._targets[leg + 1])
 
     def _pitch(self, leg: int, part: float) -> tuple[float, float] | None:
         before, after = self._targets[leg].pitch, self._targets[leg + 1].pitch
@@ -146,10 +284,75 @@ class TipPath:
             middle, half = 0.5 * (asked[0] + asked[1]), 0.5 * (asked[1] - asked[0])
             half += opened * max(np.pi - half, 0.0)
             return (middle - half, middle + half)
-        turn = wrap_angle(0.5 * sum(after) - 0.5 * sum(before))
-        middle = 0.5 * sum(before) + part * turn
+        middle = 0.5 * sum(before) + part * _pitch_turn(before, after)
         half = 0.5 * ((1.0 - part) * (before[1] - before[0]) + part * (after[1] - after[0]))
         return (middle - half, middle + half)
+
+
+def _ends_of(legs: Flags) -> NDArray[np.intp]:
+    """Indices of the waypoints at the ends of `legs` (W - 1,)."""
+    return np.flatnonzero(np.append(legs, False) | np.append(False, legs))
+
+
+def _cost(place: tuple[float, float, float]) -> float:
+    """[m]"""
+    return float(np.hypot(place[1], TURN_LEVER * place[2]))
+
+
+def _pitch_turn(before: tuple[float, float], after: tuple[float, float]) -> float:
+    """[rad] from the middle of one range to that of the other, the short way; half a turn as it is written."""
+    written = 0.5 * sum(after) - 0.5 * sum(before)
+    turn = wrap_angle(written)
+    return float(abs(turn) * np.sign(written)) if abs(abs(turn) - np.pi) < _EXACT else turn
+
+
+def _leg_angle(before: TipTarget, after: TipTarget) -> float:
+    """How far the asked orientation, or either end of the pitch's range, turns from one waypoint to the next [rad]."""
+    if before.pitch is None or after.pitch is None:
+        return before.turn_to(after)
+    wider = 0.5 * (after.pitch[1] - after.pitch[0]) - 0.5 * (before.pitch[1] - before.pitch[0])
+    return abs(_pitch_turn(before.pitch, after.pitch)) + abs(wider)
+
+
+def _turned_parts(
+    before: TipTarget, after: TipTarget, at: Configuration, low: float, high: float
+) -> tuple[float, float]:
+    """The parts of a leg, from which to which, at which its orientation is the tip's; of none, the nearest, twice."""
+    if before.rotation is not None and after.rotation is not None:
+        turn = pin.log3(before.rotation.T @ after.rotation)
+        angle = float(np.linalg.norm(turn))
+        # the turn about the leg's axis that leaves the least angle
+        now = pin.Quaternion(before.rotation.T @ at.tip_rotation)
+        turned = 2.0 * float(np.arctan2(now.vec() @ turn / angle, now.w))
+        part = 0.5 + wrap_angle(turned - 0.5 * angle) / angle
+        return part, part
+    assert before.pitch is not None
+    assert after.pitch is not None
+    turn, half = _pitch_turn(before.pitch, after.pitch), 0.5 * (before.pitch[1] - before.pitch[0])
+    wider = 0.5 * (after.pitch[1] - after.pitch[0]) - half
+    off = 0.5 * turn + wrap_angle(at.pitch - 0.5 * sum(before.pitch) - 0.5 * turn)
+    # |off - part turn| <= half + part wider
+    first, last = low, high
+    for slope, room in ((-turn - wider, half - off), (turn - wider, half + off)):
+        if slope > 0.0:
+            last = min(last, room / slope)
+        elif slope < 0.0:
+            first = max(first, room / slope)
+        elif room < 0.0:
+            last = -np.inf
+    if first <= last:
+        return first, last
+    parts = [low, high, *([float(np.clip(off / turn, low, high))] if turn != 0.0 else [])]
+    part = min(parts, key=lambda one: abs(off - one * turn) - half - one * wider)
+    return part, part
+
+
+def _distances_to_legs(points: Matrix, tip: Vector) -> Vector:
+    """(W - 1,) distance [m] of the tip from each leg between `points` (W, 3)."""
+    steps, off = np.diff(points, axis=0), tip - points[:-1]
+    squares = np.maximum(np.einsum("ki,ki->k", steps, steps), _NO_LENGTH**2)
+    part = np.clip(np.einsum("ki,ki->k", off, steps) / squares, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(off - part[:, None] * steps, axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from backhoe_planner.arrays import Vector
@@ -10,7 +10,16 @@ from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Robot, TipTarget
 from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
-from backhoe_planner.site import Gains, Obstacle, Pose, Scene, build_obstacles, machine_on_site, scaled_limits
+from backhoe_planner.site import (
+    Gains,
+    Obstacle,
+    Pose,
+    Scene,
+    Waypoint,
+    build_obstacles,
+    machine_on_site,
+    scaled_limits,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +88,30 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         waypoints = scene.waypoints()
         for index, waypoint in enumerate(waypoints):
             _target(robot, scene, waypoint, f"task.path.waypoints[{index}]")
-        different = [waypoint for waypoint, _ in itertools.groupby(waypoints)]
-        path = TipPath(different if len(different) > 1 else waypoints)  # a waypoint that is repeated adds nothing
+        numbers = _without_repeats(waypoints)
+        path = TipPath([waypoints[number - 1] for number in numbers], numbers=numbers)
     return Problem(
         robot, scene, limits=scaled_limits(robot, scene), obstacles=build_obstacles(scene, robot),
         start_q=start_q, start_target=start_target, goal=goal, path=path,
     )  # fmt: skip
+
+
+def _without_repeats(waypoints: Sequence[Waypoint]) -> list[int]:
+    """The numbers, from 1, of the waypoints that ask for something new: at least two.
+
+    One that is repeated adds nothing, nor does one without an angle between two with one at its place.
+    """
+    turns = [waypoint.pitch is not None or waypoint.rotation is not None for waypoint in waypoints]
+    kept = [0]
+    for index in range(1, len(waypoints)):
+        here = waypoints[index].position
+        after = next((other for other in range(index + 1, len(waypoints)) if turns[other]), None)
+        if waypoints[index] == waypoints[kept[-1]]:
+            continue
+        stays = after is not None and all(waypoint.position == here for waypoint in waypoints[kept[-1] : after + 1])
+        if not (stays and turns[kept[-1]] and not turns[index]):
+            kept.append(index)
+    return [index + 1 for index in kept] if len(kept) > 1 else [1, 2]
 
 
 def hand_set_gains(problem: Problem) -> Gains | None:

@@ -7,6 +7,7 @@ between two samples is bounded likewise, see `orientation`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,7 +16,7 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine import Kinematics, TipTarget, bend_weights, tip_travel_bound
 from backhoe_planner.motion.orientation import angle_bounds
-from backhoe_planner.motion.path import TipPath
+from backhoe_planner.motion.path import TURN_LEVER, TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import Obstruction
 
@@ -23,6 +24,9 @@ GOAL_TOLERANCE = 1e-3  # m at which a goal is reached; chosen, far below what a 
 ANGLE_TOLERANCE = 1e-2  # rad at which an asked angle is reached; chosen, half a degree
 _BEGINNING = 0.1  # part of the path; chosen: while less is done, the tip may still be approaching
 _BESIDE = 10.0  # tolerances before and behind an end of a detour in which the tip swings out or in; chosen
+_LEAST_SHOWN = 5e-4  # m: what is printed as less is 0.000 m
+_BETTER = 0.1  # part of the tolerances by which a later leg must fit better where a path turns; chosen
+_PARTS = 8  # of a segment in which the tip passes a waypoint, at which its angle is looked at; chosen
 _LOOK_AHEAD = 0.5  # m of path within which the tip is sought while it follows; chosen
 
 
@@ -35,7 +39,8 @@ class Detour:
     time_from, time_to: when it begins and ends [s].
     path_from, path_to: where the tip leaves the path and where it rejoins it [m].
     length: of the tip's way in between [m].
-    max_deviation: largest distance from the path [m].
+    max_deviation: largest distance of the tip from the path [m].
+    max_angle: largest angle from the asked orientation [rad].
     obstruction: what the detour goes around, where a planner knows it; a certificate does not.
     """
 
@@ -45,7 +50,23 @@ class Detour:
     path_to: float
     length: float
     max_deviation: float
+    max_angle: float = 0.0
     obstruction: Obstruction | None = None
+
+    @property
+    def place(self) -> str:
+        """Of the path, for a sentence: ``from 1.20 m to 1.80 m``, or ``at 1.20 m``."""
+        begin, end = f"{self.path_from:.2f} m", f"{self.path_to:.2f} m"
+        return f"at {begin}" if begin == end else f"from {begin} to {end}"
+
+    @property
+    def size(self) -> str:
+        """How far it is off the path, for a sentence: ``by up to 0.120 m``, ``by up to 12.3 deg``."""
+        if self.max_deviation >= _LEAST_SHOWN:
+            return f"by up to {self.max_deviation:.3f} m"
+        if self.max_angle > ANGLE_TOLERANCE:
+            return f"by up to {np.degrees(self.max_angle):.1f} deg"
+        return f"leaving out {self.path_to - self.path_from:.2f} m of it"
 
 
 @dataclass(frozen=True)
@@ -59,7 +80,7 @@ class Tracking:
     max_error, mean_error: of the tip's position [m]: at the goal, or over the followed parts
         of the path, where the greatest includes the bound for what lies between samples.
     max_angle_error: the same of its angle, the bound at most 0.001 rad above what was measured [rad].
-    path_length: of the specified path [m]; 0 for a goal.
+    path_length: of the specified path [m], turns of the bucket not counted; 0 for a goal.
     followed: part of it that was followed [m].
     approach_time: when the tip first is on the path [s].
     detours: where it left the path.
@@ -106,7 +127,7 @@ def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinemati
     trajectory, kinematics: the motion, and the machine that makes it.
     tolerance: within which the tip counts as on the path [m].
     """
-    station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
+    station, error, angle, tips, at_begin = _follow(path, tolerance, trajectory, kinematics)
     robot = kinematics.robot
     turning = np.where(robot.prismatic, 0.0, 1.0)
     sagitta = bend_weights(np.diff(trajectory.q, axis=0), turning) @ tip_travel_bound(robot, trajectory.q) / 8.0
@@ -128,32 +149,35 @@ def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinemati
             degrees = np.degrees(angle[nearest])
             short = f"the tip is never on the path with the asked orientation; nearest {degrees:.1f} deg"
         off = float(error[nearest])
-        return Tracking(False, short, off, off, float(angle[nearest]), path.length)
+        return Tracking(False, short, off, off, float(angle[nearest]), path.arc(path.length))
     # the approach ends where the tip comes nearest to the path's beginning
-    at_begin = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
-    begins = np.flatnonzero(on & at_begin & (station <= _beginning(path, tolerance)))
+    begins = np.flatnonzero(on & at_begin & (path.turns | (station <= _beginning(path, tolerance))))
     if not len(begins):
         begins = np.flatnonzero(on)[:1]
     first, last = int(begins[np.argmin(error[begins])]), len(on) - 1 - int(np.argmax(on[::-1]))
     on[:first] = False  # brushing past during the approach is not following
     _close_gaps(on, first, last, station, 2.0 * tolerance)
-    detours = _detours(on, station, error, tips, trajectory.time, tolerance)
+    gaps = _gaps(on, np.array([path.arc(float(s)) for s in station]) if path.turns else station, tips, tolerance)
+    detours = [_detour(path, gap, station, error, angle, tips, trajectory.time) for gap in gaps]
     skipped = sum(detour.path_to - detour.path_from for detour in detours)
-    edges = np.array([edge for detour in detours for edge in (detour.path_from, detour.path_to)])
+    edges = np.array([station[row] for gap in gaps for row in gap])
     max_speed, max_speed_time = _max_speed(on, station, tips, trajectory, kinematics, edges, _BESIDE * tolerance)
     missing = []
-    if station[first] > tolerance:
-        missing.append(f"the path is joined at {station[first]:.2f} m instead of at its start")
+    if not at_begin[first] if path.turns else station[first] > tolerance:
+        missing.append(f"the path is joined at {path.describe(station[first])} instead of at its start")
     if station[last] < path.length - tolerance or last < len(on) - 1:
-        missing.append(f"the path is followed to {station[last]:.2f} m of {path.length:.2f} m")
+        missing.append(f"the path is followed to {path.describe(station[last])} of {path.describe_end()}")
+    if not missing:
+        left = [(station[a], station[b]) for a, b in gaps if np.max(error[a : b + 1]) > tolerance]
+        missing += _missed_angles(path, tolerance, on, station, trajectory, kinematics, left)
     return Tracking(
         done=not missing,
         shortfall=" and ".join(missing),
         max_error=float(np.max((error + between)[on])),
         mean_error=float(np.mean(error[on])),
         max_angle_error=float(np.max(angle[on])),
-        path_length=path.length,
-        followed=float(station[last] - station[first] - skipped),
+        path_length=path.arc(path.length),
+        followed=path.arc(float(station[last])) - path.arc(float(station[first])) - skipped,
         approach_time=float(trajectory.time[first]),
         detours=tuple(detours),
         max_speed=max_speed,
@@ -189,15 +213,14 @@ def _max_speed(
 
 
 def progress(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:
-    """Arc length up to which a motion has followed `path` [m]; None where it has not begun to.
+    """Up to which s, see `TipPath`, a motion has followed `path` [m]; None where it has not begun to.
 
     Parameters
     ----------
     trajectory, kinematics: the motion, and the machine that makes it.
     tolerance: within which the tip counts as on the path [m].
     """
-    station, error, angle, tips = _follow(path, tolerance, trajectory, kinematics)
-    begun = np.linalg.norm(tips - path.points[0], axis=1) <= tolerance
+    station, error, angle, _, begun = _follow(path, tolerance, trajectory, kinematics)
     if not begun.any():
         return None
     on = (error <= tolerance) & (angle <= ANGLE_TOLERANCE)
@@ -207,44 +230,98 @@ def progress(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics
 
 def _follow(
     path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics
-) -> tuple[Vector, Vector, Vector, Matrix]:
-    """Per sample: arc length, distance from the path, angle error, and tip position."""
+) -> tuple[Vector, Vector, Vector, Matrix, Flags]:
+    """Per sample: s on the path, distance from it, angle error, tip position, and whether the tip is at its begin.
+
+    Where the path turns, what is followed is position and orientation together.
+    """
     count = len(trajectory)
     station, error, angle, tips = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3))
+    at_begin = np.zeros(count, dtype=bool)
     reached, begun = 0.0, False
     beginning = _beginning(path, tolerance)
+    slack = _BETTER * min(tolerance, TURN_LEVER * ANGLE_TOLERANCE)
+
+    def place(low: float, high: float) -> tuple[float, float, bool]:
+        """Where between two s, the distance from the path there, and whether the tip is on it."""
+        if path.turns:
+            s, distance, off = path.place(at, low=low, high=high, slack=slack)
+            return s, distance, distance <= tolerance and off <= ANGLE_TOLERANCE
+        s, distance = path.nearest(at.tip_position, low=low, high=high)
+        return s, distance, distance <= tolerance
+
     for row in range(count):
         at = kinematics.at(trajectory.q[row])
         tips[row] = at.tip_position
         from_begin = float(np.linalg.norm(at.tip_position - path.points[0]))
-        if from_begin <= tolerance and reached <= beginning:
+        at_begin[row] = from_begin <= tolerance
+        if path.turns:
+            at_begin[row] &= path.target(0.0).distances(at)[1] <= ANGLE_TOLERANCE
+            at_begin[row] &= reached <= beginning
+        if at_begin[row] and reached <= beginning:
             # an approach may brush along the path before it settles on its beginning
             reached, begun = 0.0, True
         if not begun:
             s, distance = 0.0, from_begin
         else:
-            s, distance = path.nearest(at.tip_position, low=reached, high=min(reached + _LOOK_AHEAD, path.length))
-            if distance > tolerance:  # it may rejoin further on
-                further, nearer = path.nearest(at.tip_position, low=reached)
-                s, distance = (further if nearer <= tolerance else s), nearer
-            if distance <= tolerance:
+            s, distance, fits = place(reached, min(reached + _LOOK_AHEAD, path.length))
+            if not fits:  # it may rejoin further on
+                further, nearer, fits = place(reached, path.length)
+                s, distance = (further if fits else s), nearer
+            if fits:
                 reached = s
         station[row], error[row] = s, distance
         angle[row] = path.target(s).distances(at)[1] if path.asks_orientation else 0.0
-    return station, error, angle, tips
+    return station, error, angle, tips, at_begin
 
 
 def _beginning(path: TipPath, tolerance: float) -> float:
-    """Arc length up to which a tip at the path's first point still counts as beginning [m].
+    """The s up to which a tip at the path's begin still counts as beginning [m].
 
-    It is shorter where the path itself comes back to its first point.
+    It is less where the path itself comes back to its begin.
     """
     usual = _BEGINNING * path.length
     raster = np.arange(0.0, 2.0 * usual, max(tolerance, 1e-3, usual / 5000.0))
     places = np.column_stack([np.interp(raster, path.stations, column) for column in path.points.T])
     away = np.linalg.norm(places - path.points[0], axis=1) > 2.0 * tolerance
+    if path.turns:
+        away |= np.array([path.turn(0.0, float(s)) > 2.0 * ANGLE_TOLERANCE for s in raster], dtype=bool)
     back = np.flatnonzero(~away & (np.cumsum(away) > 0))
     return min(usual, 0.5 * float(raster[back[0]])) if len(back) else usual
+
+
+def _missed_angles(
+    path: TipPath,
+    tolerance: float,
+    on: Flags,
+    station: Vector,
+    trajectory: Trajectory,
+    kinematics: Kinematics,
+    left: Sequence[tuple[float, float]],
+) -> list[str]:
+    """The waypoints beside turns at which the tip never has the asked angle, in words.
+
+    Parameters
+    ----------
+    left: the parts of the path that the tip is away from, from s to s [m]. A waypoint there may be
+        left out where the tip only passes, not where it stands to turn.
+    """
+    found = []
+    rows = np.flatnonzero(on)
+    for index in path.turned_waypoints.tolist():
+        mark = float(path.stations[index])
+        if index not in path.standing_waypoints and any(begin <= mark <= end for begin, end in left):
+            continue
+        behind = min(int(np.searchsorted(station[rows], mark, side="right")), len(rows) - 1)
+        before, after = rows[max(behind - 1, 0)], rows[behind]
+        parts = np.linspace(0.0, 1.0, _PARTS + 1 if after - before == 1 else 2)[:, None]
+        between = (1.0 - parts) * trajectory.q[before] + parts * trajectory.q[after]
+        misses = [path.target(mark).distances(kinematics.at(q)) for q in between]
+        near = [angle for distance, angle in misses if distance <= tolerance]
+        if not near or min(near) > ANGLE_TOLERANCE:
+            off = np.degrees(min(near, default=misses[0][1]))
+            found.append(f"waypoint {path.number(index)} is passed with the bucket {off:.1f} deg from its angle")
+    return found
 
 
 def _cut_corners(path: TipPath, station: Vector, tips: Matrix) -> Vector:
@@ -267,14 +344,27 @@ def _close_gaps(on: Flags, first: int, last: int, station: Vector, shortest: flo
             on[start:end] = False
 
 
-def _detours(on: Flags, station: Vector, error: Vector, tips: Matrix, time: Vector, tolerance: float) -> list[Detour]:
-    """The detours: where the tip is off the path, and where it advances along the path by more than it moves."""
+def _gaps(on: Flags, arcs: Vector, tips: Matrix, tolerance: float) -> list[tuple[int, int]]:
+    """The samples before and behind each detour: the tip is off the path, or gets on along it by more than it moves.
+
+    Parameters
+    ----------
+    arcs: (T,) how far along the path the tip is [m], turns not counted.
+    """
     way = np.linalg.norm(np.diff(tips, axis=0), axis=1)
-    skips = np.diff(station) > 1.5 * way + 4.0 * tolerance
-    return [
-        Detour(
-            time_from=float(time[a]), time_to=float(time[b]), path_from=float(station[a]), path_to=float(station[b]),
-            length=float(np.sum(way[a:b])), max_deviation=float(np.max(error[a + 1 : b], initial=0.0)),
-        )
-        for a, b in pairwise(np.flatnonzero(on).tolist()) if b > a + 1 or skips[a]
-    ]  # fmt: skip
+    skips = np.diff(arcs) > 1.5 * way + 4.0 * tolerance
+    return [(a, b) for a, b in pairwise(np.flatnonzero(on).tolist()) if b > a + 1 or skips[a]]
+
+
+def _detour(
+    path: TipPath, gap: tuple[int, int], station: Vector, error: Vector, angle: Vector, tips: Matrix, time: Vector
+) -> Detour:
+    """The detour between two samples at which the tip is on the path."""
+    a, b = gap
+    return Detour(
+        time_from=float(time[a]), time_to=float(time[b]),
+        path_from=path.arc(float(station[a])), path_to=path.arc(float(station[b])),
+        length=float(np.sum(np.linalg.norm(np.diff(tips[a : b + 1], axis=0), axis=1))),
+        max_deviation=float(np.max(error[a + 1 : b], initial=0.0)),
+        max_angle=float(np.max(angle[a + 1 : b], initial=0.0)),
+    )  # fmt: skip

@@ -109,7 +109,9 @@ class _Follower:
 
     def _rejoin(self, stepper: Stepper, stretch: Stretch) -> tuple[Stepper, float] | Outcome:
         """A motion that is back on the path beyond what blocks it, and where [m]; or why there is none."""
-        left, end = stretch.reached, self._path.length
+        left = stretch.reached
+        marks = self._path.stations[self._path.standing_waypoints]
+        end = float(np.min(marks[marks > left + _ON_PATH], initial=self._path.length))  # a turn may not be left out
         if not self._may_leave:
             return self._blocked(stepper, left, self._free_again(stepper, left), stretch.obstruction)
         furthest = end

@@ -55,8 +55,17 @@ def blocked_path(motion: Trajectory, found: Obstruction, path: TipPath, why: str
     found: what is in the way, with the part of the path that it blocks.
     why: end of the sentence that says why it is not bypassed; may be empty.
     """
-    where = f"from {found.path_from:.2f} m to {found.path_to:.2f} m of {path.length:.2f} m"
-    return Outcome(motion, "blocked", f"the path is blocked {where} by {found}{why}", Findings(obstruction=found))
+    assert found.path_from is not None
+    assert found.path_to is not None
+    where = f"from {path.describe(found.path_from)} to {path.describe(found.path_to)} of {path.describe_end()}"
+    message = f"the path is blocked {where} by {found}{why}"
+    return Outcome(motion, "blocked", message, Findings(obstruction=by_arc_length(found, path)))
+
+
+def by_arc_length(found: Obstruction, path: TipPath) -> Obstruction:
+    """What blocks a part of a path, with that part as people measure it: turns of the bucket not counted."""
+    ends = [None if s is None else path.arc(s) for s in (found.path_from, found.path_to)]
+    return replace(found, path_from=ends[0], path_to=ends[1])
 
 
 def bad_start(world: World, start: Vector) -> Outcome | None:

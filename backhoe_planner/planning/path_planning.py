@@ -12,7 +12,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, Trajectory, progress, trajectory_costs
 from backhoe_planner.planning.law_following import follow_with_law
-from backhoe_planner.planning.outcome import Outcome, at_rest, blocked_path, no_posture, out_of_reach
+from backhoe_planner.planning.outcome import Outcome, at_rest, blocked_path, by_arc_length, no_posture, out_of_reach
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.path_layers import redundancy_of
@@ -73,7 +73,7 @@ def waypoint_out_of_reach(world: World, path: TipPath) -> Outcome | None:
         found = solve_inverse_kinematics(robot, targets[row])
         if not found.reached:
             index = int(indices[row])
-            what = "beginning of the path" if index == 0 else f"waypoint {index + 1} of the path"
+            what = "beginning of the path" if index == 0 else f"waypoint {path.number(index)} of the path"
             return out_of_reach(world, found, targets[row], what)
     return None
 
@@ -176,7 +176,11 @@ class _Along:
         if detours and not self._may_leave:
             failure = blocked_path(stepper.trajectory(), detours[0], self._path, ", and detours are not allowed")
             return failure.adding(detours=detours)
-        return Outcome(stepper.trajectory(), message=message, findings=Findings(detours=detours))
+        return Outcome(
+            stepper.trajectory(),
+            message=message,
+            findings=Findings(detours=tuple(by_arc_length(detour, self._path) for detour in detours)),
+        )
 
     def _price(self, nodes: Matrix) -> Vector:
         """(N,) what it costs to begin at each of `nodes` (N, n): the distance of the joints [rad or m]."""

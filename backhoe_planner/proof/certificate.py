@@ -139,8 +139,5 @@ def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking,
         found.append(tracking.shortfall)
     elif tracking.detours and path is not None and not path.detour:
         longest = max(tracking.detours, key=lambda detour: detour.length)
-        found.append(
-            f"the tip leaves the path from {longest.path_from:.2f} m to {longest.path_to:.2f} m, "
-            f"by up to {longest.max_deviation:.3f} m, and detours are not allowed"
-        )
+        found.append(f"the tip leaves the path {longest.place}, {longest.size}, and detours are not allowed")
     return found

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+import backhoe_planner as bp
 from backhoe_planner.motion import TipPath
 from backhoe_planner.site import Waypoint
 
@@ -124,3 +125,82 @@ def test_a_turn_on_the_spot_has_a_length() -> None:
     np.testing.assert_allclose(path(turn / 2.0), [1.0, 0.0, 0.0])
     np.testing.assert_allclose(path(turn / 2.0, 1), [0.0, 0.0, 0.0])
     assert path.target(turn / 2.0).pitch == pytest.approx((-1.5, -1.5))
+
+
+def pose(x: float, y: float, z: float, pitch: float | tuple[float, float] | None = None) -> Waypoint:
+    return Waypoint(position=(x, y, z), pitch=pitch)
+
+
+def test_a_leg_counts_its_turn_where_that_is_more_than_its_way() -> None:
+    """0.25 m for each radian: 2 rad on 1 m leave it 1 m long, on 0.1 m they make it 0.5 m long."""
+    path = TipPath(
+        [pose(0.0, 0.0, 0.0, pitch=0.0), pose(1.0, 0.0, 0.0, pitch=2.0), pose(1.1, 0.0, 0.0, pitch=0.0)],
+    )
+    np.testing.assert_allclose(path.stations, [0.0, 1.0, 1.5])
+    np.testing.assert_array_equal(path.turning, [False, True])
+    assert path.turns
+    assert path.arc(1.25) == pytest.approx(1.05)
+    assert path.arc(path.length) == pytest.approx(1.1)
+    assert not corner().turns
+    assert corner().arc(5.0) == 5.0
+
+
+def test_a_range_that_only_widens_on_the_spot_is_a_leg_too() -> None:
+    """Its lower end turns by 0.4 rad. Else its first angle would never be asked."""
+    path = TipPath([pose(0.0, 0.0, 0.0, pitch=-1.0), pose(0.0, 0.0, 0.0, pitch=(-1.4, -0.6))])
+    assert path.length == pytest.approx(0.25 * 0.4)
+    assert path.target(0.0).pitch == (-1.0, -1.0)
+
+
+def test_half_a_turn_goes_the_way_it_is_written() -> None:
+    for written in (np.pi, -np.pi):
+        path = TipPath([pose(0.0, 0.0, 0.0, pitch=-0.5), pose(0.0, 0.0, 0.0, pitch=-0.5 + written)])
+        middle = path.target(0.5 * path.length).pitch
+        assert middle is not None
+        assert middle[0] == pytest.approx(-0.5 + 0.5 * written)
+
+
+def test_an_angle_that_is_asked_at_a_place_counts_there_before_one_that_is_free() -> None:
+    path = TipPath([pose(0.0, 0.0, 0.0, pitch=-1.0), pose(0.0, 0.0, 0.0), pose(1.0, 0.0, 0.0)])
+    assert path.target(0.0).pitch == (-1.0, -1.0)
+    assert path.target(0.1).pitch is None
+
+
+def test_corners_of_turns() -> None:
+    """Where the tip stops to turn and where the turn reverses; not where it goes on."""
+    path = TipPath(
+        [
+            pose(0.0, 0.0, 0.0, pitch=-1.0),
+            pose(1.0, 0.0, 0.0, pitch=-1.0),
+            pose(1.0, 0.0, 0.0, pitch=-1.4),
+            pose(1.0, 0.0, 0.0, pitch=-2.0),
+            pose(1.0, 0.0, 0.0, pitch=-1.6),
+        ]
+    )
+    np.testing.assert_allclose(path.corners(0.1), [1.0, 1.25])
+
+
+def test_places_in_words() -> None:
+    assert corner().describe(5.0) == "5.00 m"
+    path = TipPath(
+        [pose(0.0, 0.0, 0.0, pitch=-1.0), pose(1.0, 0.0, 0.0, pitch=-1.0), pose(1.0, 0.0, 0.0, pitch=-2.0)],
+        numbers=[1, 3, 4],
+    )
+    assert path.describe(0.4) == "0.40 m behind waypoint 1"
+    assert path.describe(1.0) == "waypoint 3"
+    assert path.describe(1.125) == "28.6 deg behind waypoint 3"  # half of 1 rad
+    assert path.describe(path.length) == "waypoint 4"
+    assert path.describe_end() == "4"
+
+
+@pytest.mark.parametrize(
+    ("pitch", "station"),
+    [(-1.0, 1.0), (-1.5, 1.125), (-2.0, 1.25)],
+)
+def test_where_the_tip_is_on_a_turn(backhoe: bp.Robot, pitch: float, station: float) -> None:
+    path = TipPath([pose(2.6, 0.0, 0.3, pitch=-1.0), pose(3.6, 0.0, 0.3, pitch=-1.0), pose(3.6, 0.0, 0.3, pitch=-2.0)])
+    target = bp.TipTarget(position=np.array([3.6, 0.0, 0.3]), pitch=(pitch, pitch))
+    at = bp.Kinematics(backhoe).at(bp.solve_inverse_kinematics(backhoe, target).q)
+    s, off, angle = path.place(at, low=0.0, high=path.length, slack=1e-4)
+    assert s == pytest.approx(station, abs=1e-6)
+    assert (off, angle) == pytest.approx((0.0, 0.0), abs=1e-6)

@@ -96,8 +96,9 @@ def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> f
     sizes = np.linalg.norm(legs, axis=1)
     if np.min(sizes) < 1e-9:
         return None
+    turns = bool(np.any(path.turning[index - 1 : index + 1]))
     bend = float(np.arccos(np.clip(legs[0] @ legs[1] / (sizes[0] * sizes[1]), -1.0, 1.0)))
-    if bend > _SHARPEST:
+    if bend > _SHARPEST or (turns and bend < SHARP):  # no parabola rounds what turns
         return None
     # the parabola's middle is half of cut * sin(bend / 2) off the corner
     longest = min(_LEG * float(np.min(sizes)), 0.9 * (corner - low), 0.9 * (high - corner))

@@ -15,7 +15,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import Problem, TipPath
+from backhoe_planner.motion import TURN_LEVER, Problem, TipPath
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.paths.path_layers import PathLayers
 from backhoe_planner.planning.paths.stretch import Stretch
@@ -29,7 +29,7 @@ _LAYER = 0.05  # m of path between layers; chosen
 _MANY_LAYERS = 160  # chosen to bound the work: a path that needs more has them further apart,
 _WIDEST_LAYER = 5.0 * _LAYER  # m, up to this
 _GRID = np.radians(5.0)  # of the free parameter; chosen: refined afterwards
-_LENGTH_OF_TURN = 0.25  # m that a radian of the tip's own turning counts as; chosen: about the size of a bucket
+_SAME = 1e-9  # m of path: nearer layers are at one place
 _FINE = 0.01  # m of path between the samples of a stretch; chosen
 _FINE_TURN = 0.03  # rad or m of a joint between them; chosen
 _BENT = 3.0  # times the step of the straight way that a step between two nodes may be long; chosen
@@ -166,6 +166,10 @@ class PathResolver:
         graph = LayeredGraph(
             stations, layers, cost=self._cost, turning=turning, detours=detours, brake=self._work.brake
         )
+        for mark in self._path.stations[self._path.standing_waypoints].tolist():
+            for start in np.flatnonzero(stations < mark - _SAME).tolist():
+                for end in np.flatnonzero(stations > mark + _SAME).tolist():
+                    graph.forbid_detours(start, end)
         self._off_path = off_path
         pieces = self._search(graph, costs)
         return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
@@ -381,11 +385,18 @@ def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
     """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither goes nor turns far between."""
     fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
     turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]
-    measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + _LENGTH_OF_TURN * np.array(turns))))
+    measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + TURN_LEVER * np.array(turns))))
     fewer = max(_MANY_LAYERS, int(np.ceil(measure[-1] / _WIDEST_LAYER)))
     count = min(max(int(np.ceil(measure[-1] / spacing)), 1), fewer)
     found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
     found[0], found[-1] = since, path.length
+    # where a turn begins or ends the joints change their direction: a layer of its own, instead of one near it
+    marks = path.stations[path.turned_waypoints]
+    marks = marks[(marks > since) & (marks < path.length)]
+    if len(marks):
+        near = 0.5 * (path.length - since) / count
+        inner = [s for s in found[1:-1] if np.min(np.abs(marks - s)) > near]
+        found = np.unique(np.concatenate((found[[0, -1]], inner, marks)))
     return np.asarray(found)
 
 

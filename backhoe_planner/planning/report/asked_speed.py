@@ -57,7 +57,7 @@ def measure_speed(problem: Problem, trajectory: Trajectory, *, begun: float) -> 
     if len(motion) < 2:
         return None
     tips = np.array([kinematics.at(q).tip_position for q in motion.q])
-    places, near = _places(path, tips, task.tolerance)
+    places, near = _places(path.without_angles if path.turns else path, tips, task.tolerance)
     length = np.linalg.norm(np.diff(tips, axis=0), axis=1)
     speed = length / np.diff(motion.time)
     counted = near[1:] & near[:-1]

@@ -121,7 +121,7 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
     if len(motion) < 3:
         return None
     moved, breaks = None, None
-    stands = np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING)
+    stands = path.turns or np.any(np.linalg.norm(np.diff(path.points, axis=0), axis=1) < _STANDING)
     # with detours the path itself is blocked; where the tip stands, no place says what to compare
     if not certificate.detours and not stands:
         moved, breaks = _along_by_law(problem, path, motion, begun, kinematics=kinematics)

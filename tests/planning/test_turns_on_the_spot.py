@@ -1,0 +1,221 @@
+"""Paths on which the tip stands and the bucket turns: planned, timed, certified, and told in words."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.motion import Trajectory, build_problem, progress
+
+A, M, B, C = [3.6, 0.0, 0.3], [3.2, 0.0, 0.3], [2.8, 0.0, 0.3], [2.8, 0.0, 1.0]
+ARC = 0.8  # from A to B [m]
+TURNED = -2.2  # instead of -1.6 [rad]
+
+
+def at(position: list[float], pitch: float | list[float] | None = None) -> dict[str, Any]:
+    return {"position": position} | ({} if pitch is None else {"pitch": pitch})
+
+
+def site(*waypoints: dict[str, Any], **keys: Any) -> bp.Scene:
+    return bp.scene_from_dict({"version": 1, "task": {"path": {"waypoints": list(waypoints)} | keys}})
+
+
+def pitches(plan: bp.Plan) -> np.ndarray[Any, np.dtype[np.float64]]:
+    kinematics = bp.Kinematics(plan.robot)
+    return np.array([kinematics.at(q).pitch for q in plan.trajectory.q])
+
+
+START = (at(A, -1.6), at(A, TURNED), at(B, TURNED))
+MIDDLE = (at(A, -1.6), at(M, -1.6), at(M, TURNED), at(B, TURNED))
+END = (at(A, -1.6), at(B, -1.6), at(B, TURNED))
+ROW = (at(A, -1.6), at(A, TURNED), at(A, -1.8), at(B, -1.8), at(B, -2.4), at(B, -1.6))
+
+
+# --- planned and certified --------------------------------------------------------
+
+
+@pytest.mark.parametrize("waypoints", [START, MIDDLE, END, ROW], ids=["start", "middle", "end", "row"])
+@pytest.mark.parametrize("keys", [{}, {"speed": 0.3, "detour": False}], ids=["fast", "slow"])
+def test_a_turn_on_the_spot_is_followed(
+    backhoe: bp.Robot, waypoints: tuple[dict[str, Any], ...], keys: dict[str, Any]
+) -> None:
+    """Every metre of the path, no detour, and each asked angle in its turn."""
+    plan = bp.plan(backhoe, site(*waypoints, **keys), effort="quick")
+    assert plan.verified, plan.message
+    tracking = plan.certificate.tracking
+    assert tracking.detours == ()
+    assert tracking.path_length == pytest.approx(ARC)
+    assert tracking.followed == pytest.approx(ARC, abs=1e-6)
+    found, row = pitches(plan), 0
+    for waypoint in waypoints:
+        near = np.flatnonzero(np.abs(found[row:] - waypoint["pitch"]) < 1e-6)
+        assert len(near), f"never at {waypoint['pitch']} after sample {row}"
+        row += int(near[0])
+
+
+def test_the_law_turns_too(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, site(*ROW), method="reactive")
+    assert plan.verified, plan.message
+    assert plan.certificate.detours == ()
+
+
+def test_the_asked_speed_is_that_of_the_tip_and_does_not_hold_a_turn_back(backhoe: bp.Robot) -> None:
+    """At 0.02 m/s a turn by 0.6 rad, counted as a way of 0.15 m, would take 7.5 s."""
+    slow = bp.plan(backhoe, site(at(A, -1.6), at(A, TURNED), speed=0.02), effort="quick")
+    fast = bp.plan(backhoe, site(at(A, -1.6), at(A, TURNED)), effort="quick")
+    assert slow.verified, slow.message
+    assert slow.trajectory.duration < 1.05 * fast.trajectory.duration < 3.0
+
+
+def test_turns_in_a_row_in_one_sense_need_no_stop_between(backhoe: bp.Robot) -> None:
+    through = bp.plan(backhoe, site(at(A, -1.6), at(A, -1.9), at(A, TURNED)), effort="quick")
+    once = bp.plan(backhoe, site(at(A, -1.6), at(A, TURNED)), effort="quick")
+    assert through.verified, through.message
+    assert through.trajectory.duration == pytest.approx(once.trajectory.duration, rel=0.02)
+    moving = np.max(np.abs(through.trajectory.segment_velocities()), axis=1)
+    assert np.min(moving[5:-5]) > 0.05
+
+
+def test_the_same_waypoint_twice_asks_for_nothing(backhoe: bp.Robot) -> None:
+    once = bp.plan(backhoe, site(at(A, -1.6), at(B, -1.6)), effort="quick")
+    twice = bp.plan(backhoe, site(at(A, -1.6), at(A, -1.6), at(B, -1.6)), effort="quick")
+    np.testing.assert_array_equal(twice.trajectory.q, once.trajectory.q)
+
+
+def test_an_angle_that_is_asked_where_the_next_waypoint_leaves_it_free(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, site(at(A, TURNED), at(A), at(B)), effort="quick")
+    assert plan.verified, plan.message
+    assert pitches(plan)[0] == pytest.approx(TURNED)
+
+
+def test_a_range_that_turns_on_the_spot(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, site(at(A, [-1.8, -1.4]), at(A, [-2.4, -2.0]), at(B, [-2.4, -2.0])), effort="quick")
+    assert plan.verified, plan.message
+    found = pitches(plan)
+    assert -1.8 - 1e-6 <= found[0] <= -1.4 + 1e-6
+    assert -2.4 - 1e-6 <= found[-1] <= -2.0 + 1e-6
+
+
+HOLD = [0.5, 0.0, 0.5]
+
+
+def hand(yaw: float, roll: float = np.pi, position: list[float] = HOLD) -> dict[str, Any]:
+    return {"position": position, "rpy": [roll, 0.0, yaw]}
+
+
+@pytest.mark.parametrize(
+    "waypoints",
+    [
+        (hand(0.0), hand(0.6), hand(0.6, np.pi - 0.4), hand(0.0)),
+        (hand(-1.2), hand(np.pi - 1.2)),
+        (hand(0.0), hand(0.0, position=[0.45, 0.1, 0.5]), hand(-0.8, position=[0.45, 0.1, 0.5])),
+    ],
+    ids=["about two axes", "half a turn", "end"],
+)
+def test_full_orientations_turn_on_the_spot(waypoints: tuple[dict[str, Any], ...]) -> None:
+    robot = bp.load_robot("example:panda", tip="panda_hand")
+    plan = bp.plan(robot, site(*waypoints, detour=False), effort="quick")
+    assert plan.verified, plan.message
+    tracking = plan.certificate.tracking
+    assert tracking.detours == ()
+    assert tracking.max_angle_error < 0.005
+
+
+# --- what is not done is not certified -----------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def straight(backhoe: bp.Robot) -> bp.Plan:
+    """From A to B with the bucket at -1.6 all along."""
+    return bp.plan(backhoe, site(at(A, -1.6), at(B, -1.6)), effort="quick")
+
+
+def test_a_bucket_that_does_not_turn_at_the_end_has_not_followed(backhoe: bp.Robot, straight: bp.Plan) -> None:
+    tracking = bp.certify(backhoe, site(*END), straight.trajectory).tracking
+    assert not tracking.done
+    assert tracking.shortfall == "the path is followed to waypoint 2 of 3"
+
+
+def test_a_bucket_that_does_not_turn_to_and_fro_has_not_followed(backhoe: bp.Robot, straight: bp.Plan) -> None:
+    """-1.6 to -2.2 is 34.4 deg. Before and after the turn the tip is where a motion without it would be."""
+    to_and_fro = site(at(A, -1.6), at(M, -1.6), at(M, TURNED), at(M, -1.6), at(B, -1.6))
+    certificate = bp.certify(backhoe, to_and_fro, straight.trajectory)
+    assert not certificate.verified
+    assert "waypoint 3 is passed with the bucket 34.4 deg from its angle" in certificate.tracking.shortfall
+
+
+def turning(robot: bp.Robot, *angles: float) -> Trajectory:
+    """At A the bucket turns from one angle to the next, sample by sample."""
+    near: np.ndarray[Any, np.dtype[np.float64]] = np.array([0.0, 0.4, -1.6, -0.9])
+    found: list[np.ndarray[Any, np.dtype[np.float64]]] = []
+    for begin, end in pairwise(angles):
+        for pitch in np.linspace(begin, end, 41)[1 if found else 0 :]:
+            target = bp.TipTarget(position=np.array(A), pitch=(float(pitch), float(pitch)))
+            near = bp.solve_inverse_kinematics(robot, target, start=near).q
+            found.append(near)
+    return Trajectory.from_steps(np.linspace(0.0, 20.0, len(found)), np.array(found))
+
+
+TO_AND_FRO = (at(A, -1.6), at(A, TURNED), at(A, -1.6))
+
+
+@pytest.mark.parametrize(
+    ("angles", "done"),
+    [
+        ((-1.6, -2.2, -1.6), True),
+        ((-1.6, -2.0, -1.6), False),  # turned too little
+        ((-1.6, -2.2), False),  # not back
+        ((-1.6, -1.0, -1.6), False),  # the other way
+    ],
+)
+def test_the_asked_angles_are_passed_or_the_path_is_not_done(
+    backhoe: bp.Robot, angles: tuple[float, ...], done: bool
+) -> None:
+    assert bp.certify(backhoe, site(*TO_AND_FRO), turning(backhoe, *angles)).tracking.done is done
+
+
+def test_the_asked_angles_are_passed_in_their_order(backhoe: bp.Robot) -> None:
+    asked = site(at(A, -1.8), at(A, -2.2), at(A, -1.4), at(A, -1.8))
+    assert bp.certify(backhoe, asked, turning(backhoe, -1.8, -2.2, -1.4, -1.8)).tracking.done
+    assert not bp.certify(backhoe, asked, turning(backhoe, -1.8, -1.4, -2.2, -1.8)).tracking.done
+
+
+def test_progress_goes_on_while_the_tip_stands(backhoe: bp.Robot) -> None:
+    """A third of a turn of 0.6 rad, which is as long as 0.15 m."""
+    problem = build_problem(backhoe, site(*TO_AND_FRO))
+    assert problem.path is not None
+    made = progress(problem.path, 0.005, turning(backhoe, -1.6, -1.8), bp.Kinematics(backhoe))
+    assert made == pytest.approx(0.05, abs=1e-6)
+    made = progress(problem.path, 0.005, turning(backhoe, -1.6, -2.2, -2.0), bp.Kinematics(backhoe))
+    assert made == pytest.approx(0.15 + 0.05, abs=1e-3)
+
+
+# --- in words ------------------------------------------------------------------------
+
+
+def test_an_angle_beyond_a_limit_is_refused_with_the_joint_at_its_limit(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, site(at(A, -1.6), at(B, -1.6), at(B, 0.3)), effort="quick")
+    assert plan.reason == "unreachable"
+    assert "waypoint 3 of the path" in plan.message
+    assert "deg away" in plan.message
+    assert plan.message.endswith("with bucket at the limit")
+
+
+def test_what_blocks_a_turn_is_named_with_its_place(backhoe: bp.Robot) -> None:
+    """A ball behind the bucket, which at -2.4 would be in it."""
+    angle = -2.4 + np.pi
+    ball = [B[0] + 0.25 * float(np.cos(angle)), 0.0, B[2] + 0.25 * float(np.sin(angle))]
+    waypoints = [at(C, -1.6), at(B, -1.6), at(B, -2.4), at(B, -1.6)]
+    content = {
+        "version": 1, "clearance": 0.01, "task": {"path": {"waypoints": waypoints}},
+        "obstacles": [{"name": "ball", "shape": "sphere", "radius": 0.03, "position": ball}],
+    }  # fmt: skip
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert not plan.verified
+    assert plan.reason == "blocked"
+    assert "behind waypoint" in plan.message
+    assert "ball (at bucket)" in plan.message
