@@ -21,6 +21,16 @@ it imports `backhoe_planner` by its doors, and no script.
     step_times         one obstacle course on which the steps of the law and the servo are timed
     servo_drives       a servo driven among obstacles that stand, appear and move
     recoveries         a servo that starts inside an obstacle or outside a limit
+    raw_urdf           a URDF as it is written: links, shapes, joints, where they are
+    raw_obstacles      the obstacles of a scene as they are written
+    convex_gaps        distances of convex parts, never below the true ones
+    dense_sweep        the least distances of a machine on its way, by looking at many moments
+    link_pairs         which links must not touch each other
+    random_machines    random machines, written as URDF text with their meshes
+    random_attacks     random sites and motions around them, many close to contact
+    certificate_attack the certificate against all of these
+    mujoco_model       machine and site as a MuJoCo model
+    mujoco_replay      motions replayed in it, and what touches
     placements         an obstacle put on a plan while a servo follows it
     tables             rows of figures as an aligned table and as CSV
 

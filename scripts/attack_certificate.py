@@ -1,0 +1,72 @@
+#!/usr/bin/env python
+"""Whether the certificate ever promises more than is true: random machines, sites and motions.
+
+For every seed a machine is written as a URDF, a site as a scene and a motion that nobody
+planned; what `bp.certify` proves of it is held against the least distances that are found by
+looking at the shapes as they are written, without coal and without the planner's own shapes
+(validation/certificate_attack.py). Five seeds share a machine.
+
+    python scripts/attack_certificate.py --count 5000
+    python scripts/attack_certificate.py --only 17
+
+Ctrl-C ends the run and prints what is done. The exit status is 1 where a certificate was
+refuted or an exception was raised, 130 after Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is imported
+
+import argparse
+import sys
+
+from validation.certificate_attack import Comparison, Summary, attack_seeds, summarise
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=500, help="comparisons")
+    parser.add_argument("--seed", type=int, default=0, help="of the first; the others follow it")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", type=int, metavar="SEED", help="this comparison alone")
+    options = parser.parse_args(arguments)
+    if options.count < 1 or options.jobs == 0 or min(options.seed, options.only or 0) < 0:
+        parser.error("--count must be greater than 0, --jobs not 0, seeds not negative")
+    seeds = range(options.seed, options.seed + options.count) if options.only is None else [options.only]
+    compared: list[Comparison] = []
+    interrupted = False
+    try:
+        for comparison in attack_seeds(seeds, jobs=options.jobs):
+            compared.append(comparison)
+            if comparison.error:
+                print(f"{comparison.seed}: {comparison.error}", flush=True)
+            for refutation in comparison.refutations:
+                print(f"{refutation.seed}: {refutation.cause}: {refutation.what}", flush=True)
+    except KeyboardInterrupt:
+        interrupted = True
+    if compared:
+        print(describe(summary := summarise(compared)))
+        return 130 if interrupted else int(bool(summary.refuted or summary.errors))
+    return 130
+
+
+def describe(summary: Summary) -> str:
+    """The figures in words."""
+    lines = [
+        f"{summary.comparisons} comparisons, {summary.safe} of them called safe, {summary.errors} errors, "
+        f"{summary.seconds / summary.comparisons:.2f} s of the processor each",
+        f"{summary.refuted} refuted" + (", by cause:" if summary.causes else ""),
+        *(f"  {count:6d}  {cause}" for cause, count in summary.causes.items()),
+        f"{summary.claims} distances that keep their clearance: what is proven lies {summary.below[0]:.2%} (median) "
+        f"and {summary.below[1]:.2%} (90th percentile) below the dense distance",
+        f"{summary.left_out} times two links were not compared that touch in every posture "
+        "though several joints lie between them",
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,216 @@
+"""The certificate against the least distances of random machines on random motions.
+
+A comparison is a machine, a site and a motion; it is refuted where a body comes nearer than was
+proven, or where two touch though the certificate calls the motion safe.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+
+import backhoe_planner as bp
+from backhoe_planner.machine import self_pairs
+from validation.dense_sweep import Least, Sweep
+from validation.link_pairs import PIN_PLAY, LinkPair
+from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
+
+_ROUNDING = 1e-6  # m below what is proven that a distance may be found
+_KEPT = 1.2e-4  # m below its clearance that a motion still counts as keeping it, and rounding
+_UNREPORTED = 10.0  # m beyond its clearance from which on the certificate does not name an obstacle
+
+
+@dataclass(frozen=True)
+class Refutation:
+    """What contradicts a certificate, and of which kind it is."""
+
+    seed: int
+    cause: str
+    what: str
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The outcome for one seed.
+
+    Attributes
+    ----------
+    below: how far each proven bound lies below the dense distance, as a part of it.
+    safe: whether the certificate calls the motion safe.
+    left_out: pairs of links with several joints between them that touch in every posture, and were not compared.
+    seconds: of the processor.
+    error: what was raised, if anything.
+    """
+
+    seed: int
+    refutations: tuple[Refutation, ...] = ()
+    below: tuple[float, ...] = ()
+    safe: bool = False
+    left_out: int = 0
+    seconds: float = 0.0
+    error: str = ""
+
+
+def attack_seeds(seeds: Sequence[int], *, jobs: int = 1) -> Iterator[Comparison]:
+    """Compare for every seed, in their order; neighbours share a machine."""
+    blocks: dict[int, list[int]] = {}
+    for seed in seeds:
+        blocks.setdefault(seed // TURNS, []).append(seed)
+    for compared in Parallel(n_jobs=jobs, return_as="generator")(delayed(_attack_block)(b) for b in blocks.values()):
+        yield from compared
+
+
+def _attack_block(seeds: Iterable[int]) -> list[Comparison]:
+    found: list[Comparison] = []
+    with tempfile.TemporaryDirectory() as name:
+        machine: Attacked | None = None
+        for seed in seeds:
+            begun = time.process_time()
+            try:
+                machine = machine or random_attacked(seed, Path(name))
+                attack = random_attack(seed, machine, Path(name))
+                certificate = bp.certify(machine.robot, attack.scene, attack.trajectory)
+                compared = compare(attack, certificate)
+            except Exception as error:  # noqa: BLE001  whatever is raised is a finding
+                compared = Comparison(seed, error=f"{type(error).__name__}: {error}")
+            found.append(replace(compared, seconds=time.process_time() - begun))
+    return found
+
+
+def compare(attack: Attack, certificate: bp.Certificate) -> Comparison:
+    """Hold a certificate against the least distances that are found by looking."""
+    machine, motion = attack.machine, attack.trajectory
+    sweep = machine.sweep(motion.time, motion.q)
+    claims = _against_obstacles(attack, certificate, sweep) + _against_itself(attack, certificate, sweep)
+    refuted = [refutation for claim in claims for refutation in claim.refutations(attack.seed, safe=certificate.safe)]
+    below = [claim.below for claim in claims if claim.comparable]
+    return Comparison(
+        attack.seed, tuple(refuted), tuple(below), certificate.safe, left_out=len(machine.pairs.touching_afar)
+    )
+
+
+@dataclass(frozen=True)
+class _Claim:
+    """What was proven of a distance, and the least that was found [m]."""
+
+    proven: float
+    found: Least
+    clearance: float
+    cause: str
+    known: bool
+
+    def refutations(self, seed: int, *, safe: bool) -> list[Refutation]:
+        """What is wrong with it."""
+        where = f"{self.found.link} is {self.found.distance:.6f} m from {self.found.other} at {self.found.time:.4f} s"
+        if self.found.distance <= 0.0:
+            where = f"{self.found.link} touches {self.found.other} at {self.found.time:.4f} s"
+        least = max(self.found.distance, 0.0)  # of parts that overlap the depth is not known
+        if least < self.proven - _ROUNDING:
+            also = ", and the motion is called safe" if safe and least < self.clearance - _KEPT else ""
+            return [Refutation(seed, self.cause, f"{where}, proven were {self.proven:.6f} m{also}")]
+        if safe and least < self.clearance - _KEPT:
+            return [Refutation(seed, self.cause, f"{where}, and the motion is called safe")]
+        return []
+
+    @property
+    def comparable(self) -> bool:
+        """Whether the two say how sharp the proof is: where a clearance is kept, for elsewhere it ends early."""
+        return self.known and self.clearance + 1e-4 < self.found.distance and self.proven <= self.found.distance
+
+    @property
+    def below(self) -> float:
+        """How far what was proven lies below what was found, as a part of it."""
+        return 1.0 - self.proven / self.found.distance
+
+
+def _against_obstacles(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -> list[_Claim]:
+    proven = {entry.name: entry.distance for entry in certificate.clearances if entry.kind == "obstacle"}
+    claims = []
+    for obstacle in attack.obstacles:
+        found = sweep.to_obstacle(obstacle)
+        if found is None:
+            continue
+        known = obstacle.name in proven
+        claim = proven.get(obstacle.name, obstacle.clearance + _UNREPORTED)
+        cause = f"nearer to a {obstacle.shape} than proven"
+        claims.append(_Claim(claim, found, obstacle.clearance, cause, known))
+    return claims
+
+
+def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -> list[_Claim]:
+    """One claim for every cause for which links may come nearer to each other than proven."""
+    machine = attack.machine
+    robot = machine.robot
+    looked_at = {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in self_pairs(robot)}
+    entry = next((entry for entry in certificate.clearances if entry.kind == "machine"), None)
+    groups: dict[str, list[LinkPair]] = {}
+    for pair in machine.pairs.counted:
+        groups.setdefault(_cause(machine, pair, looked_at), []).append(pair)
+    claims = []
+    for cause, pairs in groups.items():
+        found = sweep.between(pairs)
+        if found is None:
+            continue
+        known = cause == COMPARED
+        proven = entry.distance if entry is not None else (_UNREPORTED if known else 0.0)
+        claims.append(_Claim(proven, found, 0.0, cause, known and entry is not None))
+    return claims
+
+
+COMPARED = "links nearer to each other than proven"
+
+
+def _cause(machine: Attacked, pair: LinkPair, looked_at: set[frozenset[str]]) -> str:
+    """Of which kind it is when the links of a pair come nearer than proven."""
+    if frozenset(pair) in looked_at:
+        return COMPARED
+    if machine.pairs.counted[pair] < PIN_PLAY:
+        return "left out: links that were nowhere seen 1 cm apart"
+    if pair not in machine.pairs.adjacent:
+        return "left out: links with several joints between them"
+    fixed = [
+        name for name in pair if machine.raw.joint_above.get(name) and machine.raw.joint_above[name].kind == "fixed"
+    ]
+    if fixed:
+        return "left out: fixed extras on bodies joined by a joint"
+    return "left out: the two links of a joint"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The figures of many comparisons."""
+
+    comparisons: int
+    claims: int
+    safe: int
+    errors: int
+    refuted: int
+    causes: dict[str, int]
+    below: tuple[float, float]
+    left_out: int
+    seconds: float
+
+
+def summarise(comparisons: Sequence[Comparison]) -> Summary:
+    """Count what was found; `below` are the median and the 90th percentile."""
+    below = [share for one in comparisons for share in one.below]
+    median, high = (float(np.quantile(below, part)) if below else float("nan") for part in (0.5, 0.9))
+    causes = Counter(refutation.cause for one in comparisons for refutation in one.refutations)
+    return Summary(
+        comparisons=len(comparisons),
+        claims=len(below),
+        safe=sum(one.safe for one in comparisons),
+        errors=sum(bool(one.error) for one in comparisons),
+        refuted=sum(bool(one.refutations) for one in comparisons),
+        causes=dict(causes.most_common()),
+        below=(median, high),
+        left_out=sum(one.left_out for one in comparisons),
+        seconds=sum(one.seconds for one in comparisons),
+    )

@@ -1,0 +1,95 @@
+"""Which links of a machine must not touch each other, by their shapes as they are written.
+
+Two links may only be left out where they touch by construction: wherever the joints between
+them stand. Links that move together are no pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix
+from validation.convex_gaps import Body, gap, least_pair
+from validation.dense_sweep import past_link
+from validation.raw_urdf import Placements, RawMachine
+
+LinkPair = tuple[str, str]
+
+_POSTURES = 25  # over the range of a joint, or of all joints at random
+_APART = 1e-6  # m from which on two links do not touch
+PIN_PLAY = 0.01  # m: links that are nowhere further apart are joined by a pin with play; no need to look on
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Pairs of links that move against each other, as (the one further out, the other).
+
+    Attributes
+    ----------
+    counted: that are apart in some posture, with how far, as far as `PIN_PLAY` [m].
+    touching: that touch wherever the joint between them stands.
+    touching_afar: that touch in all random postures, though more than one joint lies between them.
+    adjacent: of all of these, those with one joint between them.
+    """
+
+    counted: dict[LinkPair, float]
+    touching: set[LinkPair]
+    touching_afar: set[LinkPair]
+    adjacent: set[LinkPair]
+
+
+def find_pairs(machine: RawMachine, bodies: Mapping[str, Body], tip: str) -> Pairs:
+    """All pairs of links of a machine that is moved at `tip`."""
+    joints = machine.chain(tip)
+    names = [joint.name for joint in joints]
+    carriers = machine.bodies(names)
+    rank = {"": 0, **{name: index + 1 for index, name in enumerate(names)}}
+    placed = _postures(machine, tip)
+    found = Pairs({}, set(), set(), set())
+    for one, other in combinations(bodies, 2):
+        outer, inner = (one, other) if rank[carriers[one]] > rank[carriers[other]] else (other, one)
+        apart = rank[carriers[outer]] - rank[carriers[inner]]
+        if apart == 0:
+            continue
+        if apart == 1:
+            found.adjacent.add((outer, inner))
+        furthest = _furthest(bodies[outer], bodies[inner], placed[carriers[outer] if apart == 1 else ""])
+        if furthest > _APART:
+            found.counted[outer, inner] = furthest
+        else:
+            (found.touching if apart == 1 else found.touching_afar).add((outer, inner))
+    return found
+
+
+def _postures(machine: RawMachine, tip: str) -> dict[str, dict[str, Placements]]:
+    """Placements with one joint over its range, by its name; under "" with all joints at random."""
+    joints = machine.chain(tip)
+    bounds = np.array(
+        [(-np.pi, np.pi) if joint.kind == "continuous" else (joint.lower, joint.upper) for joint in joints], dtype=float
+    )
+    share = np.random.default_rng(0).random((_POSTURES, len(joints)))
+    q: Matrix = bounds[:, 0] + share * (bounds[:, 1] - bounds[:, 0])
+    found = {"": machine.placements(dict(zip((joint.name for joint in joints), q.T, strict=True)), _POSTURES)}
+    for joint, (low, high) in zip(joints, bounds.tolist(), strict=True):
+        found[joint.name] = machine.placements({joint.name: np.linspace(low, high, _POSTURES)}, _POSTURES)
+    return found
+
+
+def _furthest(one: Body, other: Body, placed: Mapping[str, Placements]) -> float:
+    """How far two links were seen apart [m]; 0 where they touch in all postures."""
+    rotations, translations = past_link(placed, one.name, other.name)
+    between = np.linalg.norm(rotations @ one.centre + translations - other.centre, axis=1) - one.reach - other.reach
+    furthest = max(float(np.max(between)), 0.0)
+    last: tuple[int, int] | None = None
+    for rotation, translation in zip(rotations, translations, strict=True):
+        if furthest > PIN_PLAY:
+            break
+        if last is not None and gap(one.parts[last[0]], other.parts[last[1]], rotation, translation) <= 0.0:
+            continue
+        distance, last = least_pair(one, other, rotation, translation)
+        furthest = max(furthest, distance)
+    return furthest

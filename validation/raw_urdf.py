@@ -1,0 +1,218 @@
+"""A URDF as it is written: its links with their shapes, its joints, and where they are.
+
+Read from the XML alone, so that it can be held against what the planner made of the file.
+Joints that are not driven stand at 0, or at the limit nearest to it.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from backhoe_planner.arrays import Array, Matrix, Vector
+
+Placements = tuple[Array, Matrix]
+"""Rotations (T, 3, 3) and translations (T, 3) of a frame at T moments."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawShape:
+    """One collision shape of a link.
+
+    Attributes
+    ----------
+    kind: ``box``, ``cylinder``, ``sphere`` or ``mesh``.
+    size: edges (3,) of a box; radius and length of a cylinder; radius of a sphere [m].
+    rotation, translation: of the shape in the frame of its link.
+    vertices, faces: of a mesh, with its scale [m].
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    rotation: Matrix
+    translation: Vector
+    vertices: Matrix = field(default_factory=lambda: np.zeros((0, 3)))
+    faces: Array = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class RawJoint:
+    """One joint; the limits are None where there are none."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    rotation: Matrix
+    translation: Vector
+    axis: Vector
+    lower: float | None
+    upper: float | None
+
+    @property
+    def rest(self) -> float:
+        """Where it stands while it is not driven [rad or m]."""
+        if self.lower is None or self.upper is None or self.kind == "continuous":
+            return 0.0
+        return min(max(0.0, self.lower), self.upper)
+
+    def motion(self, value: Vector) -> Placements:
+        """How its child has moved at (T,) values [rad or m], in its own frame."""
+        if self.kind == "prismatic":
+            return np.broadcast_to(np.eye(3), (len(value), 3, 3)), value[:, None] * self.axis
+        x, y, z = self.axis
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turn = np.eye(3) + np.sin(value)[:, None, None] * cross + (1.0 - np.cos(value))[:, None, None] * (cross @ cross)
+        return turn, np.zeros((len(value), 3))
+
+
+@dataclass(frozen=True, eq=False)
+class RawMachine:
+    """The links with their shapes, and the joints in an order in which parents come first."""
+
+    root: str
+    shapes: dict[str, tuple[RawShape, ...]]
+    joints: tuple[RawJoint, ...]
+
+    @cached_property
+    def joint_above(self) -> dict[str, RawJoint]:
+        """The joint of which each link but the root is the child."""
+        return {joint.child: joint for joint in self.joints}
+
+    @cached_property
+    def _below_root(self) -> dict[str, list[str]]:
+        """For each link the links from the root to it, itself included."""
+        found = {self.root: [self.root]}
+        for joint in self.joints:
+            found[joint.child] = [*found[joint.parent], joint.child]
+        return found
+
+    def chain(self, tip: str) -> tuple[RawJoint, ...]:
+        """The joints that move link `tip`, from the root outward."""
+        found, link = [], tip
+        while link in self.joint_above:
+            joint = self.joint_above[link]
+            if joint.kind != "fixed":
+                found.append(joint)
+            link = joint.parent
+        return tuple(reversed(found))
+
+    def bodies(self, driven: Sequence[str]) -> dict[str, str]:
+        """For each link the last of the `driven` joints that moves it; "" where none does."""
+        found = {self.root: ""}
+        for joint in self.joints:
+            found[joint.child] = joint.name if joint.name in driven else found[joint.parent]
+        return found
+
+    def placements(self, q: Mapping[str, Vector], count: int, *links: str) -> dict[str, Placements]:
+        """Links in the frame of the root, with driven joints at (`count`,) values each; all links if none is named."""
+        needed = {name for link in links for name in self._below_root[link]}
+        still = np.broadcast_to(np.eye(3), (count, 3, 3)), np.zeros((count, 3))
+        found: dict[str, Placements] = {self.root: still}
+        for joint in self.joints:
+            if needed and joint.child not in needed:
+                continue
+            R_parent, p_parent = found[joint.parent]
+            R, p = R_parent @ joint.rotation, R_parent @ joint.translation + p_parent
+            if joint.kind != "fixed":
+                turn, slide = joint.motion(q.get(joint.name, np.full(count, joint.rest)))
+                R, p = R @ turn, p + np.einsum("tij,tj->ti", R, slide)
+            found[joint.child] = R, p
+        return found
+
+
+def read_raw_urdf(file: Path, *, find_mesh: Callable[[str], Path | None] | None = None) -> RawMachine:
+    """Read a URDF with the shapes of its links.
+
+    Parameters
+    ----------
+    find_mesh: from the name of a mesh to its file; beside the URDF by default.
+    """
+    robot = ET.parse(file).getroot()
+    shapes: dict[str, tuple[RawShape, ...]] = {}
+    for link in robot.findall("link"):
+        collisions = link.findall("collision")
+        shapes[link.attrib["name"]] = tuple(_shape(one, file, find_mesh) for one in collisions)
+    joints = [_joint(element) for element in robot.findall("joint")]
+    children = {joint.child for joint in joints}
+    root = next(name for name in shapes if name not in children)
+    ordered: list[RawJoint] = []
+    reached = [root]
+    for name in reached:
+        below = [joint for joint in joints if joint.parent == name]
+        ordered += below
+        reached += [joint.child for joint in below]
+    return RawMachine(root, shapes, tuple(ordered))
+
+
+def _joint(element: ET.Element) -> RawJoint:
+    rotation, translation = _origin(element)
+    ends = [_child(element, key).attrib["link"] for key in ("parent", "child")]
+    axis = np.array([1.0, 0.0, 0.0]) if element.find("axis") is None else _numbers(_child(element, "axis"), "xyz")
+    limit = element.find("limit")
+    bounds = [None if limit is None or key not in limit.attrib else float(limit.attrib[key]) for key in _BOUNDS]
+    axis = axis / np.linalg.norm(axis)
+    name, kind = element.attrib["name"], element.attrib["type"]
+    return RawJoint(name, kind, ends[0], ends[1], rotation, translation, axis, lower=bounds[0], upper=bounds[1])
+
+
+_BOUNDS = ("lower", "upper")
+
+
+def _shape(element: ET.Element, file: Path, find_mesh: Callable[[str], Path | None] | None) -> RawShape:
+    rotation, translation = _origin(element)
+    geometry = _child(element, "geometry")[0]
+    if geometry.tag == "box":
+        return RawShape("box", tuple(_numbers(geometry, "size").tolist()), rotation, translation)
+    if geometry.tag == "sphere":
+        return RawShape("sphere", (float(geometry.attrib["radius"]),), rotation, translation)
+    if geometry.tag == "cylinder":
+        size = float(geometry.attrib["radius"]), float(geometry.attrib["length"])
+        return RawShape("cylinder", size, rotation, translation)
+    name = geometry.attrib["filename"]
+    path = file.parent / name if find_mesh is None else find_mesh(name)
+    assert path is not None, name
+    mesh = read_mesh(path)
+    scale = _numbers(geometry, "scale") if "scale" in geometry.attrib else np.ones(3)
+    return RawShape("mesh", (), rotation, translation, np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces))
+
+
+def read_mesh(path: Path) -> trimesh.Trimesh:
+    """The triangles of a file, in its own units."""
+    return trimesh.load(path, force="mesh")
+
+
+def _child(element: ET.Element, tag: str) -> ET.Element:
+    found = element.find(tag)
+    assert found is not None, tag
+    return found
+
+
+def _numbers(element: ET.Element, key: str) -> Vector:
+    return np.array([float(word) for word in element.attrib[key].split()])
+
+
+def _origin(element: ET.Element) -> tuple[Matrix, Vector]:
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(3), np.zeros(3)
+    given = {key: _numbers(origin, key) for key in ("xyz", "rpy") if key in origin.attrib}
+    return rotation_of(given.get("rpy", np.zeros(3))), given.get("xyz", np.zeros(3))
+
+
+def rotation_of(rpy: Vector) -> Matrix:
+    """(3, 3) of roll, pitch, yaw about the fixed axes x, y, z [rad]."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
