@@ -27,6 +27,7 @@ _CLEARANCE = 0.02  # m, of every scene
 _SHAPES = ("sphere", "box", "cylinder", "capsule", "halfspace", "mesh", "heightmap", "pointcloud")
 _RATE, _SEGMENT = 0.5, 0.8  # rad/s or m/s at most, and the least s of a leg: so that rates and accelerations are kept
 _GRAZES = (0.0, 0.0003, 0.003, 0.02)  # m beyond its clearance that an obstacle is passed at
+_INSTANT = 1e-3  # s over which it is seen how fast a point moves
 _STARTS = 5  # postures that are tried as the first
 _HALVINGS = 7  # between a clear and a touching posture, or place
 
@@ -90,10 +91,12 @@ class _Draft:
         if self.rng.random() < 0.15:
             self.zones.append(self._zone(sweep))
         turn = self.rng.random()
-        if turn < 0.4 and self.records:
+        if turn < 0.3 and self.records:
             self._graze(sweep)
-        elif turn < 0.75:
+        elif turn < 0.5:
             self._bisect()
+        elif turn < 0.8:
+            self._put_in_the_way(sweep)
 
     def attack(self) -> Attack:
         """What was drawn."""
@@ -140,6 +143,10 @@ class _Draft:
         for _ in range(int(rng.integers(1, 7))):
             found.append(found[-1] + near * (self._posture() - found[-1]))
         q = np.array(found)
+        if rng.random() < 0.35:  # of one joint alone, and of the last one, the travel is bounded best
+            last = q.shape[1] - 1
+            moving = np.arange(last + 1) == (last if rng.random() < 0.6 else rng.integers(last + 1))
+            q = np.where(moving, q, q[0])
         if rng.random() < 0.05:  # further than the joints may go, or another turn of a continuous one
             q[-1] += rng.normal(0.0, 1.0, q.shape[1])
         return q
@@ -287,6 +294,29 @@ class _Draft:
             _move(record, ahead * away)
             moved += ahead
             step *= 0.7 if clear else 1.3
+
+    def _put_in_the_way(self, sweep: Sweep) -> None:
+        """Put something small where the machine is at its fastest, between two samples: it is passed through."""
+        rng = self.rng
+        segment = int(rng.integers(len(self.time) - 1))
+        share = rng.uniform(0.2, 0.8)
+        moment = (1.0 - share) * self.time[segment] + share * self.time[segment + 1]
+        placed = sweep.placements(np.array([moment, moment + _INSTANT]))
+        fastest, place = 0.0, np.zeros(3)
+        for link, body in sweep.moving.items():
+            rotation, translation = placed[link]
+            points = np.einsum("tij,pj->tpi", rotation, body.points) + translation[:, None]
+            speed = np.linalg.norm(points[1] - points[0], axis=1)
+            if np.max(speed) > fastest:
+                fastest, place = float(np.max(speed)), points[0, int(np.argmax(speed))]
+        size = rng.uniform(0.01, 0.06, 3)
+        record: Record = {"name": "in the way", "shape": "box", "size": size.tolist(), "position": place.tolist()}
+        if rng.random() < 0.5:
+            record = {"name": "in the way", "shape": "sphere", "radius": float(size[0]), "position": place.tolist()}
+        if rng.random() < 0.2:
+            record["velocity"] = rng.normal(0.0, 0.2, 3).tolist()
+            _move(record, -np.array(record["velocity"]) * moment)
+        self.records.append({**record, "clearance": float(rng.choice([0.0, 0.01]))})
 
 
 def _move(record: Record, step: Vector) -> None:
