@@ -108,16 +108,19 @@ class _Claim:
 
     def refutations(self, seed: int, *, safe: bool) -> list[Refutation]:
         """What is wrong with it."""
-        where = f"{self.found.link} is {self.found.distance:.6f} m from {self.found.other} at {self.found.time:.4f} s"
-        if self.found.distance <= 0.0:
-            where = f"{self.found.link} touches {self.found.other} at {self.found.time:.4f} s"
-        least = max(self.found.distance, 0.0)  # of parts that overlap the depth is not known
+        found = self.found
+        touches = found.distance <= 0.0
+        least = max(found.distance, 0.0)  # of parts that overlap the depth is not known
+        unsafe = (touches and self.proven >= 0.0) or least < self.clearance - _KEPT
+        if least >= self.proven - _ROUNDING and not (safe and unsafe):
+            return []
+        how = f"{found.link} touches" if touches else f"{found.link} is {found.distance:.6f} m from"
+        words = [f"{how} {found.other} at {found.time:.4f} s"]
         if least < self.proven - _ROUNDING:
-            also = ", and the motion is called safe" if safe and least < self.clearance - _KEPT else ""
-            return [Refutation(seed, self.cause, f"{where}, proven were {self.proven:.6f} m{also}")]
-        if safe and least < self.clearance - _KEPT:
-            return [Refutation(seed, self.cause, f"{where}, and the motion is called safe")]
-        return []
+            words.append(f"proven were {self.proven:.6f} m")
+        if safe and unsafe:
+            words.append("the motion is called safe")
+        return [Refutation(seed, self.cause, ", ".join(words))]
 
     @property
     def comparable(self) -> bool:

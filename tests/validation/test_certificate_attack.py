@@ -14,7 +14,7 @@ from validation.certificate_attack import COMPARED, Comparison, attack_seeds, co
 from validation.convex_gaps import Part, ball, block, drum, gap, rod
 from validation.dense_sweep import link_bodies
 from validation.link_pairs import find_pairs
-from validation.random_attacks import TURNS, Attack, random_attack, random_attacked
+from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
 from validation.random_machines import write_random_machine
 from validation.raw_obstacles import RawObstacle, read_obstacle
 from validation.raw_urdf import read_raw_urdf, rotation_of
@@ -156,3 +156,35 @@ def test_only_links_that_touch_wherever_their_joint_stands_are_left_out(tmp_path
     assert pairs.touching == {("upper", "base"), ("lower", "upper")}
     assert set(pairs.counted) == {("lower", "base"), ("tip", "base"), ("tip", "upper")}
     assert pairs.adjacent & set(pairs.counted) == {("tip", "upper")}
+
+
+SWING = """<robot name="swing">
+  <link name="base"><collision><origin xyz="0 0 -0.2"/><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
+  <link name="arm"><collision><origin xyz="0.5 0 0"/><geometry><box size="1 0.1 0.1"/></geometry></collision></link>
+  <link name="cab"><collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link>
+  <link name="tip"/>
+  <joint name="swing" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" velocity="2" effort="1e6"/></joint>
+  <joint name="cab_fixed" type="fixed"><origin xyz="0 0.7 0"/><parent link="base"/><child link="cab"/></joint>
+  <joint name="hand" type="fixed"><origin xyz="1 0 0"/><parent link="arm"/><child link="tip"/></joint>
+</robot>"""
+
+
+def test_an_arm_swept_through_a_cab_on_its_own_base_refutes_a_certificate_that_calls_it_safe(tmp_path: Path) -> None:
+    (tmp_path / "swing.urdf").write_text(SWING)
+    raw = read_raw_urdf(tmp_path / "swing.urdf")
+    bodies = link_bodies(raw)
+    robot = bp.load_robot(tmp_path / "swing.urdf", tip="tip")
+    machine = Attacked(robot, raw, bodies, find_pairs(raw, bodies, "tip"))
+    task = {"goal": {"position": [0, 1, 0]}}
+    scene = bp.scene_from_dict({"version": 1, "start": {"joints": {"swing": 0.0}}, "task": task})
+    motion = bp.Trajectory.from_steps(np.array([0.0, 10.0]), np.array([[0.0], [2.0]]))
+    attack = Attack(0, machine, scene, (), motion)
+    honest = bp.certify(robot, scene, motion)
+    # as if nothing could be touched
+    blind = replace(honest, clearances=(), min_clearance=None)
+    assert blind.safe
+    (refutation,) = compare(attack, blind).refutations
+    assert "arm touches cab" in refutation.what
+    assert "called safe" in refutation.what
+    assert bool(compare(attack, honest).refutations) == honest.safe
