@@ -26,6 +26,7 @@ TURNS = 5  # sites and motions for every machine
 _CLEARANCE = 0.02  # m, of every scene
 _SHAPES = ("sphere", "box", "cylinder", "capsule", "halfspace", "mesh", "heightmap", "pointcloud")
 _RATE, _SEGMENT = 0.5, 0.8  # rad/s or m/s at most, and the least s of a leg: so that rates and accelerations are kept
+_SHORTEST, _MOST_SAMPLES = 0.4, 40  # s between two samples, and how many there are at most
 _GRAZES = (0.0, 0.0003, 0.003, 0.02)  # m beyond its clearance that an obstacle is passed at
 _INSTANT = 1e-3  # s over which it is seen how fast a point moves
 _STARTS = 5  # postures that are tried as the first
@@ -116,8 +117,18 @@ class _Draft:
             self.machine,
             bp.scene_from_dict(content, folder=self.folder),
             tuple(self._raw(record) for record in (*self.records, *map(solid_of, self.zones))),
-            bp.Trajectory.from_steps(self.time, self.q),
+            self._sampled(),
         )
+
+    def _sampled(self) -> bp.Trajectory:
+        """The motion in 2 to 40 samples: in some attacks more than the waypoints, on the same way."""
+        rng = np.random.default_rng([2, self.seed])
+        coarse = bp.Trajectory.from_steps(self.time, self.q)
+        most = np.minimum(np.diff(self.time) / _SHORTEST, _MOST_SAMPLES / len(self.time)).astype(int)
+        parts = rng.integers(1, np.maximum(most, 1) + 1) if rng.random() < 0.4 else np.ones_like(most)
+        legs = zip(self.time[:-1], self.time[1:], parts.tolist(), strict=True)
+        time = np.concatenate([*(np.linspace(a, b, count, endpoint=False) for a, b, count in legs), self.time[-1:]])
+        return bp.Trajectory.from_steps(time, coarse.at(time))
 
     def _raw(self, record: Record) -> RawObstacle:
         return read_obstacle(record, folder=self.folder, clearance=_CLEARANCE)
