@@ -32,9 +32,10 @@ from pathlib import Path
 import backhoe_planner as bp
 from validation.habitats import load_machine
 from validation.mujoco_replay import Replay, replay, replay_drives
+from validation.obstacles import MACHINES
 from validation.planning_runs import all_keys
 from validation.random_attacks import TURNS, random_attack, random_attacked
-from validation.sites import KINDS, MACHINES, TASKS, random_site
+from validation.sites import KINDS, TASKS, random_site
 
 _SCENES = Path(__file__).resolve().parents[1] / "scenes"
 _MACHINES = {"paper_planar": "planar4"}  # all other scenes are the backhoe's

@@ -151,19 +151,31 @@ def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -
     """One claim for every cause for which links may come nearer to each other than proven."""
     machine = attack.machine
     robot = machine.robot
-    looked_at = {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in self_pairs(robot)}
+    kept = self_pairs(robot)
+    looked_at = {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in kept.kept}
+    looked_at -= {frozenset((pair.link, pair.other)) for pair in kept.left_out}  # of which some parts are left out
     entry = next((entry for entry in certificate.clearances if entry.kind == "machine"), None)
     groups: dict[str, list[LinkPair]] = {}
-    for pair in machine.pairs.counted:
+    claims: list[_Claim] = []
+    for pair, furthest in machine.pairs.counted.items():
+        if frozenset(pair) not in looked_at and furthest < PIN_PLAY:
+            continue  # by construction
+        joint = machine.raw.joint_above.get(pair[0])
+        if frozenset(pair) not in looked_at and joint is not None and joint.parent == pair[1] and joint.kind != "fixed":
+            folded = sweep.inside_beyond(*pair, joint)
+            if folded is not None:
+                claims.append(_Claim(0.0, folded, 0.0, "the two links of a joint, far from it", False))
+            continue
         groups.setdefault(_cause(machine, pair, looked_at), []).append(pair)
-    claims = []
     for cause, pairs in groups.items():
         found = sweep.between(pairs)
         if found is None:
             continue
         known = cause == COMPARED
-        proven = entry.distance if entry is not None else (_UNREPORTED if known else 0.0)
-        claims.append(_Claim(proven, found, 0.0, cause, known and entry is not None))
+        # what cannot meet, or touches by construction, is not in the least distance that is reported
+        proven = (_UNREPORTED if entry is None else entry.distance) if known else 0.0
+        same = entry is not None and {entry.link, entry.obstacle} == {found.link, found.other}
+        claims.append(_Claim(proven, found, 0.0, cause, known and same))
     return claims
 
 
@@ -174,8 +186,6 @@ def _cause(machine: Attacked, pair: LinkPair, looked_at: set[frozenset[str]]) ->
     """Of which kind it is when the links of a pair come nearer than proven."""
     if frozenset(pair) in looked_at:
         return COMPARED
-    if machine.pairs.counted[pair] < PIN_PLAY:
-        return "left out: links that were nowhere seen 1 cm apart"
     if pair not in machine.pairs.adjacent:
         return "left out: links with several joints between them"
     fixed = [
@@ -183,7 +193,7 @@ def _cause(machine: Attacked, pair: LinkPair, looked_at: set[frozenset[str]]) ->
     ]
     if fixed:
         return "left out: fixed extras on bodies joined by a joint"
-    return "left out: the two links of a joint"
+    return "left out: bodies that a joint joins"
 
 
 @dataclass(frozen=True)

@@ -107,6 +107,14 @@ class Body:
         found.points, found.owner, found.fat = self.points[rows], self.owner[rows], self.fat[rows]
         return found
 
+    def holds(self, point: Vector) -> bool:
+        """Whether a point (3,) lies in one of the parts."""
+        if np.linalg.norm(point - self.centre) > self.reach:
+            return False
+        alone = Part(point[None, :], 0.0, point[None, :])
+        near = [self.parts[index] for index in self.nearest_parts(point, _PARTS_LOOKED_AT)]
+        return any(gap(alone, part, np.eye(3), np.zeros(3)) <= 0.0 for part in near)
+
     def nearest_parts(self, place: Vector, count: int) -> list[int]:
         """The parts on which the points nearest to `place` (3,) lie."""
         found = self.tree.query(place, k=min(count, len(self.points)))[1]

@@ -16,7 +16,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix, Vector
 from validation.convex_gaps import Body, first_look, gap, least_pair, parts_of
 from validation.raw_obstacles import RawObstacle
-from validation.raw_urdf import Placements, RawMachine
+from validation.raw_urdf import Placements, RawJoint, RawMachine
 
 Relative = Callable[[Vector], Placements]
 
@@ -25,6 +25,8 @@ _MOMENTS = 320  # at most, beside the samples
 _ROUGH_MOMENTS = 80  # of the first look
 _FINE = 65  # moments between two of the first look
 _LOOKED_AT, _LOOKS = 10, 7  # of the places where two bodies seemed near, how many are measured, at how many moments
+_PIN = 0.35  # of the smaller link: nearer to the joint than this, its two links may touch by construction
+_PIN_MOMENTS = 12  # at which that is looked at
 _CLOSED_IN = 3  # of these, how many are closed in on
 
 
@@ -108,6 +110,27 @@ class Sweep:
             relative = partial(self._past_link, one, other)
             places += _places(self._bodies[one], self._bodies[other], relative, self.times)
         return _nearest_of(places) if places else None
+
+    def inside_beyond(self, outer: str, inner: str, joint: RawJoint) -> Least | None:
+        """Where a point of one of the two links of `joint` lies in the other, far from the joint.
+
+        Far is more than `_PIN` of the smaller link from the axis of a hinge, or from the origin
+        of a slide. None where no such point is found at some moments of the way.
+        """
+        rows = np.unique(np.linspace(0, len(self.times) - 1, _PIN_MOMENTS).astype(int))
+        rotations, translations = self._past_link(outer, inner, self.times)
+        one, other = self._bodies[outer], self._bodies[inner]
+        for row in rows.tolist():
+            rotation, translation = rotations[row], translations[row]
+            own = (other.points - translation) @ rotation  # of the other's points, in the frame of the joint's child
+            reach = min(float(np.max(np.linalg.norm(points, axis=1))) for points in (one.points, own))
+            for body, points in ((other, one.points @ rotation.T + translation), (one, own)):
+                frame = one.points if body is other else own
+                along = (frame @ joint.axis)[:, None] * joint.axis * (joint.kind != "prismatic")
+                far = np.linalg.norm(frame - along, axis=1) > _PIN * reach
+                if any(body.holds(point) for point in points[far]):
+                    return Least(outer, inner, 0.0, float(self.times[row]))
+        return None
 
     def _past(self, link: str, obstacle: RawObstacle, times: Vector) -> Placements:
         rotation, translation = self._placements_of(times, link)[link]

@@ -24,7 +24,8 @@ from validation.link_pairs import Pairs, find_pairs
 from validation.mujoco_model import DEEP, SITE, ModelDraft, site_body
 from validation.raw_obstacles import read_obstacle, solid_of
 from validation.raw_urdf import RawMachine, read_raw_urdf
-from validation.servo_drives import EPISODE, Episode, servo_scene
+from validation.scenes import scene_of
+from validation.servo_drives import EPISODE, Episode
 from validation.surfaces import LinkDistances
 
 Shifts = Mapping[str, Vector]
@@ -202,5 +203,5 @@ def replay_drives(robot: bp.Robot, *, episodes: int, seed: int) -> Iterator[tupl
                 seen.append((state.time, state.q.copy(), shifts))
         # what appears later stands in the model from the beginning, and is left out until it is there
         records = [one.spec.model_dump(by_alias=True, exclude_none=True) for one in episode.standing.values()]
-        site = MujocoSite(robot, servo_scene(robot, seen[0][1], records))
+        site = MujocoSite(robot, scene_of(robot, records, start=seen[0][1]))
         yield f"drive {number}", site.replay_among(seen)

@@ -8,6 +8,7 @@ waypoint; nothing plans it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -59,10 +60,14 @@ class Attack:
 
 
 def random_attacked(seed: int, folder: Path) -> Attacked:
-    """The machine of a seed; neighbouring seeds share one."""
-    file = write_random_machine(np.random.default_rng([0, seed // TURNS]), folder)
-    raw = read_raw_urdf(file)
-    bodies = link_bodies(raw)
+    """The machine of a seed; neighbouring seeds share one. Something that has a shape moves in each."""
+    for turn in count():
+        file = write_random_machine(np.random.default_rng([turn, seed // TURNS]), folder)
+        raw = read_raw_urdf(file)
+        bodies = link_bodies(raw)
+        carriers = raw.bodies([joint.name for joint in raw.chain("tip")])
+        if any(carriers[name] for name in bodies):
+            break
     return Attacked(bp.load_robot(file, tip="tip"), raw, bodies, find_pairs(raw, bodies, "tip"))
 
 

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import backhoe_planner as bp
-from validation.certificate_attack import COMPARED, attack_seeds, compare, summarise
+from validation.certificate_attack import attack_seeds, compare, summarise
 from validation.convex_gaps import Part, ball, block, drum, gap, rod
 from validation.dense_sweep import link_bodies
 from validation.link_pairs import find_pairs
@@ -21,8 +21,6 @@ from validation.raw_urdf import read_raw_urdf, rotation_of
 from validation.signed_distances import SignedDistance, box_distance, capsule_distance, cylinder_distance
 
 SEEDS = range(15)
-# two links left out that are joined by a joint, whatever is fixed to them: known, and being mended
-KNOWN = "left out: "
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +37,7 @@ def attacks(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Attack, bp.C
 
 def test_no_certificate_claims_more_than_is_true(attacks: list[tuple[Attack, bp.Certificate]]) -> None:
     compared = [compare(attack, certificate) for attack, certificate in attacks]
-    refuted = [r for one in compared for r in one.refutations if not r.cause.startswith(KNOWN)]
-    assert refuted == []
+    assert [r for one in compared for r in one.refutations] == []
     summary = summarise(compared)
     assert summary.comparisons == len(SEEDS)
     assert summary.safe > 0
@@ -52,14 +49,12 @@ def test_no_certificate_claims_more_than_is_true(attacks: list[tuple[Attack, bp.
 def raised(certificate: bp.Certificate, by: float) -> bp.Certificate:
     """The same certificate, in which every distance is larger [m]."""
     entries = tuple(replace(e, distance=e.distance + by, margin=e.margin + by) for e in certificate.clearances)
-    return replace(certificate, clearances=entries, min_clearance=entries[0] if entries else None)
+    return replace(certificate, clearances=entries)
 
 
 def test_a_certificate_that_claims_5_mm_more_is_refuted(attacks: list[tuple[Attack, bp.Certificate]]) -> None:
     causes = [r.cause for attack, honest in attacks for r in compare(attack, raised(honest, 0.005)).refutations]
-    unknown = [cause for cause in causes if not cause.startswith(KNOWN)]
-    assert COMPARED in unknown
-    assert any(cause != COMPARED for cause in unknown)
+    assert len([cause for cause in causes if cause.startswith("nearer to a ")]) > 5
 
 
 def test_a_run_over_seeds_gives_what_each_of_them_gives(attacks: list[tuple[Attack, bp.Certificate]]) -> None:
@@ -189,7 +184,7 @@ def test_an_arm_swept_through_a_cab_on_its_own_base_refutes_a_certificate_that_c
     attack = Attack(0, machine, scene, (), motion)
     honest = bp.certify(robot, scene, motion)
     # as if nothing could be touched
-    blind = replace(honest, clearances=(), min_clearance=None)
+    blind = replace(honest, clearances=())
     assert blind.safe
     (refutation,) = compare(attack, blind).refutations
     assert "arm touches cab" in refutation.what
