@@ -199,15 +199,59 @@ def test_one_run_as_a_program(tmp_path: Path) -> None:
     assert done.stdout.startswith("verified\n")
 
 
+LOST = "error: the output cannot be written: {}\n"
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
-@pytest.mark.parametrize("command", [["schema"], ["inspect", PLANAR4]])
+@pytest.mark.parametrize("command", [["schema"], ["inspect", PLANAR4], ["--help"]])
 def test_where_the_output_is_lost_there_is_no_traceback(command: list[str]) -> None:
-    with Path("/dev/full").open("w", encoding="utf-8") as full:
+    assert with_output("/dev/full", command) == (2, LOST.format("No space left on device"))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_plan_and_its_page_are_written_before_anything_is_printed(tmp_path: Path) -> None:
+    written = [tmp_path / "plan.json", tmp_path / "plan.html"]
+    command = ["plan", PLANAR4, str(scene_file(tmp_path)), "-o", str(written[0]), "--html", str(written[1])]
+    assert with_output("/dev/full", command) == (2, LOST.format("No space left on device"))
+    assert written[1].read_text(encoding="utf-8").endswith("</html>\n")
+    assert json.loads(written[0].read_text(encoding="utf-8"))["verdict"] == "verified"
+
+
+@pytest.mark.parametrize("command", [["inspect", PLANAR4], ["--help"]])
+def test_where_nobody_reads_the_output_that_is_said(command: list[str]) -> None:
+    """A pipe whose other end is closed, as `| head -1` leaves it."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    assert with_output(writing, command) == (2, LOST.format("Broken pipe"))
+
+
+def test_without_an_output_a_command_works_and_its_file_is_its_own(tmp_path: Path) -> None:
+    """Closed as by `>&-`: the plan file would get its number, and whatever a library prints."""
+    plan_file = tmp_path / "plan.json"
+    arguments = ["plan", PLANAR4, str(scene_file(tmp_path)), "-o", str(plan_file)]
+    done = subprocess.run(
+        [*COMMAND, *arguments], stderr=subprocess.PIPE, text=True, timeout=PATIENCE, env=ENVIRONMENT, check=False,
+        preexec_fn=lambda: os.close(1),
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(plan_file.read_text(encoding="utf-8"))["verdict"] == "verified"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_where_the_error_stream_is_lost_too_the_exit_status_says_so() -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run([*COMMAND, "--help"], stdout=full, stderr=full, env=ENVIRONMENT, timeout=60, check=False)
+    assert done.returncode == 2
+
+
+def with_output(output: str | int, command: list[str]) -> tuple[int, str]:
+    """The exit status of a command whose output goes there, and its messages."""
+    with open(output, "wb") as stream:  # noqa: PTH123  a number or a name
         done = subprocess.run(
-            [*COMMAND, *command], stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, env=ENVIRONMENT,
+            [*COMMAND, *command], stdout=stream, stderr=subprocess.PIPE, text=True, timeout=PATIENCE, env=ENVIRONMENT,
             check=False,
         )  # fmt: skip
-    assert (done.returncode, done.stderr) == (2, "error: the output cannot be written: No space left on device\n")
+    return done.returncode, done.stderr
 
 
 READY = "from backhoe_planner.__main__ import main; print('ready', flush=True); main()"

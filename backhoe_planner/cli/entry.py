@@ -1,6 +1,7 @@
 """The program `backhoe-planner COMMAND ...`: all its commands, and its exit status.
 
-Exit status: 0 verified (or done), 1 no verified plan, 2 bad input, 130 interrupted.
+Exit status: 0 verified (or done), 1 no verified plan, 2 bad input, or an output that cannot
+be written, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -12,11 +13,10 @@ import sys
 from typing import NoReturn
 
 import typer
-from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner.cli import inspect_command, plan_commands, teleop_command
-from backhoe_planner.cli.terminal import BAD_INPUT, ERR, FAILED, INTERRUPTED, VERIFIED
+from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, VERIFIED, print_error
 
 app = typer.Typer(
     help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
@@ -41,6 +41,7 @@ for command in (
 
 def main() -> NoReturn:
     """Entry point of `backhoe-planner`."""
+    _open_what_is_closed()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # the terminal may not have all letters of a name
@@ -48,11 +49,15 @@ def main() -> NoReturn:
         status = app(standalone_mode=False)
         sys.stdout.flush()
     except bp.InputError as error:
-        ERR.print(Text("error: ", style="bold red") + Text(str(error)))
+        print_error(str(error))
         sys.exit(BAD_INPUT)
     except (KeyboardInterrupt, typer.Abort):
         ERR.print("interrupted")
         sys.exit(INTERRUPTED)
+    except SystemExit as ended:
+        if not isinstance(ended.__context__, BrokenPipeError):
+            raise
+        sys.exit(_output_lost(ended.__context__))  # rich and typer end without a word where nobody reads
     except typer.Exit as done:
         sys.exit(done.exit_code)
     except OSError as error:
@@ -62,20 +67,32 @@ def main() -> NoReturn:
     except Exception as error:
         if not _is_usage_error(error):
             raise
-        ERR.print(Text("error: ", style="bold red") + Text(error.format_message()))  # type: ignore[attr-defined]
+        print_error(error.format_message())  # type: ignore[attr-defined]
         sys.exit(BAD_INPUT)
     if status == INTERRUPTED:  # typer turns Ctrl-C into a return value
         ERR.print("interrupted")
     sys.exit(status if isinstance(status, int) else VERIFIED)
 
 
+def _open_what_is_closed() -> None:
+    """Give the program an output and an error stream where it was started without one.
+
+    The next file that is opened would get the number of the closed one, and what a library prints.
+    """
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None:
+            descriptor = os.open(os.devnull, os.O_WRONLY)
+            if descriptor != number:
+                os.dup2(descriptor, number)
+                os.close(descriptor)
+            setattr(sys, name, open(number, "w", encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
 def _output_lost(error: OSError) -> int:
     """The exit status where the output can no longer be written: nobody reads it, or the disk is full."""
     with contextlib.suppress(OSError):  # the rest of the buffer would fail again when Python ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    if isinstance(error, BrokenPipeError):
-        return FAILED
-    ERR.print(Text("error: ", style="bold red") + Text(f"the output cannot be written: {error.strerror}"))
+    print_error(f"the output cannot be written: {error.strerror}")
     return BAD_INPUT
 
 

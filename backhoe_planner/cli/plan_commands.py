@@ -65,12 +65,14 @@ def plan(
             with ERR.status("planning ...") if ERR.is_terminal and not as_json else contextlib.nullcontext():
                 found = compute()
         found.save(output)
+        if html is not None:  # before anything is printed: what is printed may not be read to its end
+            print_warnings(show.write_page(found, html))
         print_plan(found, output, as_json)
+        if html is not None and not as_json:
+            _print_page(html)
         if viewer is not None:
             print_warnings(viewer.play(found))
             _play_until_interrupted(viewer)
-    if html is not None:
-        _write_html(found, html, quiet=as_json)
     return VERIFIED if found.verified else FAILED
 
 
@@ -85,9 +87,11 @@ def view(
     if html is not None:
         check_writable(html)
     loaded = bp.load_plan(plan_file, urdf=urdf)
+    if html is not None:
+        print_warnings(show.write_page(loaded, html))
     print_recording(loaded)
     if html is not None:
-        _write_html(loaded, html)
+        _print_page(html)
         return VERIFIED
     with show.Viewer() as viewer:
         print_warnings(viewer.play(loaded))
@@ -145,7 +149,5 @@ def _play_until_interrupted(viewer: show.Viewer) -> None:
             clock.sleep(0.2)
 
 
-def _write_html(found: bp.Plan, html: Path, *, quiet: bool = False) -> None:
-    print_warnings(show.write_page(found, html))
-    if not quiet:
-        OUT.print(f"page          {html}")
+def _print_page(html: Path) -> None:
+    OUT.print(f"page          {html}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
 Urdf = Annotated[str, typer.Argument(metavar="URDF", help="A URDF file, or example:NAME.", show_default=False)]
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).", show_default=False)]
@@ -22,6 +24,12 @@ DEGREES = math.degrees(1.0)  # in a radian
 
 OUT = Console(highlight=False, markup=False, soft_wrap=True)
 ERR = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
+
+
+def print_error(message: str) -> None:
+    """Print the one line about an error; in vain where the error stream cannot be written either."""
+    with contextlib.suppress(OSError):
+        ERR.print(Text("error: ", style="bold red") + Text(message))
 
 
 def print_warnings(warnings: Iterable[str]) -> None:
