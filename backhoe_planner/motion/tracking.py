@@ -24,6 +24,7 @@ GOAL_TOLERANCE = 1e-3  # m at which a goal is reached; chosen, far below what a 
 ANGLE_TOLERANCE = 1e-2  # rad at which an asked angle is reached; chosen, half a degree
 _BEGINNING = 0.1  # part of the path; chosen: while less is done, the tip may still be approaching
 _BESIDE = 10.0  # tolerances before and behind an end of a detour in which the tip swings out or in; chosen
+_SAME_PLACE = 1e-6  # m: chosen, nearer by less is rounding of a joint path
 _LEAST_SHOWN = 5e-4  # m: what is printed as less is 0.000 m
 _BETTER = 0.1  # part of the tolerances by which a later leg must fit better where a path turns; chosen
 _PARTS = 8  # of a segment in which the tip passes a waypoint, at which its angle is looked at; chosen
@@ -154,7 +155,9 @@ def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinemati
     begins = np.flatnonzero(on & at_begin & (path.turns | (station <= _beginning(path, tolerance))))
     if not len(begins):
         begins = np.flatnonzero(on)[:1]
-    first, last = int(begins[np.argmin(error[begins])]), len(on) - 1 - int(np.argmax(on[::-1]))
+    away = np.linalg.norm(tips - path.points[0], axis=1)
+    nearest = away[begins] <= np.min(away[begins]) + _SAME_PLACE
+    first, last = int(begins[np.argmax(nearest)]), len(on) - 1 - int(np.argmax(on[::-1]))
     on[:first] = False  # brushing past during the approach is not following
     _close_gaps(on, first, last, station, 2.0 * tolerance)
     gaps = _gaps(on, np.array([path.arc(float(s)) for s in station]) if path.turns else station, tips, tolerance)
