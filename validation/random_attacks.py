@@ -26,7 +26,8 @@ from validation.raw_urdf import RawMachine, read_raw_urdf
 TURNS = 5  # sites and motions for every machine
 _CLEARANCE = 0.02  # m, of every scene
 _SHAPES = ("sphere", "box", "cylinder", "capsule", "halfspace", "mesh", "heightmap", "pointcloud")
-_RATE, _SEGMENT = 0.5, 0.8  # rad/s or m/s at most, and the least s of a leg: so that rates and accelerations are kept
+_RATE, _SEGMENT = 0.5, 0.8  # rad/s or m/s at most, and the least s of a leg: so that rates are kept
+_SUDDEN = 100.0  # rad/s^2 or m/s^2: from one way to the other within 0.02 s, twice over; distances are what is attacked
 _SHORTEST, _MOST_SAMPLES = 0.4, 40  # s between two samples, and how many there are at most
 _GRAZES = (0.0, 0.0003, 0.003, 0.02)  # m beyond its clearance that an obstacle is passed at
 _INSTANT = 1e-3  # s over which it is seen how fast a point moves
@@ -114,6 +115,7 @@ class _Draft:
             "task": {"goal": {"position": [0.0, 0.0, 0.0]}},
             "clearance": _CLEARANCE,
             "objective": "velocity_norm",
+            "limits": {"acceleration": dict.fromkeys(names, _SUDDEN)},
             "obstacles": self.records,
             "zones": self.zones,
         }

@@ -23,7 +23,10 @@ class Moments:
     Attributes
     ----------
     time: (M,) [s].
-    q, v, a: (M, n); inside a segment v is constant and a is 0.
+    q, v, a: (M, n); inside a segment v is constant and a is 0, at a sample a is that of
+        `Trajectory.corner_accelerations`.
+    before, after: (M, n) the velocities between which a corner changes; v where the samples are
+        those of a smooth motion.
     segment: (M,) index of the segment that begins or goes on there; for the last sample, the sample's own index.
     """
 
@@ -31,6 +34,8 @@ class Moments:
     q: Matrix
     v: Matrix
     a: Matrix
+    before: Matrix
+    after: Matrix
     segment: NDArray[np.int64]
 
 
@@ -116,13 +121,28 @@ class Trajectory:
         segment = np.repeat(np.arange(last), parts)
         first = np.cumsum(parts) - parts  # rows of the samples that begin a segment
         part = (np.arange(len(segment)) - first[segment]) / parts[segment]
-        v, a = self.segment_velocities()[segment], np.zeros((len(segment), self.q.shape[1]))
-        v[first], a[first] = self.v[:-1], self.accelerations()[:-1]
+        velocities = self.segment_velocities()
+        moving = velocities[segment]
+        corner = np.append(first, len(segment))  # rows of the samples
+        # the further apart the samples, the nearer a corner comes to the velocities beside it
+        sharp = (1.0 - np.minimum(SAMPLE_PERIOD / self._spans(), 1.0))[:, None] if last else np.zeros((1, 1))
+        beside = np.vstack((np.zeros(self.q.shape[1]), velocities, np.zeros(self.q.shape[1])))
+        found = [np.vstack((moving, moving[-1:] if last else self.v)) for _ in range(4)]
+        at_samples = (
+            self.v, self.corner_accelerations(),
+            self.v + sharp * (beside[:-1] - self.v), self.v + sharp * (beside[1:] - self.v),
+        )  # fmt: skip
+        found[1][:] = 0.0
+        for values, of_samples in zip(found, at_samples, strict=True):
+            values[corner] = of_samples
+        v, a, before, after = found
         return Moments(
             time=np.append(self.time[segment] + part * np.diff(self.time)[segment], self.time[-1]),
             q=np.vstack((self.q[segment] + part[:, None] * np.diff(self.q, axis=0)[segment], self.q[-1:])),
-            v=np.vstack((v, self.v[-1:])),
-            a=np.vstack((a, self.accelerations()[-1:])),
+            v=v,
+            a=a,
+            before=before,
+            after=after,
             segment=np.append(segment, last),
         )
 
@@ -132,12 +152,31 @@ class Trajectory:
         The motion starts and ends at rest: the first and the last row are the change
         from and to rest over one segment.
         """
+        return np.asarray(self.velocity_changes() / self._spans()[:, None]) if len(self) > 1 else np.zeros_like(self.q)
+
+    def corner_accelerations(self) -> Matrix:
+        """(T, n) the same with every change of velocity taking at most `SAMPLE_PERIOD`: what limits are held against.
+
+        Between samples the joints move linearly, so every sample is a corner at which the
+        velocity jumps by some dv. What is to follow the motion rounds a corner off: with the
+        change spread over a time T the acceleration is dv / T, and the joint leaves the corner
+        by dv T / 8. Samples no further apart than `SAMPLE_PERIOD` are those of a smooth motion. Of
+        others it is not known that they are, however slowly they follow each other; rounded
+        off within `SAMPLE_PERIOD`, they are left by no more than `chord_sagitta`.
+        """
         if len(self) < 2:
             return np.zeros_like(self.q)
+        return np.asarray(self.velocity_changes() / np.minimum(self._spans(), SAMPLE_PERIOD)[:, None])
+
+    def velocity_changes(self) -> Matrix:
+        """(T, n) by how much the velocity jumps at each sample, from and to rest at the ends."""
+        still = np.zeros(self.q.shape[1])
+        return np.asarray(np.diff(np.vstack((still, self.segment_velocities(), still)), axis=0))
+
+    def _spans(self) -> Vector:
+        """(T,) the half segments beside each sample, at the ends a whole one [s]."""
         step = np.diff(self.time)
-        padded = np.vstack((np.zeros(self.q.shape[1]), self.segment_velocities(), np.zeros(self.q.shape[1])))
-        spans = np.concatenate(([step[0]], 0.5 * (step[:-1] + step[1:]), [step[-1]]))
-        return np.asarray(np.diff(padded, axis=0) / spans[:, None])
+        return np.concatenate((step[:1], 0.5 * (step[:-1] + step[1:]), step[-1:]))
 
 
 def chord_sagitta(limits: JointLimits) -> Vector:

@@ -251,7 +251,7 @@ def _brake_along(motion: Trajectory, moment: float, limits: JointLimits) -> Traj
         own = moment + run - 0.5 * rate * run**2
         time = np.concatenate((motion.time[before], [moment], moment + run))
         braked = Trajectory.from_steps(time, np.vstack((motion.q[before], motion.at(np.append(moment, own)))))
-        if float(np.max(np.abs(braked.accelerations()) / limits.acceleration)) <= 1.0 + 1e-7:
+        if float(np.max(np.abs(braked.corner_accelerations()) / limits.acceleration)) <= 1.0 + 1e-7:
             return braked
         rate *= 0.8
     return None

@@ -24,7 +24,7 @@ def test_a_very_slow_motion_has_samples_only_where_it_gets_on(planar4: bp.Robot)
     # a step is what is asked for, and what is done in one period of 0.02 s at full rate
     assert np.all(np.abs(np.diff(motion.q, axis=0)) <= 2.5e-3 + 0.02 * limits.velocity)
     assert np.all(np.abs(motion.segment_velocities()) <= limits.velocity * (1.0 + 1e-9))
-    assert np.all(np.abs(motion.accelerations()) <= limits.acceleration * (1.0 + 1e-9))
+    assert np.all(np.abs(motion.corner_accelerations()) <= limits.acceleration * (1.0 + 1e-9))
 
 
 def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> None:

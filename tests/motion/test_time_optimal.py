@@ -170,7 +170,7 @@ def test_a_weak_engine_takes_work_over_power(backhoe: Robot) -> None:
     stations, q = line([0.2, -0.5, -1.0, -1.0], [0.2, 0.6, -1.0, -1.0])
     load = Dynamics(robot, payload=400.0)
     work = load.potential_energy(q[-1]) - load.potential_energy(q[0])
-    motion = time_along(stations, q, robot.limits, drive=Drive(robot, payload=400.0), period=0.1)
+    motion = time_along(stations, q, robot.limits, drive=Drive(robot, payload=400.0))
     assert motion.duration == pytest.approx(work / hydraulics.power_limit, rel=2e-3)
     assert motion.duration > work / hydraulics.power_limit
 

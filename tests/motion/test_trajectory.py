@@ -28,11 +28,20 @@ def test_acceleration_counts_from_rest_and_to_rest() -> None:
     np.testing.assert_allclose(motion.accelerations(), [[1.0], [4.0], [-8.0]])
 
 
+def test_a_change_of_velocity_takes_no_longer_than_a_period() -> None:
+    motion = Trajectory.from_steps(TIME, Q)
+    np.testing.assert_allclose(motion.velocity_changes(), [[1.0], [3.0], [-4.0]])
+    np.testing.assert_allclose(motion.corner_accelerations(), [[50.0], [150.0], [-200.0]])
+    dense = Trajectory.from_steps(0.01 * TIME, Q)  # 10 ms and 5 ms apart: as it is
+    np.testing.assert_array_equal(dense.corner_accelerations(), dense.accelerations())
+
+
 def test_one_sample_stands_still() -> None:
     motion = Trajectory.from_steps(np.zeros(1), np.array([[0.3, -0.2]]))
     assert motion.duration == 0.0
     assert motion.segment_velocities().shape == (0, 2)
     np.testing.assert_array_equal(motion.accelerations(), [[0.0, 0.0]])
+    np.testing.assert_array_equal(motion.corner_accelerations(), [[0.0, 0.0]])
     np.testing.assert_array_equal(motion.at(5.0), [0.3, -0.2])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.motion import SAMPLE_PERIOD, build_problem, limit_usage
 
 TURNTABLE = """<robot name="turntable"><link name="base"/><link name="table"/>
 <link name="rod"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
@@ -115,3 +116,74 @@ def test_a_bump_between_samples_beside_ones_that_keep_the_orientation(tmp_path: 
     assert detour.path_from == pytest.approx(0.16)
     assert detour.path_to == pytest.approx(0.22)
     assert detour.path_from < expected.path_from < expected.path_to < detour.path_to
+
+
+# --- corners ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 16, 151])
+def test_an_acceleration_is_not_hidden_by_few_samples(planar4: bp.Robot, samples: int) -> None:
+    """3 rad in 3 s at one rate: from rest to 1 rad/s, within 0.02 s that is 50 rad/s^2."""
+    end = [4.0 * np.cos(3.0), 4.0 * np.sin(3.0), 0.0]
+    content = {
+        "version": 1,
+        "start": {"joints": {f"joint{j}": 0.0 for j in range(1, 5)}},
+        "task": {"goal": {"position": end}},
+        "limits": {"acceleration": {"joint1": 0.35}},
+    }
+    part = np.linspace(0.0, 1.0, samples)
+    motion = bp.Trajectory.from_steps(3.0 * part, np.outer(part, [3.0, 0.0, 0.0, 0.0]))
+    certificate = bp.certify(planar4, bp.scene_from_dict(content), motion)
+    assert certificate.acceleration.ratio == pytest.approx(50.0 / 0.35, rel=1e-6)
+    assert not certificate.safe
+    assert any("acceleration" in problem for problem in certificate.problems)
+
+
+@pytest.mark.parametrize("rest", [0.0, 10.0])
+def test_standing_first_does_not_hide_a_start(planar4: bp.Robot, rest: float) -> None:
+    """0.1 rad/s at once is 5 rad/s^2, be it from a long stand."""
+    time = np.array([0.0, 1.0]) if rest == 0.0 else np.array([0.0, rest, rest + 1.0])
+    q = np.zeros((len(time), 4))
+    q[-1, 0] = 0.1
+    problem = build_problem(planar4, bp.scene_from_dict({"version": 1, **GOAL}))
+    usage = limit_usage(problem, bp.Trajectory.from_steps(time, q))
+    column = usage.ratio[:, usage.names.index("acceleration joint1")]
+    at_samples = column[np.diff(usage.moments.segment, prepend=-1) > 0]
+    np.testing.assert_allclose(at_samples, [2.5, 2.5] if rest == 0.0 else [0.0, 2.5, 2.5])
+
+
+GOAL = {
+    "start": {"joints": {f"joint{j}": 0.0 for j in range(1, 5)}},
+    "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+}
+
+
+def rounded(motion: bp.Trajectory, step: float) -> bp.Trajectory:
+    """The motion with its corners rounded off at constant acceleration within 0.02 s around each sample."""
+    half = 0.5 * SAMPLE_PERIOD
+    time = np.arange(0.0, motion.duration + 2.0 * half + 0.5 * step, step)
+    q = np.tile(motion.q[0], (len(time), 1))
+    for moment, change in zip(motion.time, motion.velocity_changes(), strict=True):
+        since = np.clip(time - moment, 0.0, 2.0 * half)  # all of it is half a period later
+        beyond = np.maximum(time - moment - 2.0 * half, 0.0)
+        q += np.outer(since**2 / (4.0 * half) + beyond, change)
+    return bp.Trajectory.from_steps(time, q)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_coarse_motion_uses_is_what_it_uses_with_its_corners_rounded(backhoe: bp.Robot, seed: int) -> None:
+    """Acceleration, torque and power at corners: not less than in 1 ms samples of the rounded motion, nor much more.
+
+    In 1 ms the velocity changes by a twentieth of the jump.
+    """
+    rng = np.random.default_rng(seed)
+    q = np.array([0.0, 0.2, -1.2, -0.9]) + rng.uniform(-0.05, 0.05, (6, 4))
+    coarse = bp.Trajectory.from_steps(np.linspace(0.0, 5.0, 6), q)
+    joints = dict(zip(backhoe.joint_names, q[0].tolist(), strict=True))
+    tip = bp.Kinematics(backhoe).at(q[-1]).tip_position.tolist()
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": tip}}, "payload": 300.0}
+    problem = build_problem(backhoe, bp.scene_from_dict(content))
+    few, many = limit_usage(problem, coarse), limit_usage(problem, rounded(coarse, 0.001))
+    for name, most, expected in zip(few.names, few.ratio.max(axis=0), many.ratio.max(axis=0), strict=True):
+        if name.startswith(("acceleration", "torque", "engine")):
+            assert 0.995 * expected <= most <= 1.15 * expected, name

@@ -180,7 +180,7 @@ def test_an_arm_swept_through_a_cab_on_its_own_base_refutes_a_certificate_that_c
     machine = Attacked(robot, raw, bodies, find_pairs(raw, bodies, "tip"))
     task = {"goal": {"position": [0, 1, 0]}}
     scene = bp.scene_from_dict({"version": 1, "start": {"joints": {"swing": 0.0}}, "task": task})
-    motion = bp.Trajectory.from_steps(np.array([0.0, 10.0]), np.array([[0.0], [2.0]]))
+    motion = bp.Trajectory.from_steps(np.array([0.0, 100.0]), np.array([[0.0], [2.0]]))
     attack = Attack(0, machine, scene, (), motion)
     honest = bp.certify(robot, scene, motion)
     # as if nothing could be touched

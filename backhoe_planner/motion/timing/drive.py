@@ -145,14 +145,27 @@ class Drive:
         )
 
     def use_along(self, moments: Moments) -> DriveUse:
-        """The use of the drive at `moments`; speeds and flow are also looked at halfway between them."""
+        """The use of the drive at `moments`.
+
+        Speeds and flow are also looked at halfway between them; torques and power at corners
+        with the velocities on both sides.
+        """
         use = self.use(moments.q, moments.v, moments.a)
         if len(moments.time) < 2:
             return use
+        effort, power = use.effort.copy(), use.power.copy()
+        for side in (moments.before, moments.after):
+            corner = np.any(side != moments.v, axis=1)
+            if corner.any():
+                there = self.use(moments.q[corner], side[corner], moments.a[corner])
+                effort[corner] = np.maximum(effort[corner], there.effort)
+                power[corner] = np.maximum(power[corner], there.power)
         middle = 0.5 * (moments.q[:-1] + moments.q[1:])
         v = np.diff(moments.q, axis=0) / np.diff(moments.time)[:, None]
         return replace(
             use,
+            effort=effort,
+            power=power,
             rod_speed=np.maximum(use.rod_speed, _beside(self.rod_speed_use(middle, v))),
             flow=np.maximum(use.flow, _beside(self.flow_use(middle, v))),
         )
@@ -213,7 +226,7 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
     """How much of the limits of joints, drive and tip speed a motion uses.
 
     Velocities are those of the faster of the two segments beside a sample, accelerations
-    and torques those of `Trajectory.accelerations`. The tip's speed counts where the tip is
+    and torques those of `Trajectory.corner_accelerations`. The tip's speed counts where the tip is
     on the path and the scene limits it.
 
     Parameters

@@ -24,7 +24,12 @@ from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 _MANY = 5000  # samples, 100 s at the usual period; chosen: a longer motion is thinned out
 _MOST = 1_000_000  # samples of a motion before it is thinned out; chosen, 80 MB for ten joints
 _LEAST_STEP = 2.5e-3  # rad or m of a joint between samples of a thinned motion: a tenth of `Trajectory.moments`
+_LEAST_CHANGE = (
+    0.01  # part of what a joint may change its velocity by in a period; chosen: a thinned motion keeps its ramps
+)
 _LEAST_TIP_STEP = 5e-4  # m of the tip: a tenth of the usual tolerance
+_FEWEST = 50  # samples of a ramp; chosen
+_RAMP_ROUNDS = 4  # in which a ramp finds how many samples it needs; chosen, it settles in two where the way is smooth
 _SPARE = 0.999  # part of every limit that a ramp uses; chosen: its samples may use a little more
 _SAME_PLACE = 1e-9  # part of a way's length: corners nearer to each other are one but for rounding
 _PER_PIECE = 12  # intervals on every leg and corner of a way; chosen, as are the next two
@@ -90,6 +95,7 @@ def time_along(
         _samples(law.duration, period),
         lambda moments: np.asarray(curve(law.at(moments))),
         np.append(np.full(q.shape[1], _LEAST_STEP), _LEAST_TIP_STEP),
+        np.append(_LEAST_CHANGE * SAMPLE_PERIOD * limits.acceleration, np.inf),
     )
     samples = samples[:, :-1]
     samples[0], samples[-1] = q[0], q[-1]
@@ -164,18 +170,28 @@ def time_polyline(q: Matrix, limits: JointLimits) -> Trajectory:
 
 
 def _ramp(stations: Vector, q: Matrix, limits: JointLimits) -> tuple[Vector, Matrix]:
-    part = np.linspace(0.0, 1.0, max(4 * len(stations), 50))
-    along = stations[0] + (stations[-1] - stations[0]) * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
-    samples = np.column_stack([np.interp(along, stations, column) for column in q.T])
-    time = part * 10.0
-    return time * _over(Trajectory.from_steps(time, samples), limits) / _SPARE, samples
+    count, time, samples = max(4 * len(stations), _FEWEST), np.zeros(1), q[:1]
+    for _ in range(_RAMP_ROUNDS):
+        part = np.linspace(0.0, 1.0, count)
+        along = stations[0] + (stations[-1] - stations[0]) * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+        samples = np.column_stack([np.interp(along, stations, column) for column in q.T])
+        time = part * 10.0
+        time = time * _over(Trajectory.from_steps(time, samples), limits) / _SPARE
+        # samples too far apart make corners of what is smooth
+        needed = len(_samples(float(time[-1]), SAMPLE_PERIOD))
+        if needed <= count:
+            break
+        count = needed
+    return time, samples
 
 
 def _over(trajectory: Trajectory, limits: JointLimits) -> float:
     """The factor by which time must be stretched so that every limit of the joints is kept."""
     velocity = float(np.max(np.abs(trajectory.segment_velocities()) / limits.velocity))
-    acceleration = float(np.max(np.abs(trajectory.accelerations()) / limits.acceleration))
-    return max(velocity, float(np.sqrt(acceleration)))
+    smooth = float(np.max(np.abs(trajectory.accelerations()) / limits.acceleration))
+    # slower by f, a change of velocity is 1 / f of what it was; it takes f times as long, but no longer than counts
+    sharp = float(np.max(np.abs(trajectory.velocity_changes()) / limits.acceleration)) / SAMPLE_PERIOD
+    return max(velocity, float(np.sqrt(smooth)), sharp)
 
 
 # --- ways with round corners ------------------------------------------------------
@@ -238,19 +254,26 @@ def _samples(duration: float, period: float) -> Vector:
     return np.linspace(0.0, duration, min(max(int(np.ceil(duration / period)) + 1, 3), _MOST))
 
 
-def _thin_out(time: Vector, place: Callable[[Vector], Matrix], least_step: Vector) -> tuple[Vector, Matrix]:
-    """Samples (T,), (T, m) of a motion; of one with very many, only those at which something has moved.
+def _thin_out(
+    time: Vector, place: Callable[[Vector], Matrix], least_step: Vector, least_change: Vector
+) -> tuple[Vector, Matrix]:
+    """Samples (T,), (T, m) of a motion; of one with very many, only those at which something has moved or changed.
 
     Parameters
     ----------
     time: (K,) of all samples [s].
     place: gives the coordinates (K, m) at (K,) times.
     least_step: (m,) how far some coordinate moves from sample to sample of a slow motion.
+    least_change: (m,) how much its velocity changes [.../s].
     """
     samples = place(time)
     if len(time) <= _MANY:
         return time, samples
-    way = np.concatenate(([0.0], np.cumsum(np.max(np.abs(np.diff(samples, axis=0)) / least_step, axis=1))))
+    steps = np.diff(samples, axis=0)
+    velocity = steps / np.diff(time)[:, None]
+    change = np.vstack((np.diff(velocity, axis=0), np.zeros(samples.shape[1])))  # at the end of each step
+    some = np.maximum(np.abs(steps) / least_step, np.abs(change) / least_change)
+    way = np.concatenate(([0.0], np.cumsum(np.max(some, axis=1))))
     kept = np.concatenate(([True], np.floor(way[1:-1]) > np.floor(way[:-2]), [True]))
     return time[kept], samples[kept]
 
@@ -279,6 +302,7 @@ def _along_smooth(
         _samples(law.duration, SAMPLE_PERIOD),
         lambda moments: way(np.clip(law.at(moments), begin, end)),
         np.full(way.corners.shape[1], _LEAST_STEP),
+        _LEAST_CHANGE * SAMPLE_PERIOD * limits.acceleration,
     )
     q[0], q[-1] = way(begin), way(end)
     return time * max(_over(Trajectory.from_steps(time, q), limits) / _SPARE, 1.0), q
