@@ -19,11 +19,12 @@ from joblib import Parallel, delayed
 import backhoe_planner as bp
 from backhoe_planner.machine import self_pairs
 from validation.dense_sweep import Least, Sweep
-from validation.link_pairs import PIN_PLAY, LinkPair
+from validation.link_pairs import PIN_PLAY, LinkPair, touch_share
 from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
 
 _ROUNDING = 1e-6  # m below what is proven that a distance may be found
 _KEPT = 1.2e-4  # m below its clearance that a motion still counts as keeping it, and rounding
+_BY_CONSTRUCTION = 0.85  # part of a joint's range in which its two links touch, as where one slides in the other
 _UNREPORTED = 10.0  # m beyond its clearance from which on the certificate does not name an obstacle
 
 
@@ -163,7 +164,9 @@ def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -
         joint = machine.raw.joint_above.get(pair[0])
         if frozenset(pair) not in looked_at and joint is not None and joint.parent == pair[1] and joint.kind != "fixed":
             folded = sweep.inside_beyond(*pair, joint)
-            if folded is not None:
+            if folded is not None and (
+                touch_share(machine.raw, machine.bodies, "tip", *pair, joint.name) < _BY_CONSTRUCTION
+            ):
                 claims.append(_Claim(0.0, folded, 0.0, "the two links of a joint, far from it", False))
             continue
         groups.setdefault(_cause(machine, pair, looked_at), []).append(pair)

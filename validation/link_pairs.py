@@ -65,6 +65,17 @@ def find_pairs(machine: RawMachine, bodies: Mapping[str, Body], tip: str) -> Pai
     return found
 
 
+def touch_share(machine: RawMachine, bodies: Mapping[str, Body], tip: str, outer: str, inner: str, joint: str) -> float:
+    """In which part of a joint's range two links touch, with only that joint between them; 0 to 1."""
+    placed = _postures(machine, tip)[joint]
+    rotations, translations = past_link(placed, outer, inner)
+    touches = [
+        least_pair(bodies[outer], bodies[inner], rotation, translation)[0] <= 0.0
+        for rotation, translation in zip(rotations, translations, strict=True)
+    ]
+    return float(np.mean(touches))
+
+
 def _postures(machine: RawMachine, tip: str) -> dict[str, dict[str, Placements]]:
     """Placements with one joint over its range, by its name; under "" with all joints at random."""
     joints = machine.chain(tip)
