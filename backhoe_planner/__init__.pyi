@@ -18,6 +18,7 @@ from .live import PlanFollower as PlanFollower
 from .live import Servo as Servo
 from .live import ServoState as ServoState
 from .live import Status as Status
+from .live import StepWork as StepWork
 from .machine import BothWays as BothWays
 from .machine import Configuration as Configuration
 from .machine import Cylinder as Cylinder

@@ -86,11 +86,13 @@ class Solution(NamedTuple):
     ----------
     x: (n,).
     multipliers: (n + K,) of the bounds and of all rows, positive at an upper side.
+    iterations: of the solver.
     """
 
     program: QuadraticProgram
     x: Vector
     multipliers: Vector
+    iterations: int = 0
 
     @property
     def residual(self) -> float:
@@ -119,8 +121,11 @@ class Solution(NamedTuple):
         return float(max(np.abs(pull).max(), *(part.max(initial=0.0) for part in off)))
 
 
-def solve_program(program: QuadraticProgram) -> Solution | None:
-    """The solution, or None where no x keeps bounds, hard and equal rows."""
+def solve_program(program: QuadraticProgram, *, most_iterations: int = 1000) -> Solution | None:
+    """The solution, or None where no x keeps bounds, hard and equal rows.
+
+    most_iterations: of the solver; where it needs more, there is no solution either.
+    """
     n, rows = len(program.f), program.rows
     counts = [len(block.h) for block in rows]
     sense = np.zeros(n + sum(counts), dtype=np.int32)
@@ -135,10 +140,10 @@ def solve_program(program: QuadraticProgram) -> Solution | None:
         first += count
     G = np.concatenate([block.G for block in rows]) if rows else np.zeros((0, n))
     upper = np.concatenate([program.high, *(block.h for block in rows)])
-    x, _, flag, more = daqp.solve(program.H, program.f, G, upper, lower, sense)
+    x, _, flag, more = daqp.solve(program.H, program.f, G, upper, lower, sense, iter_limit=most_iterations)
     if flag < 1 or not np.isfinite(x).all():
         return None
-    return Solution(program, np.asarray(x), np.asarray(more["lam"]))
+    return Solution(program, np.asarray(x), np.asarray(more["lam"]), int(more["iterations"]))
 
 
 def step_on_path(

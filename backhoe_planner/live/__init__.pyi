@@ -2,6 +2,8 @@ from .braking.braking_path import BrakingPath as BrakingPath
 from .braking.braking_path import Placements as Placements
 from .braking.joint_bounds import VelocityRange as VelocityRange
 from .braking.separation import Separation as Separation
+from .braking.step_work import MOST_DISTANCES as MOST_DISTANCES
+from .braking.step_work import StepWork as StepWork
 from .follower import FollowerState as FollowerState
 from .follower import FollowerStatus as FollowerStatus
 from .follower import PlanFollower as PlanFollower

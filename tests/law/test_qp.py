@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from backhoe_planner.law import PRICE, Kind, QuadraticProgram, Rows, solve_program
+from backhoe_planner.law import (
+    MOST_ITERATIONS,
+    MOST_SOFT_ROWS,
+    PRICE,
+    Kind,
+    QuadraticProgram,
+    Rows,
+    solve_program,
+    solve_with_binding_rows,
+)
 
 WIDE = np.full(2, 10.0)
 
@@ -71,3 +80,37 @@ def test_a_solution_knows_whether_it_is_right(seed: int) -> None:
     assert found is not None
     assert found.residual < 1e-5
     assert found._replace(x=found.x + 1e-3).residual > 1e-5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_of_many_rows_those_that_bind_give_the_solution_with_all(seed: int) -> None:
+    """Tangents of a ball of radius 1, and a wish outside: all rows can be kept, few of them bind."""
+    rng = np.random.default_rng(seed)
+    G = rng.normal(size=(400, 3))
+    rows = Rows("ball", G / np.linalg.norm(G, axis=1)[:, None], np.ones(400))
+    program = QuadraticProgram(np.eye(3), -rng.uniform(1.0, 2.0, 3), np.full(3, -5.0), np.full(3, 5.0), (rows,))
+    all_of_them, found = solve_program(program), solve_with_binding_rows(program)
+    assert all_of_them is not None
+    assert found is not None
+    np.testing.assert_allclose(found.x, all_of_them.x, atol=1e-6)
+    assert found.rows <= MOST_SOFT_ROWS
+
+
+def test_of_many_rows_that_contradict_each_other_few_are_weighed() -> None:
+    """As from two sides at once: x <= -1 and x >= 1, 200 times each, a little turned. The middle misses both alike."""
+    turned = np.linspace(-0.3, 0.3, 200)
+    right = np.column_stack((np.cos(turned), np.sin(turned)))
+    rows = Rows("both sides", np.vstack((right, -right)), np.full(400, -1.0))
+    program = QuadraticProgram(np.eye(2), np.zeros(2), np.full(2, -5.0), np.full(2, 5.0), (rows,))
+    found = solve_with_binding_rows(program)
+    assert found is not None
+    np.testing.assert_allclose(found.x, 0.0, atol=1e-3)
+    assert found.rows <= MOST_SOFT_ROWS
+    assert found.iterations <= found.problems * MOST_ITERATIONS
+
+
+def test_a_solver_that_needs_too_many_iterations_has_no_solution() -> None:
+    rows = Rows("below", np.eye(4), np.full(4, -1.0))
+    program = QuadraticProgram(np.eye(4), np.zeros(4), np.full(4, -5.0), np.full(4, 5.0), (rows,))
+    assert solve_program(program) is not None
+    assert solve_program(program, most_iterations=1) is None

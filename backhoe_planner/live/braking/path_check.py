@@ -6,21 +6,30 @@ Where a braking path is not clear, its rows are the gaps of the links' corners a
 
 with s from 0 to 1 along the path, and D the derivative of its end by v. So the next
 velocity is chosen by the same gaps that will be checked.
+
+The rows only lead to good velocities: no proof rests on them. Whatever they leave out, and
+whatever is not measured because the step has had its share of work (`step_work`), is among
+the pairs of the check with the bound that is known of it. A path is taken only if all of
+them are clear.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
-from backhoe_planner.law import Rows
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.law import BindingSolution, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
 from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
 
-MOST_ROWS = 400  # of one kind in a problem, the tightest; chosen, so that the work of a step is bounded
-_LOOKS = 12  # pairs that are measured anew per path at most; chosen, each costs some 20 us
+MOST_CANDIDATES = 24  # rows of one kind, among which those that bind are sought; chosen
+_LOOKS = 12  # pairs that are measured anew per path at most; chosen
+_MOVING_LOOKS = 3  # the same where only what moves is too near: it does not decide whether a path may be taken
+_RESERVED = CLOSER_LOOK + 1  # distances for the end of a step: of a pair that is clear again, and the oldest plane
+_SHARE = 3  # a path may take this part of the distances that a step still has, so that some are left for the next
 
 
 class PathCheck:
@@ -38,6 +47,35 @@ class PathCheck:
 
     def __init__(self, separation: Separation, bounds: PairBounds, joints: JointBounds, at: Placements) -> None:
         self.separation, self.bounds, self.joints, self.at = separation, bounds, joints, at
+        self._before = 0
+        self._paths = self._rows = self._problems = self._iterations = 0
+
+    # --- work --------------------------------------------------------------------------
+
+    def begin_step(self) -> None:
+        """From now on the work is that of a new step."""
+        self._before = self.separation.measured
+        self._paths = self._rows = self._problems = self._iterations = 0
+
+    def note(self, solution: BindingSolution | None) -> None:
+        """A quadratic program was solved in this step."""
+        if solution is not None:
+            self._rows = max(self._rows, solution.rows)
+            self._problems += solution.problems
+            self._iterations += solution.iterations
+
+    @property
+    def distances_left(self) -> int:
+        """How many more distances this step may measure for paths; 0 where none."""
+        return max(MOST_DISTANCES - _RESERVED + self._before - self.separation.measured, 0)
+
+    @property
+    def work(self) -> StepWork:
+        """The work of this step until now."""
+        distances = self.separation.measured - self._before
+        return StepWork(self._rows, self._problems, self._iterations, self._paths, distances)
+
+    # --- paths -------------------------------------------------------------------------
 
     def path(self, q: Vector, v: Vector, *, step: bool = True) -> BrakingPath:
         """The path of a step at v (n,) from q (n,) and braking after it; without `step`, of braking alone."""
@@ -56,9 +94,14 @@ class PathCheck:
         change = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
         return self.bounds.awake(np.array(change))
 
-    def clearance(self, awake: Awake, path: BrakingPath) -> PathClearance:
-        """What is proven of a path for the pairs `awake`. If there are any, the placements hold the path then."""
+    def clearance(self, awake: Awake, path: BrakingPath, *, look_at_movers: bool = True) -> PathClearance:
+        """What is proven of a path for the pairs `awake`. If there are any, the placements hold the path then.
+
+        look_at_movers: whether what moves is measured anew where its bound falls short. It does not
+        decide whether a path may be taken.
+        """
         separation, at, pairs = self.separation, self.at, awake.pairs
+        self._paths += 1
         if len(pairs) == 0:
             return _NOTHING_AWAKE
         path.place(at)
@@ -69,25 +112,51 @@ class PathCheck:
         if (bound - required).min() >= BUFFER:
             return PathClearance(True, True, True, bound, gaps, closely)
         short = (bound < required - TOLERANCE).nonzero()[0]
-        if len(short):
-            # first with a plane measured where it is tightest, then with several
-            for row in short[:_LOOKS].tolist():
-                separation.renew(int(pairs[row]), at, int(gaps[:, row].min(axis=1).argmin()))
-            again = short[:_LOOKS]
-            better, gaps[:, again] = separation.least_on(pairs[again], path, at, drift_time)
-            bound[again] = np.maximum(bound[again], better)
-            for row in again[better < required[again] - TOLERANCE].tolist():
-                pair = int(pairs[row])
-                found = separation.closer_look(pair, path, at, 0.0 if stands[pair] else drift_time)
-                bound[row] = max(bound[row], found)
-                closely[row] = True
-            if closely.any():
-                gaps[:, closely] = separation.gaps(pairs[closely], at, path.parts + 1)
-            self.bounds.renew_soon(pairs[again])
+        # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes longest
+        again = short[stands[pairs[short]] | (look_at_movers & (bound[short] > 0.0))]
+        if len(again):
+            self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
             short = (bound < required - TOLERANCE).nonzero()[0]
         stands_clear = not stands[pairs[short]].any()
         free = len(short) == 0 and bool((bound >= required + BUFFER).all())
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
+
+    def _look_again(
+        self,
+        pairs: Indices,
+        short: Indices,
+        path: BrakingPath,
+        drift_time: float,
+        bound: Vector,
+        gaps: Array,
+        closely: Flags,
+    ) -> None:
+        """Measure pairs whose bound falls short with one plane each, then what stands with several.
+
+        What stands comes first, and of it what falls short the most: it decides whether the path
+        may be taken. `bound`, `gaps` and `closely` are those of `PathClearance`, to be improved.
+        """
+        separation, at = self.separation, self.at
+        required, stands = self.bounds.required[pairs], self.bounds.stands[pairs]
+        left = self.distances_left // _SHARE
+        order = short[np.lexsort((bound[short] - required[short], ~stands[short]))] if len(short) > 1 else short
+        standing = int(np.count_nonzero(stands[short]))
+        again = order[: min(max(standing, _MOVING_LOOKS), _LOOKS, left)]
+        if len(again) == 0:
+            return
+        until = separation.measured + left
+        for row in again.tolist():
+            separation.renew(int(pairs[row]), at, int(gaps[:, row].min(axis=1).argmin()))
+        better, gaps[:, again] = separation.least_on(pairs[again], path, at, drift_time)
+        bound[again] = np.maximum(bound[again], better)
+        for row in again[(better < required[again] - TOLERANCE) & stands[again]].tolist():
+            if separation.measured + CLOSER_LOOK > until:
+                break
+            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, at, 0.0))
+            closely[row] = True
+        if closely.any():
+            gaps[:, closely] = separation.gaps(pairs[closely], at, path.parts + 1)
+        self.bounds.renew_soon(pairs[again])
 
     def rows(self, awake: Awake, path: BrakingPath, found: PathClearance) -> Rows:
         """The rows of what could bind along a path [m/s]. The placements must hold the path."""
@@ -111,15 +180,45 @@ class PathCheck:
         samples, k, corners = np.nonzero(counts)
         if len(k) == 0:
             return Rows.none("braking", len(path.v))
-        if len(k) > MOST_ROWS:
-            tightest = np.argpartition(room[samples, k, corners], MOST_ROWS)[:MOST_ROWS]
-            samples, k, corners = samples[tightest], k[tightest], corners[tightest]
+        if len(k) > MOST_CANDIDATES:
+            count, _, corners_each = room.shape
+            by_pair = (len(pairs), count * corners_each)
+            k, columns = tightest_of_each(
+                room.transpose(1, 0, 2).reshape(by_pair), counts.transpose(1, 0, 2).reshape(by_pair)
+            )
+            samples, corners = np.divmod(columns, corners_each)
         part = samples / path.parts
         G = separation.rows(pairs[k], samples, corners, self.at) @ path.D / path.look
         h = room[samples, k, corners] / (part * path.look) + G @ path.v
         # never ask for more than the start itself is short of
         short = np.maximum(wanted[k] - found.gaps[0, k, corners], 0.0)
         return Rows("braking", G, np.maximum(h, -2.0 * short))
+
+
+def tightest_of_each(room: Matrix, counts: Flags) -> tuple[Indices, Indices]:
+    """Of every pair the entries with the least room that count, at most `MOST_CANDIDATES` of all pairs together.
+
+    So that a pair with many corners does not crowd out the others. Where there are more pairs
+    than that, those with the least room.
+
+    Parameters
+    ----------
+    room, counts: (K, M) for K pairs.
+
+    Returns
+    -------
+    Pair and column of each.
+    """
+    left = np.where(counts, room, np.inf)
+    pairs = np.flatnonzero(counts.any(axis=1))
+    if len(pairs) > MOST_CANDIDATES:
+        pairs = pairs[np.argpartition(left[pairs].min(axis=1), MOST_CANDIDATES - 1)[:MOST_CANDIDATES]]
+    each = min(MOST_CANDIDATES // len(pairs), room.shape[1])
+    columns = np.argpartition(left[pairs], each - 1, axis=1)[:, :each]
+    k = np.repeat(pairs, each)
+    columns = columns.reshape(-1)
+    real = counts[k, columns]
+    return k[real], columns[real]
 
 
 _NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=np.bool_))

@@ -73,10 +73,12 @@ class Separation:
     travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
     furthest: n numbers, the largest of `travel` for each joint.
     turning: (n,) 1 for hinges, 0 for slides.
+    measured: how many distances were measured so far.
     """
 
     def __init__(self, robot: Robot, q: Vector | None = None, *, self_collision: bool = True) -> None:
         self.robot = robot
+        self.measured = 0
         self._gauge = shapes.Gauge()
         self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
         # corners of the pieces that move, with a 1 behind each; those of the others are never used
@@ -176,6 +178,7 @@ class Separation:
         The signed distance [m]; normal (3,) and offset [m] of the plane, in the frame of the other
         body; the nearest point (3,) of the link [m], world.
         """
+        self.measured += 1
         piece = int(self.piece[pair])
         shape, own = self._own_shapes[piece]
         here = at.T[sample, self.joint[pair]] @ own
@@ -202,15 +205,24 @@ class Separation:
         self._keep_plane(pair, n, offset)
         return distance
 
-    def gradients(self, pairs: Indices, at: Placements, sample: int) -> tuple[Vector, Matrix]:
-        """(K,) measured signed distances [m], and (K, n) how fast they fall with the joints [m/rad]."""
+    def gradients(self, pairs: Indices, at: Placements, sample: int, *, keep: bool = False) -> tuple[Vector, Matrix]:
+        """(K,) measured signed distances [m], and (K, n) how fast they fall with the joints [m/rad].
+
+        keep: whether the planes are kept.
+        """
         distance, n, x = np.zeros(len(pairs)), np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
         for row, pair in enumerate(pairs.tolist()):
-            distance[row], normal, _, x[row] = self.measure(pair, at, sample)
+            distance[row], normal, offset, x[row] = self.measure(pair, at, sample)
+            if keep:
+                self._keep_plane(pair, normal, offset)
             other = int(self.other[pair])
             n[row] = at.R[sample, other] @ normal if other else normal
         turn = x[:, _NEXT] * n[:, _LAST] - x[:, _LAST] * n[:, _NEXT]  # x cross n
         return distance, np.asarray((np.concatenate((n, turn), axis=1) @ at.J[sample]) * self.mask[pairs])
+
+    def least_gaps(self, pairs: Indices, at: Placements, sample: int) -> Vector:
+        """(K,) lower bounds of the distances at one sample, by the planes alone [m]."""
+        return np.asarray(self.gaps(pairs, at, slice(sample, sample + 1))[0].min(axis=1))
 
     def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
         self.normal[pair] = n
@@ -219,9 +231,12 @@ class Separation:
 
     # --- gaps ------------------------------------------------------------------------
 
-    def gaps(self, pairs: Indices, at: Placements, samples: int) -> Matrix:
-        """(samples, K, V) gaps from every corner of the links to the planes of `pairs` [m]."""
-        T = at.T[:samples]
+    def gaps(self, pairs: Indices, at: Placements, samples: int | slice) -> Matrix:
+        """(samples, K, V) gaps from every corner of the links to the planes of `pairs` [m].
+
+        samples: rows of the placements, the first so many or a slice.
+        """
+        T = at.T[samples if isinstance(samples, slice) else slice(samples)]
         n = self.normal.take(pairs, axis=0)[:, None, :]
         offset = self.offset.take(pairs) - self._fat_of.take(pairs)
         other = self.other.take(pairs) if self.some_relative else pairs[:0]

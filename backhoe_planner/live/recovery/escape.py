@@ -19,9 +19,9 @@ that grow towards each other (RRT-Connect, Kuffner and LaValle 2000).
 
 Both only steer the servo, which measures every step anew.
 
-The search is a generator: between two yields it looks at one posture, so that it can be
-spread over the servo's steps. It looks at no more than `MOST_LOOKS` postures, and keeps
-no more than that.
+The search is a generator: between two yields it looks at one posture, or at `_AT_ONCE` of
+its pairs where many are close, so that it can be spread over the servo's steps. It looks at
+no more than `MOST_LOOKS` postures, and keeps no more than that.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from backhoe_planner.machine import JointLimits, Robot
 _DESCENTS, _DESCENT_LOOKS = 40, 120  # descents, and the postures of one
 _GOALS, _CLEAR_GOALS = 300, 40  # postures that are tried as ends of a way, and the most that are kept
 _TREE_LOOKS, _LINE_LOOKS = 4000, 4000  # postures, of the trees, and of the straight lines
+_AT_ONCE = 8  # pairs of one posture that are measured between two yields
 _BRANCHES = 3  # branches that a tree grows at once
 _NEAR_BY = 0.5  # rad or m: chosen, spread of the ends near q
 _TRUST = 0.03  # rad or m: longest step of a descent; chosen, so that gradients hold about so far
@@ -163,7 +164,7 @@ class EscapeSearch:
 
     # --- one posture -------------------------------------------------------------------
 
-    def _depth(self, q: Vector, margin: float = 0.0) -> tuple[Vector, Indices, Matrix]:
+    def _depth(self, q: Vector, margin: float = 0.0) -> Generator[None, None, tuple[Vector, Indices, Matrix]]:
         """How deep the pairs are at q (n,), exact for those within `margin` of their clearance [m].
 
         Returns
@@ -178,8 +179,14 @@ class EscapeSearch:
             gaps = self._separation.gaps(self._pairs[close], self._at, 1)[0].min(axis=1)
             least[close] = np.maximum(least[close], gaps)
             close = close[gaps < self._clearance[close] + max(margin, _BEYOND)]
-        self.looked += 1 + len(close)
-        distance, falls = self._separation.gradients(self._pairs[close], self._at, 0)
+        self.looked += 1
+        distance, falls = np.zeros(len(close)), np.zeros((len(close), len(q)))
+        for first in range(0, len(close), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            if first:
+                yield
+            distance[some], falls[some] = self._separation.gradients(self._pairs[close[some]], self._at, 0)
+            self.looked += len(close[some])
         least[close] = distance
         self._distance[close], self._seen_at[close] = distance, q
         return self._clearance - least, close, falls
@@ -192,7 +199,7 @@ class EscapeSearch:
         `part` is by how much V is to fall per length of a step [m/rad].
         """
         nodes, trust = [q], _TRUST
-        depth, close, falls = self._depth(q, _NEAR)
+        depth, close, falls = yield from self._depth(q, _NEAR)
         yield
         nothing = np.zeros(len(q))
         for _ in range(_DESCENT_LOOKS - 1):
@@ -218,7 +225,7 @@ class EscapeSearch:
             if found is None:
                 return None
             tried = q + found[0]
-            there, seen, gradient = self._depth(tried, _NEAR)
+            there, seen, gradient = yield from self._depth(tried, _NEAR)
             yield
             held = by_owner(np.where(self._inside, there, 0.0), self._owner)
             falls_there = (held <= np.maximum(deepest - _FALLS, 0.0))[violated].all()
@@ -246,7 +253,7 @@ class EscapeSearch:
             else:
                 moved = rng.random(len(q)) < rng.uniform(0.2, 1.0)
                 goal = np.where(moved, rng.uniform(self._from, self._to), within)
-            depth, _, _ = self._depth(goal)
+            depth, _, _ = yield from self._depth(goal)
             yield
             if (depth <= -_BEYOND).all():
                 found.append(goal)
@@ -258,7 +265,7 @@ class EscapeSearch:
         """Whether no pair is deeper than `most` (K,) [m] at any look along a straight line."""
         count = _looks(start, end)
         for part in range(1, count + 1):
-            depth, _, _ = self._depth(start + (part / count) * (end - start))
+            depth, _, _ = yield from self._depth(start + (part / count) * (end - start))
             yield
             if not (depth <= most).all():
                 return False
@@ -296,7 +303,7 @@ class EscapeSearch:
         looks, last, reached = 0, nearest, None
         for part in range(1, count + 1):
             there = start + (part / count) * (aim - start)
-            depth, _, _ = self._depth(there)
+            depth, _, _ = yield from self._depth(there)
             looks += 1
             yield
             if not (depth <= self._ceiling).all():

@@ -31,7 +31,8 @@ way 3 is searched for it as well. Where they would do so at the end of a way 1 o
 is preferred.
 
 When the surroundings change, all that is dropped and begins anew. Per step the search looks
-at `_LOOKS_PER_STEP` postures and pairs, or at one posture where that has more pairs.
+at `_LOOKS_PER_STEP` postures and pairs, and the way on at no more pairs than the step may
+measure (`step_work`). Where that does not suffice to prove a way on, the machine brakes.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, J
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
 from backhoe_planner.live.braking.pair_bounds import Awake
 from backhoe_planner.live.braking.path_check import PathCheck
+from backhoe_planner.live.braking.step_work import CLOSER_LOOK
 from backhoe_planner.live.recovery.escape import EscapeRoute, EscapeSearch, RouteSearch
 from backhoe_planner.live.recovery.violation_descent import SMALLEST, by_owner, way_back
 from backhoe_planner.machine import Robot
@@ -61,7 +63,8 @@ _FALLS = 1e-8  # m by which the deepest violation falls in a step at least: abov
 _LEVEL = 1e-9  # m: a violation that is deeper by less counts as no deeper; rounding
 _FOLLOWED_FALL = 1e-3  # m/s at which V must fall on a falling way; chosen, so that the way decides the direction
 _WAITING_FALL = 1e-4  # m/s while the search is on: about a tenth of that
-_LOOKS_PER_STEP = 20  # postures and pairs that the search looks at; chosen, each costs some 20 us
+_FEW = 3  # violated pairs that are all measured; chosen, to find out which need not be costs as much
+_LOOKS_PER_STEP = 12  # postures and pairs that the search looks at; chosen, each costs some 20 us
 _PROGRESS = 1e-3  # m by which what is left must fall to count as progress; chosen
 _RETURN_PROGRESS = 3e-3  # rad or m by which a joint beyond its limit must come back to count as progress; chosen
 _PATIENCE, _PAUSE = 0.3, 5.0  # s without progress before a search, and after one that found nothing; chosen
@@ -210,7 +213,7 @@ class Recovery:
         pairs: (K,) indices of the violated pairs.
         stands: (P,) whether the obstacle of a pair stands still, for all pairs.
         """
-        distance, rows = self._separation.gradients(pairs, self._at, 0)
+        distance, rows, measured = self._depths_here(pairs)
         depth = self._separation.clearance[pairs] - distance
         deepest = by_owner(depth, self._separation.owner[pairs])
         self._continue_search(pairs, stands, step.state.q, deepest)
@@ -218,14 +221,14 @@ class Recovery:
         target, fastest = self._aim(step, float(deepest.max(initial=0.0)))
         ceiling = np.maximum(self._ceiling[pairs], deepest) if below else deepest
         slack = _HOLDS * (ceiling - depth)
-        all_rows, all_slack = rows, slack
+        all_rows, all_slack = rows[measured], slack[measured]
         others: tuple[Rows, ...] = (step.evasion,)
         tried = step.brake
         for attempt in range(ATTEMPTS + len(BLENDS)):
             if attempt < ATTEMPTS:
                 fall = way_back(
                     all_rows, all_slack, target=target, low=step.low, high=step.high,
-                    fastest=fastest, others=others,
+                    fastest=fastest, others=others, note=self._check.note,
                 )  # fmt: skip
                 if fall is None:
                     continue
@@ -239,6 +242,8 @@ class Recovery:
             if len(found.bound) == 0:
                 path.place(self._at)
             depths = self._depths_along(pairs, path, ceiling if below else deepest, below=below)
+            if depths is None:
+                break
             if depths.worse is not None:
                 worse, there, falls, span = depths.worse
                 cut = slack[worse] + (there - distance)[worse] / span + falls[worse] @ v
@@ -262,18 +267,38 @@ class Recovery:
             return step.brake, _WAITING_FALL
         return step.target, min(max(RECOVERY * deepest, SLOWEST_RECOVERY), FASTEST_RECOVERY)
 
-    def _depths_along(self, pairs: Indices, path: BrakingPath, most: Vector, *, below: bool) -> _Depths:
+    def _depths_here(self, pairs: Indices) -> tuple[Vector, Matrix, Flags]:
+        """Distances of the violated pairs where the machine is (K,) [m], and how fast they fall (K, n) [m/rad].
+
+        Where there are many, only those that may be deepest are measured, and what is known of the
+        others is a lower bound without a gradient; (K,) says which were measured.
+        """
+        separation, most = self._separation, self._check.distances_left // 2
+        if len(pairs) <= most:
+            return *separation.gradients(pairs, self._at, 0), np.ones(len(pairs), dtype=bool)
+        # never less than what was proven when the step before was taken
+        distance = np.maximum(separation.least_gaps(pairs, self._at, 0), self._check.bounds.required[pairs])
+        chosen = np.argpartition(distance - separation.clearance[pairs], most)[:most]
+        falls, measured = np.zeros((len(pairs), self._robot.n)), np.zeros(len(pairs), dtype=bool)
+        distance[chosen], falls[chosen] = separation.gradients(pairs[chosen], self._at, 0, keep=True)
+        measured[chosen] = True
+        return distance, falls, measured
+
+    def _depths_along(self, pairs: Indices, path: BrakingPath, most: Vector, *, below: bool) -> _Depths | None:
         """How deep the pairs get on a braking path, up to where one is deeper than allowed.
 
         `most` (K,) is the depth that must not be exceeded on a way 3 (`below`), and from which it must
-        fall elsewhere [m].
+        fall elsewhere [m]. None where that would take more distances than the step has left.
         """
         separation, at, owner = self._separation, self._at, self._separation.owner[pairs]
         before = most + _LEVEL if below else most - _FALLS
         highest = level = np.zeros(len(pairs))
         for span in self._spans(path):
             at.place(_STEP_END, path.q + path.v * span)
-            there, falls = separation.gradients(pairs, at, _STEP_END)
+            found = self._deepest_at(pairs, _STEP_END, np.maximum(before, 0.0))
+            if found is None:
+                return None
+            there, falls = found
             depth = separation.clearance[pairs] - there
             now = by_owner(depth, owner)
             worse = depth > np.maximum(before, 0.0)
@@ -287,6 +312,31 @@ class Recovery:
             if worse.any():
                 return _Depths(level, highest, (worse, there, falls, span))
         return _Depths(level, highest, None)
+
+    def _deepest_at(self, pairs: Indices, sample: int, allowed: Vector) -> tuple[Vector, Matrix] | None:
+        """Distances of the violated pairs at one sample (K,) [m], and how fast they fall (K, n) [m/rad].
+
+        Measured are the deepest of every obstacle and what may be deeper than `allowed` (K,) [m]. Of the
+        others the planes prove that they are neither; these have their lower bound and no gradient. None
+        where more distances are needed than the step has left.
+        """
+        separation, owner = self._separation, self._separation.owner[pairs]
+        clearance = separation.clearance[pairs]
+        if len(pairs) <= _FEW:
+            return separation.gradients(pairs, self._at, sample) if len(pairs) <= self._check.distances_left else None
+        distance, falls = separation.least_gaps(pairs, self._at, sample), np.zeros((len(pairs), self._robot.n))
+        measured = np.zeros(len(pairs), dtype=bool)
+        while True:
+            depth = clearance - distance
+            deepest = by_owner(np.where(measured, depth, -np.inf), owner)
+            open_ = ~measured & (depth > np.minimum(allowed, np.maximum(deepest - _FALLS, 0.0)))
+            if not open_.any():
+                return distance, falls
+            if self._check.distances_left == 0:
+                return None
+            row = int(np.where(open_, depth, -np.inf).argmax())
+            distance[[row]], falls[[row]] = separation.gradients(pairs[[row]], self._at, sample, keep=True)
+            measured[row] = True
 
     def _spans(self, path: BrakingPath) -> list[float]:
         """When to measure along a braking path [s]: at the end of the step, and then every `_BETWEEN`."""
@@ -306,7 +356,7 @@ class Recovery:
             self._start_search(pairs, stands, q)
         if self._running is not None:
             assert self._escape is not None
-            until = self._escape.looked + _LOOKS_PER_STEP
+            until = self._escape.looked + min(_LOOKS_PER_STEP, self._check.distances_left // 2)
             try:
                 while self._escape.looked < until:
                     next(self._running)
@@ -391,7 +441,7 @@ class Recovery:
     def clear_again(self, pairs: Indices, found: RecoveryPath) -> tuple[Indices, Vector]:
         """Those of the violated pairs that are clear again along the path, and their proven distances (K,) [m]."""
         separation = self._separation
-        pairs = pairs[found.level <= 0.0]
+        pairs = pairs[found.level <= 0.0][: max(self._check.distances_left // CLOSER_LOOK, 1)]
         if len(pairs) == 0:
             return pairs, np.zeros(0)
         bound = separation.proven_on(pairs, found.path, self._at, 0.0)

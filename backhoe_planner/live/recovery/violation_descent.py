@@ -18,10 +18,12 @@ Where no joint rate makes V smaller, t is 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
+from backhoe_planner.law import UNBOUNDED, BindingSolution, Kind, QuadraticProgram, Rows, solve_with_binding_rows
 
 SMALLEST = 1e-12  # below any rate or row that matters: keeps divisions finite
 _WISH = 1e-3  # weight of the wish beside the speed of the way back; chosen, so that it only breaks ties
@@ -36,6 +38,7 @@ def way_back(
     high: Vector,
     fastest: float,
     others: tuple[Rows, ...] = (),
+    note: Callable[[BindingSolution | None], None] | None = None,
 ) -> tuple[Vector, float] | None:
     """The velocity (n,) by which the deepest violation falls fastest, and how fast that is [m/s].
 
@@ -47,6 +50,7 @@ def way_back(
     low, high: (n,) the velocities that the joints can reach in this step [rad/s or m/s].
     fastest: speed of the fall that is enough [m/s].
     others: rows of everything else.
+    note: takes what was solved, to count the work.
 
     Returns
     -------
@@ -67,7 +71,9 @@ def way_back(
             *(_scaled(block, middle, reach) for block in others),
         ),
     )
-    solution = solve_program(program)
+    solution = solve_with_binding_rows(program)
+    if note is not None:
+        note(solution)
     if solution is None:
         return None
     v = middle + reach * solution.x[:n]

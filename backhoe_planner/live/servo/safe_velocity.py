@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.law import QuadraticProgram, Rows, solve_program
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.law import QuadraticProgram, Rows, solve_with_binding_rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import (
     FASTEST_RECOVERY,
@@ -27,11 +27,12 @@ from backhoe_planner.live.braking.joint_bounds import (
     VelocityRange,
 )
 from backhoe_planner.live.braking.pair_bounds import Awake, Near
-from backhoe_planner.live.braking.path_check import MOST_ROWS, PathCheck
+from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, PathCheck, tightest_of_each
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, BLENDS, Recovery, RecoveryStep
 
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
 _FREE = 0.005  # m^2: weight of the null space beside the tip; chosen, small beside the square of an arm's length
+_SLOW = 1e-3  # m/s: what comes no faster is as far away in time as at this speed; chosen
 _VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
 _AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
 
@@ -124,11 +125,14 @@ class VelocityFilter:
         for attempt in range(ATTEMPTS):
             late = not evasion.are_kept_by(v, TOLERANCE)
             path = check.path(state.q, v)
-            found = check.clearance(awake, path)
+            found = check.clearance(awake, path, look_at_movers=attempt == 0)
             if (found.free if attempt == 0 else found.clear) and not late:
                 return self._accept(path, awake, found, held_back=held_back, evading=evading)
             if attempt == 0 and found.clear and not late:
                 straight = path, found
+            if attempt and found.stands_clear and self._bounds.anything_moves:
+                # what moves is met by one correction a step: it goes on moving, and the next step corrects again
+                return self._accept(path, awake, found, evading=evading)
             nearer = v
             if attempt < ATTEMPTS - 1:
                 nearer = self._within_rows(state, wish, (check.rows(awake, path, found), evasion))
@@ -210,7 +214,7 @@ class VelocityFilter:
         step, within the joints' accelerations, need not lead there.
         """
         low, high, least, most, *_ = wish.range
-        steady = self._solve(state, velocity_program(wish, wish.v, least, most, rows))
+        steady, kept = self._solve(state, velocity_program(wish, wish.v, least, most, rows))
         slower = steady / self._joints.over_rates(state.q, steady)
         if all(block.are_kept_by(slower, TOLERANCE) for block in rows):
             steady = slower
@@ -218,13 +222,16 @@ class VelocityFilter:
         v = np.minimum(np.maximum(target, low), high)
         if not np.count_nonzero(v != target) and all(block.are_kept_by(v) for block in rows):
             return v
-        return self._solve(state, velocity_program(wish, target, low, high, rows))
+        return self._solve(state, velocity_program(wish, target, low, high, rows), first=kept)[0]
 
-    def _solve(self, state: JointState, program: QuadraticProgram) -> Vector:
-        """(n,) the solution within its bounds, or braking where there is none."""
-        solution = solve_program(program)
+    def _solve(
+        self, state: JointState, program: QuadraticProgram, *, first: Indices | None = None
+    ) -> tuple[Vector, Indices | None]:
+        """(n,) the solution within its bounds, or braking where there is none; and the rows that were kept."""
+        solution = solve_with_binding_rows(program, first=first)
+        self._check.note(solution)
         x = self._joints.brake(state.v) if solution is None else solution.x
-        return np.minimum(np.maximum(x, program.low), program.high)
+        return np.minimum(np.maximum(x, program.low), program.high), None if solution is None else solution.kept
 
     def _evasion_rows(self, near: Near, low: Vector, high: Vector) -> Rows:
         """The rows of obstacles that come nearer, and of moving ones that are too close already."""
@@ -239,10 +246,12 @@ class VelocityFilter:
         if len(chosen) == 0:
             return self._nothing_comes
         own = near.gaps[chosen]
-        if len(chosen) > MOST_ROWS:
-            chosen = chosen[np.argpartition(own.min(axis=1), MOST_ROWS)[:MOST_ROWS]]
-            own = near.gaps[chosen]
-        k, corners = np.nonzero(own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + _AS_NEAR)
+        counts = own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + _AS_NEAR
+        k, corners = np.nonzero(counts)
+        if len(k) > MOST_CANDIDATES:
+            # by the time that is left until the clearance is cut
+            comes = np.maximum(-drift[chosen], _SLOW)
+            k, corners = tightest_of_each((own - clearance[chosen][:, None]) / comes[:, None], counts)
         G = separation.rows(near.pairs[chosen[k]], 0, corners, self._at)
         comes = drift[chosen[k]]
         moves = comes < 0.0

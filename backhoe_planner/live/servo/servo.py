@@ -34,6 +34,7 @@ from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.pair_bounds import CLOSE, Near, PairBounds
 from backhoe_planner.live.braking.path_check import PathCheck
 from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.braking.step_work import StepWork
 from backhoe_planner.live.recovery.recovery import Recovery
 from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.live.servo.feedback import Feedback, Refusal
@@ -245,6 +246,11 @@ class Servo:
         """
         return self._recovery.to_go
 
+    @property
+    def work(self) -> StepWork:
+        """What the last step took, counted; obstacles that appeared in it are not in."""
+        return self._check.work
+
     def shift_of(self, name: str) -> Vector:
         """(3,) how far an obstacle has moved from where it was put [m].
 
@@ -307,6 +313,7 @@ class Servo:
     def _move(self, command: Command) -> ServoState:
         """Find what is near, the wish and the nearest safe velocity, and take the step."""
         near = self._look()
+        self._check.begin_step()
         q, v, _ = self._state
         wish = self._tip.wish(q, self._commands, near, circulate=self.circulate)
         pace = min(self._bounds.pace(near), self._pace_of_sectors())

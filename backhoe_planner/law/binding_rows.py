@@ -1,0 +1,95 @@
+"""A quadratic program with many soft rows, solved in bounded work.
+
+Of hundreds of rows few bind. The program is first solved without its soft rows; then those
+that its solution misses most are added, and it is solved again, until every row that was left
+out is kept, or missed by no more than the worst of those that are in (row generation, as in
+cutting-plane methods). Where all rows can be kept, the result is the solution with all rows:
+its conditions of optimality (Karush, Kuhn and Tucker) hold with multipliers of 0 for the rows
+that were left out. Where they cannot, as all corners of an arm that somebody walks into, every
+missed row would enter the solver's active set, whose cost grows with its cube; instead, a few
+different directions of the worst misses are weighed against each other.
+
+Programs with up to `MOST_SOFT_ROWS` soft rows are solved at once, with all of them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.law.qp import Kind, QuadraticProgram, Rows, solve_program
+
+MOST_SOFT_ROWS = 48  # in a problem that is solved; an ordinary step has up to 25 (scripts/bench_servo.py)
+_ROUNDS = 4  # chosen; where all rows can be kept, 2 or 3 are enough
+_PER_ROUND = MOST_SOFT_ROWS // _ROUNDS  # rows added at a time
+MOST_ITERATIONS = 150  # of the solver for one problem; an ordinary step takes up to 10, 48 missed rows some 100
+_ALIKE = 0.98  # cosine of the angle between two rows that ask for the same; chosen, some 11 degrees
+_KEPT = 1e-9  # rad/s or m/s, in the measure of the cost: rounding
+_NONE: Indices = np.zeros(0, dtype=np.intp)
+
+
+class BindingSolution(NamedTuple):
+    """The x that costs least, and the work that finding it took.
+
+    Attributes
+    ----------
+    x: (n,).
+    kept: (K,) which of the soft rows were in, counted through all blocks.
+    rows: of the largest problem that was solved.
+    problems, iterations: problems that were solved, and the solver's iterations in all of them.
+    """
+
+    x: Vector
+    kept: Indices
+    rows: int
+    problems: int
+    iterations: int
+
+
+def solve_with_binding_rows(program: QuadraticProgram, *, first: Indices | None = None) -> BindingSolution | None:
+    """The solution; None where no x keeps bounds, hard and equal rows, or the solver needs too many iterations.
+
+    first: (K,) soft rows to begin with, as those that were kept of a similar program with the same rows.
+    """
+    soft = [block for block in program.rows if block.kind is Kind.SOFT]
+    count = sum(len(block.h) for block in program.rows)
+    if sum(len(block.h) for block in soft) <= MOST_SOFT_ROWS:
+        solution = solve_program(program, most_iterations=MOST_ITERATIONS)
+        return None if solution is None else BindingSolution(solution.x, _NONE, count, 1, solution.iterations)
+    others = tuple(block for block in program.rows if block.kind is not Kind.SOFT)
+    G, h = np.concatenate([block.G for block in soft]), np.concatenate([block.h for block in soft])
+    # a row's miss counts by how far x has to go for it, as the cost measures that
+    direction = np.linalg.solve(np.linalg.cholesky(program.H), G.T).T
+    size = np.sqrt((direction**2).sum(axis=1))
+    size[size == 0.0] = np.inf  # nothing changes such a row
+    direction /= size[:, None]
+    kept, found, iterations = _NONE if first is None else first, None, 0
+    for number in range(_ROUNDS + 1):
+        solution = solve_program(
+            program._replace(rows=(*others, Rows("binding", G[kept], h[kept]))), most_iterations=MOST_ITERATIONS
+        )
+        if solution is None:
+            return found
+        iterations += solution.iterations
+        found = BindingSolution(solution.x, kept, count - len(h) + len(kept), number + 1, iterations)
+        missed = (G @ solution.x - h) / size
+        worst = max(float(missed[kept].max(initial=0.0)), _KEPT)
+        missed[kept] = -np.inf
+        room = min(_PER_ROUND, MOST_SOFT_ROWS - len(kept))
+        if room == 0 or not (missed > worst).any():
+            break
+        kept = np.append(kept, _most_missed(direction, missed, beyond=worst, count=room))
+    return found
+
+
+def _most_missed(direction: Matrix, missed: Vector, *, beyond: float, count: int) -> Indices:
+    """Rows that are missed by more than `beyond`, the worst of each direction, at most `count`."""
+    chosen: list[int] = []
+    left = missed.copy()
+    while len(chosen) < count and left[row := int(left.argmax())] > beyond:
+        chosen.append(row)
+        left[direction @ direction[row] > _ALIKE] = -np.inf
+        left[row] = -np.inf
+    return np.array(chosen, dtype=np.intp)

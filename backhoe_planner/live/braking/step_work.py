@@ -1,0 +1,31 @@
+"""The work of one step of the servo, counted.
+
+Every loop of a step is bounded by one of these counts, never by a clock. Where a bound is
+reached, less is known of a braking path, so that it is not taken: the machine brakes on the
+one that was proven before.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+MOST_DISTANCES = 41  # of coal in a step, each some 10 to 30 us with what is made of it; an ordinary step has up to 2
+CLOSER_LOOK = 4  # of them for one pair with a plane for each part of its path, see `Separation.closer_look`
+
+
+class StepWork(NamedTuple):
+    """What a step took.
+
+    Attributes
+    ----------
+    rows: of the largest quadratic program that was solved.
+    problems, iterations: such programs, and the solver's iterations in all of them.
+    paths: braking paths that were checked.
+    distances: pairs of bodies whose distance was measured.
+    """
+
+    rows: int = 0
+    problems: int = 0
+    iterations: int = 0
+    paths: int = 0
+    distances: int = 0
