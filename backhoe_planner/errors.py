@@ -13,13 +13,17 @@ A message says where (file and key), what was found, and what is allowed.
 from __future__ import annotations
 
 import difflib
+import os
+import reprlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+_Kind = TypeVar("_Kind")
 
 
 class PlannerError(Exception):
@@ -85,9 +89,10 @@ class InputError(PlannerError, ValueError):
         other_words: words that are not allowed, and the name to suggest where one of them was meant.
         """
         known = list(names)
-        near = nearest_name(name, (*known, *other_words))
+        near = nearest_name(name, (*known, *other_words)) if isinstance(name, str) else None
         hint = f"did you mean {other_words.get(near, near)!r}?" if near else None
-        return cls(problem, file=file, key=key, found=name, allowed=", ".join(known) or "none", hint=hint)
+        found = name if isinstance(name, str) else reprlib.repr(name)
+        return cls(problem, file=file, key=key, found=found, allowed=", ".join(known) or "none", hint=hint)
 
 
 class RobotError(InputError):
@@ -110,3 +115,39 @@ def nearest_name(name: str, names: Iterable[str]) -> str | None:
     """The entry of `names` that is most similar to `name`; None where none is similar."""
     close = difflib.get_close_matches(name, list(names), n=1)
     return close[0] if close else None
+
+
+def check_kind(value: Any, kind: type[_Kind], *, key: str) -> _Kind:
+    """`value`, which must be a `kind`.
+
+    Raises
+    ------
+    InputError: it is something else; names it by `key`.
+    """
+    if isinstance(value, kind):
+        return value
+    raise InputError(f"is not a {kind.__name__}", key=key, found=reprlib.repr(value), allowed=f"a {kind.__name__}")
+
+
+def check_flag(value: Any, *, key: str) -> bool:
+    """`value`, which must be true or false.
+
+    Raises
+    ------
+    InputError: it is something else; names it by `key`.
+    """
+    if type(value).__name__ in ("bool", "bool_"):  # numpy's too, without importing it here
+        return bool(value)
+    raise InputError("is neither true nor false", key=key, found=reprlib.repr(value), allowed="True, False")
+
+
+def check_path(value: Any, *, key: str) -> Path:
+    """`value` as a path of a file.
+
+    Raises
+    ------
+    InputError: it is neither text nor a path; names it by `key`.
+    """
+    if isinstance(value, (str, os.PathLike)) and "\0" not in str(value):
+        return Path(value)
+    raise InputError("is not a path", key=key, found=reprlib.repr(value), allowed="text or a path")

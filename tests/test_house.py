@@ -18,7 +18,7 @@ import backhoe_planner
 ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 FLOORS = [
-    "arrays", "errors", "files",
+    "errors", "arrays", "files",
     "machine", "site", "motion", "proof", "law", "planning", "live", "show", "cli", "__main__",
 ]  # fmt: skip
 FILES = sorted(PACKAGE.rglob("*.py"))

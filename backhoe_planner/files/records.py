@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from backhoe_planner.errors import nearest_name
+from backhoe_planner.errors import InputError, nearest_name
 from backhoe_planner.files.yaml_text import KeyPath
 
 _LARGEST_FIGURE = 1e30  # in any unit: the square of it is still a number
@@ -36,6 +36,16 @@ class Record(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True
     )
+
+    def __init__(self, /, **data: Any) -> None:
+        """Made from keywords: what is not allowed is an InputError that names the key, as it is of a file."""
+        try:
+            super().__init__(**data)
+        except ValidationError as error:
+            raise InputError(explain(error, data, root=type(self)), key=type(self).__name__) from None
+
+    # to pydantic this is its own: records within records are read as without it
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
 
 
 def exactly_one(*keys: str) -> Any:

@@ -32,7 +32,8 @@ from typing import NamedTuple
 import eigenpy
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Matrix, Vector, as_array, as_number, as_vector
+from backhoe_planner.errors import check_flag, check_kind
 from backhoe_planner.law.directionality import link_chain, link_jacobian, link_velocities
 from backhoe_planner.law.null_space import TaskInverse, resolve, resolve_on_null_line
 from backhoe_planner.machine import Configuration, Robot
@@ -111,11 +112,13 @@ class CompletedLaw:
         gains: Gains | None = None,
         directionality: bool = True,
     ) -> None:
-        self.robot = robot
-        self.influence = influence
-        self.unity = influence / 3.0
-        self.nominal = nominal
-        self.directionality = directionality
+        self.robot = check_kind(robot, Robot, key="robot")
+        self.influence = as_number(influence, key="influence", above=0.0)
+        self.unity = self.influence / 3.0
+        self.nominal = as_number(nominal, key="nominal", least=0.0)
+        self.directionality = check_flag(directionality, key="directionality")
+        if gains is not None:
+            check_kind(gains, Gains, key="gains")
         self._s_e = 1.0 if gains is None else gains.s_e
         self._s_o = 1.0 if gains is None else gains.s_o
         s_k = [0.0 if gains is None else gains.s_k.get(name, 0.0) for name in robot.joint_names[:-1]]
@@ -136,7 +139,17 @@ class CompletedLaw:
         J_e: (m, n) task Jacobian; rows that no joint can move are to be left out.
         xdot_e: (m,) task velocity, [m/s] and [rad/s].
         nearby: critical points within clearance + influence.
+
+        Raises
+        ------
+        InputError: an argument is not of its kind or its shape; names it.
         """
+        check_kind(at, Configuration, key="at")
+        J_e, xdot_e = self._checked_task(J_e, xdot_e)
+        return self.wish_unchecked(at, J_e, xdot_e, self._checked_rows(nearby))
+
+    def wish_unchecked(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows) -> Wish:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         task = resolve(J_e)
         primary = self._s_e * (task.inverse @ xdot_e)
         N = task.projector
@@ -168,7 +181,19 @@ class CompletedLaw:
 
         None where J_e is not (3, 4), comes near a singularity, or links are to be turned:
         there `wish` answers.
+
+        Raises
+        ------
+        InputError: an argument is not of its kind or its shape; names it.
         """
+        q = as_vector(q, self.robot.n, key="q", names=self.robot.joint_names)
+        J_e, xdot_e = self._checked_task(J_e, xdot_e)
+        return self.wish_on_null_line_unchecked(q, J_e, xdot_e, self._checked_rows(nearby))
+
+    def wish_on_null_line_unchecked(
+        self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
+    ) -> tuple[Vector, Vector] | None:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         if J_e.shape != (3, 4) or self._turns:
             return None
         found = resolve_on_null_line(J_e, xdot_e)
@@ -208,6 +233,7 @@ class CompletedLaw:
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
         near = []
+        q, v = as_vector(q, self.robot.n, key="q"), as_vector(v, self.robot.n, key="v")
         for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges, strict=True):
             if abs(rate) < _STANDING:
                 near.append(0.0)
@@ -215,6 +241,18 @@ class CompletedLaw:
             ahead = high - position if rate > 0.0 else position - low
             near.append(min(max(1.0 - ahead / zone, 0.0), 1.0))
         return np.array(near)
+
+    def _checked_task(self, J_e: Matrix, xdot_e: Vector) -> tuple[Matrix, Vector]:
+        J_e = as_array(J_e, None, self.robot.n, key="J_e")
+        return J_e, as_vector(xdot_e, len(J_e), key="xdot_e")
+
+    def _checked_rows(self, nearby: Nearby | CriticalRows) -> Nearby | CriticalRows:
+        if isinstance(nearby, Nearby):
+            return nearby
+        check_kind(nearby, CriticalRows, key="nearby")
+        gradient = as_array(nearby.gradient, None, self.robot.n, key="nearby.gradient")
+        margin = as_vector(nearby.margin, len(gradient), key="nearby.margin")
+        return CriticalRows(margin, gradient, as_vector(nearby.drift, len(margin), key="nearby.drift"))
 
     def _add_obstacles(self, primary: Vector, nearby: Nearby | CriticalRows, N: Matrix, A: Matrix, b: Vector) -> bool:
         """Add the rows w_i (g_i (v_e + H) - c_i)^2 of critical points that depart less than c_i asks."""

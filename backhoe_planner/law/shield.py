@@ -21,7 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector, as_array, as_number, as_vector
+from backhoe_planner.errors import check_kind
 from backhoe_planner.law.qp import QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
@@ -58,8 +59,8 @@ class Shield:
     """
 
     def __init__(self, limits: JointLimits) -> None:
-        self.limits = limits
-        n = len(limits.velocity)
+        self.limits = check_kind(limits, JointLimits, key="limits")
+        self._n = n = len(limits.velocity)
         self._eye = _FREE * np.eye(n)
         self._per_acceleration = 1.0 / limits.acceleration
         self._braking_room = 0.5 * limits.velocity**2 / limits.acceleration
@@ -76,6 +77,10 @@ class Shield:
         q, v_before: (n,) where the joints are, and their velocity in the last step.
         dt: length of the step [s].
         """
+        q, v_before = as_vector(q, self._n, key="q"), as_vector(v_before, self._n, key="v_before")
+        return self._bounds(q, v_before, as_number(dt, key="dt", above=0.0))
+
+    def _bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
         limits = self.limits
         a = limits.acceleration
         lead = 1.5 * dt
@@ -92,6 +97,9 @@ class Shield:
 
     def braking_time(self, v: Vector) -> float:
         """Time in which all joints, slowing in proportion, come to rest [s]."""
+        return self._braking_time(as_vector(v, self._n, key="v"))
+
+    def _braking_time(self, v: Vector) -> float:
         return float((np.abs(v) * self._per_acceleration).max())
 
     def stopping_time(self, v: Vector) -> float:
@@ -118,9 +126,42 @@ class Shield:
         nearby: the pairs to keep clear of.
         J_tip: (3, n) position Jacobian of the tip.
         extra_margin: (K,) or one number, distance to be kept on top of the clearance [m].
+
+        Raises
+        ------
+        InputError: an argument is not of its kind or its shape; names it.
         """
-        low, high = self.velocity_bounds(q, v_before, dt)
-        time = max(self.braking_time(v_before), self.braking_time(wish))
+        wish = as_vector(wish, self._n, key="wish")
+        check_kind(nearby, Nearby, key="nearby")
+        J_tip = as_array(J_tip, 3, self._n, key="J_tip")
+        if isinstance(extra_margin, float):
+            as_number(extra_margin, key="extra_margin")
+        else:
+            extra_margin = as_array(extra_margin, *np.shape(extra_margin) and (len(nearby),), key="extra_margin")
+        return self.filter_unchecked(
+            wish,
+            q=as_vector(q, self._n, key="q"),
+            v_before=as_vector(v_before, self._n, key="v_before"),
+            dt=as_number(dt, key="dt", above=0.0),
+            nearby=nearby,
+            J_tip=J_tip,
+            extra_margin=extra_margin,
+        )
+
+    def filter_unchecked(
+        self,
+        wish: Vector,
+        *,
+        q: Vector,
+        v_before: Vector,
+        dt: float,
+        nearby: Nearby,
+        J_tip: Matrix,
+        extra_margin: Vector | float = 0.0,
+    ) -> Shielded:
+        """The same for callers in a loop, whose arguments are right as they are made."""
+        low, high = self._bounds(q, v_before, dt)
+        time = max(self._braking_time(v_before), self._braking_time(wish))
         clearance, pairs = self._clearance_rows(nearby, time, dt, extra_margin)
         if (wish >= low).all() and (wish <= high).all() and clearance.are_kept_by(wish):
             return Shielded(v=wish, slack=0.0, binding=pairs[:0])
@@ -133,7 +174,7 @@ class Shield:
         return Shielded(v=v, slack=slack if slack > _MET else 0.0, binding=pairs[over > -_MET])
 
     def _braked(self, v: Vector, dt: float) -> Vector:
-        time = self.braking_time(v)
+        time = self._braking_time(v)
         return v * max(1.0 - dt / time, 0.0) if time > 0.0 else v
 
     def _weight(self, wish: Vector, J_tip: Matrix) -> Matrix:

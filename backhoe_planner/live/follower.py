@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import InputError
+from backhoe_planner.arrays import Vector, as_count
+from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.live.rejoining import (
     LONGEST,
@@ -132,7 +132,10 @@ class PlanFollower:
         seed: int = 0,
         allow_failed: bool = False,
     ) -> None:
-        robot = servo.robot
+        robot = check_kind(servo, Servo, key="servo").robot
+        if executor is not None:
+            check_kind(executor, Executor, key="executor")
+        seed, allow_failed = as_count(seed, key="seed"), check_flag(allow_failed, key="allow_failed")
         if isinstance(plan, Plan) and plan.robot.joint_names != robot.joint_names:
             found, own = ", ".join(plan.robot.joint_names), ", ".join(robot.joint_names)
             raise InputError(
@@ -140,13 +143,11 @@ class PlanFollower:
             )
         if isinstance(plan, Plan) and not plan.verified:
             _refuse_failed(plan, allowed=allow_failed)
-        trajectory = plan.trajectory if isinstance(plan, Plan) else plan
+        trajectory = plan.trajectory if isinstance(plan, Plan) else check_kind(plan, Trajectory, key="plan")
         count = trajectory.q.shape[1]
         if count != robot.n:
             wrong = "has another number of joints than the machine"
             raise InputError(wrong, key="plan.trajectory", found=count, allowed=str(robot.n))
-        if seed < 0:
-            raise InputError("must not be negative", key="seed", found=seed)
         self.servo = servo
         self._trajectory = trajectory
         self._plan = Reference(trajectory, servo.limits)

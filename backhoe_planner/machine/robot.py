@@ -8,15 +8,15 @@ A robot does not change after loading.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Matrix, Vector
-from backhoe_planner.errors import InputError
+from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_vector
+from backhoe_planner.errors import InputError, check_kind, check_path
 from backhoe_planner.machine.description.chain_model import chain_model
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
 from backhoe_planner.machine.description.link_shapes import LinkPiece, Visual, link_pieces, visuals_of
@@ -48,8 +48,14 @@ class JointLimits:
     effort: Vector
 
     def __post_init__(self) -> None:
-        for array in (self.lower, self.upper, self.velocity, self.acceleration, self.effort):
+        n = None
+        for field in fields(self):
+            array = as_array(getattr(self, field.name), n, key=f"limits.{field.name}", finite=False)
+            if field.name not in ("lower", "upper") and (array < 0.0).any():
+                raise InputError("is negative", key=f"limits.{field.name}", found=array.tolist(), allowed="0 or more")
             array.setflags(write=False)
+            object.__setattr__(self, field.name, array)
+            n = len(array)
 
 
 @dataclass(frozen=True)
@@ -196,11 +202,11 @@ class Robot:
 
     def random_q(self, rng: np.random.Generator) -> Vector:
         """(n,) joint positions drawn evenly within the limits; for continuous joints, half a turn either way."""
-        return np.asarray(rng.uniform(*self._finite_range))
+        return np.asarray(check_kind(rng, np.random.Generator, key="rng").uniform(*self._finite_range))
 
     def with_tip(self, tip: str | None) -> Robot:
         """The same machine with another link as its tip; itself if `tip` is None or the same."""
-        if tip is None or tip == self.tip:
+        if tip is None or check_kind(tip, str, key="tip") == self.tip:
             return self
         return _build(self.urdf, tip, None if self.hydraulics is None else self.hydraulics.file)
 
@@ -216,21 +222,7 @@ class Robot:
         ------
         InputError: the length is wrong or a number is not finite.
         """
-        try:
-            values = np.array(q, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError("is not a list of numbers", key=what, found=q) from error
-        if values.shape != (self.n,):
-            raise InputError(
-                "has the wrong number of joints",
-                key=what,
-                found=f"shape {values.shape}",
-                allowed=f"({self.n},): {', '.join(self.joint_names)}",
-            )
-        if not np.all(np.isfinite(values)):
-            bad = ", ".join(np.array(self.joint_names)[~np.isfinite(values)])
-            raise InputError("is not finite", key=f"{what} ({bad})", found=values.tolist())
-        return values
+        return np.array(as_vector(q, self.n, key=what, names=self.joint_names))
 
 
 def load_robot(
@@ -255,9 +247,12 @@ def load_robot(
     >>> robot.joint_names
     ('swing', 'boom', 'stick', 'bucket')
     """
-    urdf = read_urdf(source)
+    urdf = read_urdf(source if isinstance(source, str) else check_path(source, key="source"))
+    tip = None if tip is None else check_kind(tip, str, key="tip")
     beside = description_beside(urdf.path)
-    description = Path(hydraulics) if hydraulics is not None else beside if beside.is_file() else None
+    description = (
+        check_path(hydraulics, key="hydraulics") if hydraulics is not None else beside if beside.is_file() else None
+    )
     return _build(urdf, tip, description)
 
 

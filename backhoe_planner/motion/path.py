@@ -8,7 +8,7 @@ direction to the other's: the way is C1, and d2q/ds2 is piecewise constant.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,7 +16,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector, as_count, as_number, as_vector
+from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Configuration, TipTarget, wrap_angle
 from backhoe_planner.site import Waypoint
 
@@ -59,10 +60,21 @@ class TipPath:
     points: (W, 3) waypoints [m], world.
     stations: (W,) s at each waypoint [m].
     turning: (W - 1,) whether s counts the turn of a leg.
+
+    Raises
+    ------
+    InputError: there are fewer than two waypoints, or one is something else; as many numbers are needed.
     """
 
     def __init__(self, waypoints: Sequence[Waypoint], *, numbers: Sequence[int] = ()) -> None:
-        self.waypoints = tuple(waypoints)
+        given = tuple(check_kind(waypoints, Iterable, key="waypoints"))  # type: ignore[type-abstract]
+        self.waypoints = tuple(check_kind(point, Waypoint, key=f"waypoints[{i}]") for i, point in enumerate(given))
+        if len(self.waypoints) < 2:
+            raise InputError("are too few", key="waypoints", found=len(self.waypoints), allowed="2 or more")
+        called = tuple(check_kind(numbers, Iterable, key="numbers"))  # type: ignore[type-abstract]
+        if called and len(called) != len(self.waypoints):
+            raise InputError("are not one of each", key="numbers", found=len(called), allowed=str(len(self.waypoints)))
+        numbers = [as_count(number, key="numbers") for number in called]
         self.points = np.array([waypoint.position for waypoint in self.waypoints], dtype=float)
         self._numbers = tuple(numbers) or tuple(range(1, len(self.waypoints) + 1))
         self._targets = [waypoint.target for waypoint in self.waypoints]
@@ -93,6 +105,8 @@ class TipPath:
 
     def __call__(self, s: float, order: int = 0) -> Vector:
         """(3,) position [m] (order 0) or its derivative (order 1) at `s` [m]."""
+        if order not in (0, 1):
+            raise InputError("is not an order", key="order", found=repr(order), allowed="0, 1")
         leg, part = self._locate(s)
         step = self.points[leg + 1] - self.points[leg]
         if order == 0:
@@ -127,7 +141,8 @@ class TipPath:
         ----------
         low, high: the part of the path that is searched, by s [m]; by default all.
         """
-        high = self.length if high is None else high
+        point, low = as_vector(point, 3, key="point"), as_number(low, key="low")
+        high = self.length if high is None else as_number(high, key="high")
         best = (low, float(np.linalg.norm(point - self(low))))
         for leg in range(len(self.points) - 1):
             s0, s1 = max(float(self.stations[leg]), low), min(float(self.stations[leg + 1]), high)
@@ -153,6 +168,9 @@ class TipPath:
         slack: an earlier leg is preferred that is at most this much worse [m], a radian as 0.25 m:
             where a path turns to and fro, the tip is on its way to, not yet on its way back.
         """
+        check_kind(at, Configuration, key="at")
+        low, high = as_number(low, key="low"), as_number(high, key="high")
+        slack = as_number(slack, key="slack", least=0.0)
         tip, spans = at.tip_position, np.diff(self.stations)
         nearest = _distances_to_legs(self.points, tip)
         legs = np.flatnonzero((spans > 0.0) & (self.stations[1:] >= low) & (self.stations[:-1] <= high))
@@ -171,7 +189,7 @@ class TipPath:
 
     def turn(self, a: float, b: float) -> float:
         """How far the asked orientation turns from `a` to `b` [m of s], [rad]; 0 where none is asked."""
-        return self.target(a).turn_to(self.target(b))
+        return self.target(as_number(a, key="a")).turn_to(self.target(as_number(b, key="b")))
 
     def corners(self, angle: float) -> Vector:
         """(C,) s [m] at which the path bends by more than `angle` [rad].
@@ -179,6 +197,7 @@ class TipPath:
         Where a leg beside turns, the bend is that of position and orientation together: two turns
         in a row about one axis are no corner, a turn on the spot behind a straight leg is one.
         """
+        angle = as_number(angle, key="angle", least=0.0)
         found = []
         for mark in self.stations[1:-1].tolist():
             before, after = self._travel(mark - _BESIDE), self._travel(mark + _BESIDE)
@@ -208,14 +227,19 @@ class TipPath:
 
     def arc(self, s: float) -> float:
         """How far the tip has moved at `s` [m]: turns do not count."""
+        s = as_number(s, key="s")
         return float(np.interp(s, self.stations, self._arcs)) if self.turns else s
 
     def number(self, index: int) -> int:
         """By which messages call a waypoint."""
+        if as_count(index, key="index") >= len(self._numbers):
+            allowed = f"less than {len(self._numbers)}"
+            raise InputError("there is no such waypoint", key="index", found=index, allowed=allowed)
         return self._numbers[index]
 
     def describe(self, s: float) -> str:
         """Where `s` [m] is: ``1.20 m``; on a path that turns, ``waypoint 2`` or ``12.3 deg behind waypoint 2``."""
+        s = as_number(s, key="s")
         if not self.turns:
             return f"{s:.2f} m"
         leg, part = self._locate(s)
@@ -270,7 +294,7 @@ class TipPath:
         return float(np.clip(along, low, high))
 
     def _locate(self, s: float) -> tuple[int, float]:
-        s = float(np.clip(s, 0.0, self.length))
+        s = float(np.clip(as_number(s, key="s"), 0.0, self.length))
         leg = int(np.clip(np.searchsorted(self.stations, s, side="right") - 1, 0, len(self.points) - 2))
         span = self.stations[leg + 1] - self.stations[leg]
         return leg, float((s - self.stations[leg]) / span) if span > 0.0 else 0.0

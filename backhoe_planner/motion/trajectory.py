@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Matrix, Vector, as_array, as_number
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import JointLimits
 
@@ -56,20 +56,19 @@ class Trajectory:
     v: Matrix
 
     def __post_init__(self) -> None:
-        count = len(self.time)
-        if count == 0:
+        for name, axes in (("time", 1), ("q", 2), ("v", 2)):
+            values = as_array(getattr(self, name), *[None] * axes, key=f"trajectory.{name}")
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        if len(self.time) == 0:
             raise InputError("a trajectory needs at least one sample", key="trajectory.time")
-        if self.q.ndim != 2 or self.q.shape[0] != count or self.v.shape != self.q.shape:
+        if len(self.q) != len(self.time) or self.v.shape != self.q.shape:
             raise InputError(
                 "the samples do not fit together",
                 key="trajectory",
                 found=f"time {self.time.shape}, q {self.q.shape}, v {self.v.shape}",
                 allowed="(T,), (T, n), (T, n)",
             )
-        for name, values in (("time", self.time), ("q", self.q), ("v", self.v)):
-            if not np.all(np.isfinite(values)):
-                raise InputError("holds a number that is not finite", key=f"trajectory.{name}")
-            values.setflags(write=False)
         if self.time[0] != 0.0:
             raise InputError("does not start at 0", key="trajectory.time", found=float(self.time[0]))
         if np.any(np.diff(self.time) <= 0.0):
@@ -78,9 +77,10 @@ class Trajectory:
     @classmethod
     def from_steps(cls, time: Vector, q: Matrix) -> Trajectory:
         """The motion through samples `q` (T, n) at `time` (T,), from rest to rest."""
-        time, q = np.array(time, dtype=float), np.array(q, dtype=float)
+        time = np.array(as_array(time, None, key="trajectory.time"))
+        q = np.array(as_array(q, None, None, key="trajectory.q"))
         v = np.zeros_like(q)
-        if len(time) > 2:
+        if len(time) > 2 and len(time) == len(q) and np.all(np.diff(time) > 0.0):
             segment = np.diff(q, axis=0) / np.diff(time)[:, None]
             v[1:-1] = 0.5 * (segment[:-1] + segment[1:])
         return cls(time=time, q=q, v=v)
@@ -98,6 +98,8 @@ class Trajectory:
 
         At rest before the start and after the end.
         """
+        if not isinstance(time, float) or time != time:
+            time = as_array(time, key="time", finite=False)
         return np.stack([np.interp(time, self.time, column) for column in self.q.T], axis=-1)
 
     def segment_velocities(self) -> Matrix:
@@ -114,6 +116,7 @@ class Trajectory:
         ----------
         longest: the most that a joint moves from one moment to the next [rad or m].
         """
+        longest = as_number(longest, key="longest", above=0.0, finite=False)
         steps = np.max(np.abs(np.diff(self.q, axis=0)), axis=1, initial=0.0)
         parts = np.ceil(steps / longest)
         parts = np.maximum(np.ceil(parts * min(1.0, _MOST / max(float(np.sum(parts)), 1.0))), 1.0).astype(np.int64)

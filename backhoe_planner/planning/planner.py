@@ -9,12 +9,11 @@ Every ending is a `Plan`: what can fail in normal use is a reason with its numbe
 
 from __future__ import annotations
 
+import reprlib
 import time as clock
 from dataclasses import replace
 
-import numpy as np
-
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Vector, as_count, as_number
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Problem, build_problem, drive_of, retime
@@ -71,11 +70,10 @@ def plan(
     checked = next((known for known in METHODS if known == method), None)
     if checked is None:
         raise InputError.unknown_name("no such method", method, names=METHODS, key="method")
-    if not budget > 0.0 or not np.isfinite(budget):
-        raise InputError("must be a time greater than 0", key="budget", found=budget)
-    if seed < 0:
-        raise InputError("must not be negative", key="seed", found=seed)
-    if effort not in EFFORTS:
+    budget, seed = as_number(budget, key="budget", above=0.0), as_count(seed, key="seed")
+    if watch is not None and not callable(watch):
+        raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
+    if not isinstance(effort, str) or effort not in EFFORTS:
         raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
     begun = clock.monotonic()
     brake = Brake(budget)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Detour, Problem, Tracking, Trajectory, build_problem, track_goal, track_path
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
@@ -91,6 +92,7 @@ def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
     SceneError, RobotError: the scene does not fit the machine.
     InputError: the trajectory has another number of joints.
     """
+    check_kind(trajectory, Trajectory, key="trajectory")
     return certify_problem(build_problem(robot, scene), trajectory)
 
 

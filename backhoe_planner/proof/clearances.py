@@ -44,7 +44,7 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     if not proximity.pairs:
         return ()
     time, q = _with_appearances(trajectory, proximity)
-    proximity.cover(q)
+    proximity.cover_unchecked(q)
     owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
     searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
     least = np.full(len(searches), _NEVER)
@@ -133,7 +133,7 @@ class _Search:
         """Margin of a pair at `part` 0..1 of a segment [m]."""
         q = (1.0 - part) * self._q[segment] + part * self._q[segment + 1]
         moment = float((1.0 - part) * self._time[segment] + part * self._time[segment + 1])
-        margin = self._proximity.distance_of(pair, q, time=moment) - float(self._proximity.clearance[pair])
+        margin = self._proximity.distance_of_unchecked(pair, q, time=moment) - float(self._proximity.clearance[pair])
         self._measured += 1
         self.note(margin, moment, pair)
         return margin
@@ -162,9 +162,13 @@ def segment_is_clear(
     depth: how often it may be halved.
     spare: distance to be kept in addition to every clearance [m]; negative to allow less.
     """
-    if spare <= 0.0 and proximity.is_at(q_a, time=time) and proximity.stays_clear(q_b, time=time + dt):
+    if (
+        spare <= 0.0
+        and proximity.is_at_unchecked(q_a, time=time)
+        and proximity.stays_clear_unchecked(q_b, time=time + dt)
+    ):
         return True
-    proximity.cover(np.array([q_a, q_b]))
+    proximity.cover_unchecked(np.array([q_a, q_b]))
     travel = np.abs(q_b - q_a) @ proximity.travel.T + dt * proximity.speed
     least = proximity.clearance + spare
     floor = least + travel

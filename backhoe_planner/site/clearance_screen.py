@@ -45,7 +45,7 @@ class ClearanceScreen:
             for row, (joints, bound) in enumerate(zip(part, bounds, strict=True)):
                 doubtful = np.flatnonzero(bound < least)
                 order = doubtful[np.argsort((bound - least)[doubtful], kind="stable")]
-                found[first + row] = proximity.all_at_least(order, least[order], joints, time=time)
+                found[first + row] = proximity.all_at_least_unchecked(order, least[order], joints, time=time)
         return found
 
     def lower_bounds(self, q: Matrix, *, time: float = 0.0) -> Matrix:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import SceneError
+from backhoe_planner.errors import SceneError, check_kind
 from backhoe_planner.machine import JointLimits, Robot, TrackingTube
 from backhoe_planner.site.scene_file import Scene, SwingSector
 
@@ -53,6 +53,8 @@ def machine_on_site(robot: Robot, scene: Scene) -> Robot:
     RobotError: the scene's tip is not a link of the machine.
     SceneError: see `scaled_limits`; or the tracking error names a joint that the machine does not have.
     """
+    check_kind(robot, Robot, key="robot")
+    check_kind(scene, Scene, key="scene")
     robot = robot.with_tip(scene.tip)
     if any(isinstance(zone, SwingSector) for zone in scene.zones):
         limits = scaled_limits(robot, scene)

@@ -8,15 +8,15 @@ that of the piece.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.arrays import Vector, as_number, as_vector
+from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import obstacle_shapes
@@ -48,6 +48,16 @@ class Obstacle:
     spec: obstacle_shapes.ObstacleSpec
     zone: ZoneSpec | None = None
 
+    def __post_init__(self) -> None:
+        check_kind(self.name, str, key="name")
+        pieces = tuple(check_kind(self.pieces, Iterable, key=f"{self.name}.pieces"))  # type: ignore[type-abstract]
+        object.__setattr__(
+            self, "pieces", tuple(check_kind(one, shapes.Piece, key=f"{self.name}.pieces") for one in pieces)
+        )
+        object.__setattr__(self, "clearance", as_number(self.clearance, key=f"{self.name}.clearance"))
+        object.__setattr__(self, "appears_at", as_number(self.appears_at, key=f"{self.name}.appears_at"))
+        object.__setattr__(self, "velocity", as_vector(self.velocity, 3, key=f"{self.name}.velocity"))
+
     @property
     def slow(self) -> float:
         """The distance beyond the clearance within which the servo goes slower [m]."""
@@ -66,6 +76,8 @@ def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
     ------
     SceneError: a file is missing, empty or malformed, or an entry of `links` is no link.
     """
+    check_kind(scene, Scene, key="scene")
+    check_kind(robot, Robot, key="robot")
     built = []
     solids: list[tuple[str, obstacle_shapes.ObstacleSpec, ZoneSpec | None]]
     solids = [(f"obstacles[{index}] ({spec.name})", spec, None) for index, spec in enumerate(scene.obstacles)]

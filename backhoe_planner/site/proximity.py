@@ -15,14 +15,16 @@ moved by dq, so pairs that are provably still out of reach are not measured agai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector, as_array, as_count, as_number, as_rows, as_vector
+from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.machine import Robot, geometry_model, self_pairs, tracking_room, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
@@ -87,6 +89,10 @@ class Nearby:
 
     def only(self, rows: Flags) -> Nearby:
         """The rows for which `rows` (K,) is true."""
+        if np.shape(rows) != (len(self),) or np.asarray(rows).dtype != bool:
+            allowed = f"{len(self)} times True or False"
+            raise InputError("is not true or false of every row", key="rows", found=reprlib.repr(rows), allowed=allowed)
+        rows = np.asarray(rows)
         return Nearby(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
@@ -99,6 +105,10 @@ class Proximity:
     ----------
     robot, obstacles: the machine and what stands around it.
     self_collision: whether the machine's own parts are measured, too.
+
+    Raises
+    ------
+    InputError: an argument is not of its kind, here and in every method; names it.
 
     Attributes
     ----------
@@ -114,8 +124,11 @@ class Proximity:
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle] = (), *, self_collision: bool = True) -> None:
-        self.robot = robot
-        self.obstacles = tuple(obstacles)
+        self.robot = check_kind(robot, Robot, key="robot")
+        given = enumerate(check_kind(obstacles, Iterable, key="obstacles"))  # type: ignore[type-abstract]
+        self.obstacles = tuple(check_kind(one, Obstacle, key=f"obstacles[{index}]") for index, one in given)
+        self_collision = check_flag(self_collision, key="self_collision")
+        self._n = robot.n
         self._model = geometry_model(robot)
         self._data = robot.model.createData()
         pairs: list[Pair] = []
@@ -181,6 +194,10 @@ class Proximity:
 
         Whatever is measured is covered already; only who reads `travel` before has to ask.
         """
+        self.cover_unchecked(as_rows(q, self._n, key="q"))
+
+    def cover_unchecked(self, q: Matrix) -> None:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         if self._slides:
             run_out = np.abs(np.reshape(q, (-1, self.robot.n))).max(axis=0)
             if np.count_nonzero(run_out > self._run_out):
@@ -206,6 +223,11 @@ class Proximity:
         within: largest distance [m].
         margin: largest distance beyond the clearance to be kept, one number or (P,) [m].
         """
+        q, time = self._checked(q, time)
+        if not (isinstance(margin, float) and margin == margin):
+            margin = as_array(margin, *np.shape(margin) and (len(self.pairs),), key="margin", finite=False)
+        if not (isinstance(within, float) and within == within):
+            within = as_number(within, key="within", finite=False)
         self._place(q, time)
         lower = self._lower(q, time)
         reach = self.clearance + margin
@@ -221,7 +243,7 @@ class Proximity:
                 found.append(index)
                 results.append(result)
             self.measured += 1
-        self._bound, self._q_bound, self._bound_time = lower, np.array(q), time
+        self._bound, self._q_bound, self._bound_time = lower, q.copy(), time
         if self._some_appear:
             kept = [k for k, index in enumerate(found) if self.appears_at[index] <= time]
             found, results = [found[k] for k in kept], [results[k] for k in kept]
@@ -229,6 +251,11 @@ class Proximity:
 
     def is_at(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the last measurement was made at `q` and `time`."""
+        q, time = self._checked(q, time)
+        return self.is_at_unchecked(q, time=time)
+
+    def is_at_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         return bool(self._bound_time == time and (self._q_bound == q).all())
 
     def stays_clear(self, q: Vector, *, time: float = 0.0) -> bool:
@@ -236,11 +263,16 @@ class Proximity:
 
         False says nothing. The way ends at `time` [s].
         """
+        q, time = self._checked(q, time)
+        return self.stays_clear_unchecked(q, time=time)
+
+    def stays_clear_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         return bool((self._lower(q, time) >= self.clearance).all())
 
     def _lower(self, q: Vector, time: float) -> Vector:
         """(P,) lower bounds of the distances from the last measurement alone [m]."""
-        self.cover(q)
+        self.cover_unchecked(q)
         lower = self._bound - self.travel @ np.abs(q - self._q_bound)
         if self._moving:
             lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
@@ -248,7 +280,7 @@ class Proximity:
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
         """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears."""
-        self._place(q, time)
+        self._place(*self._checked(q, time))
         pin.computeDistances(self._model, self._geometry)
         found = np.array([result.min_distance for result in self._geometry.distanceResults])
         for index in np.flatnonzero(shapes.in_doubt(found)).tolist():
@@ -259,6 +291,7 @@ class Proximity:
 
     def tightest(self, q: Vector, *, time: float = 0.0) -> Obstruction | None:
         """The pair with the least margin at `q` (n,) and `time` [s]; None where nothing can be touched."""
+        q, time = self._checked(q, time)
         if not self.pairs:
             return None
         distances = self.distances(q, time=time)
@@ -279,26 +312,49 @@ class Proximity:
         (P,) lower bound of each distance, equal to it where it was measured; and (P,)
         whether it was measured.
         """
+        q, time = self._checked(q, time)
+        if not isinstance(floor, np.ndarray) or floor.shape != self.clearance.shape:
+            floor = as_array(floor, len(self.pairs), key="floor", finite=False)
         self._place(q, time)
         lower = self._lower(q, time)
         needed = lower < floor
-        for index in np.flatnonzero(needed):
-            lower[index] = shapes.measure(self._model, self._geometry, int(index)).min_distance
-        self._bound, self._q_bound, self._bound_time = lower, np.array(q), time
+        for index in needed.nonzero()[0].tolist():
+            lower[index] = shapes.measure(self._model, self._geometry, index).min_distance
+        self._bound, self._q_bound, self._bound_time = lower, q.copy(), time
         return lower.copy(), needed
 
     def distance_of(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
         """Signed distance of one pair at q (n,), `time` [s], in m."""
+        if not 0 <= as_count(pair, key="pair") < len(self.pairs):
+            raise InputError("there is no such pair", key="pair", found=pair, allowed=f"less than {len(self.pairs)}")
+        q, time = self._checked(q, time)
+        return self.distance_of_unchecked(pair, q, time=time)
+
+    def distance_of_unchecked(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
         return float(shapes.measure(self._model, self._geometry, pair).min_distance)
 
     def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
         """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear."""
+        pairs = self._checked_pairs(pairs)
+        q, time = self._checked(q, time)
+        return self.distances_of_unchecked(pairs, q, time=time)
+
+    def distances_of_unchecked(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
         return np.array([shapes.measure(self._model, self._geometry, index).min_distance for index in pairs.tolist()])
 
     def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; stops at the first less."""
+        q, time = self._checked(q, time)
+        pairs = self._checked_pairs(pairs)
+        least = as_array(least, len(pairs), key="least", finite=False)
+        return self.all_at_least_unchecked(pairs, least, q, time=time)
+
+    def all_at_least_unchecked(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
+        """The same for callers in a loop, whose arguments are right as they are made."""
         if not len(pairs):
             return True
         self._place(q, time)
@@ -309,8 +365,25 @@ class Proximity:
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""
-        obstacle = self.obstacles[index]
+        if as_count(index, key="index") >= len(self.obstacles):
+            raise InputError(
+                "there is no such obstacle", key="index", found=index, allowed=f"less than {len(self.obstacles)}"
+            )
+        obstacle, time = self.obstacles[index], as_number(time, key="time")
         return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
+
+    def _checked(self, q: Vector, time: float) -> tuple[Vector, float]:
+        """`q` (n,) and `time`, which a caller may give as a list and an int."""
+        q = as_vector(q, self._n, key="q", names=self.robot.joint_names)
+        return q, time if isinstance(time, float) and time == self._time else as_number(time, key="time")
+
+    def _checked_pairs(self, pairs: Indices) -> Indices:
+        found = np.asarray(pairs)
+        wrong = found.ndim != 1 or found.dtype.kind not in "iu" or ((found < 0) | (found >= len(self.pairs))).any()
+        if wrong and found.shape != (0,):
+            allowed = f"whole numbers from 0 to {len(self.pairs) - 1}"
+            raise InputError("are not indices of pairs", key="pairs", found=reprlib.repr(pairs), allowed=allowed)
+        return found
 
     def _place(self, q: Vector, time: float) -> None:
         if self._moving and time != self._time:
@@ -338,7 +411,7 @@ class Proximity:
         pair = np.array(found, dtype=np.intp)
         distance, normal = raw[:, 0], raw[:, 1:4]
         # the speed of a point p along n is n . v + (p x n) . omega
-        J = self._data.J.reshape(6, self.robot.n)  # of one joint alone it is 1-D
+        J = self._data.J.reshape(6, self._n)  # of one joint alone it is 1-D
         along = normal @ J[:3]
         gradient = (along + raw[:, 7:10] @ J[3:]) * self._minus_mask_link[pair]
         if self._other_joint[pair].any():

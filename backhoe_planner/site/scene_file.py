@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, field_validator, model_validator
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.errors import InputError, SceneError, check_kind, check_path
 from backhoe_planner.files.records import Record, describe, exactly_one, explain
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
@@ -446,7 +446,7 @@ class Scene(Record):
         file = self.folder / path.file
         waypoints = tuple(_read_path_file(file))
         try:
-            PathTask(waypoints=waypoints)
+            PathTask.model_validate({"waypoints": waypoints})
         except ValidationError as error:
             raise SceneError(describe(error.errors()[0]), file=file) from None
         return waypoints
@@ -463,7 +463,7 @@ def load_scene(path: str | Path) -> Scene:
     ------
     SceneError: names the file, the key's path, what was found, and what is allowed.
     """
-    file = Path(path)
+    file = check_path(path, key="path")
     if (
         not file.exists()
         and file.parent in (Path("scenes"), Path())
@@ -493,11 +493,14 @@ def scene_from_dict(
     ------
     SceneError: names the key's path, what was found, and what is allowed.
     """
+    check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
+    folder = check_path(folder, key="folder")
+    file = None if file is None else check_path(file, key="file")
     try:
         scene = Scene.model_validate(content)
     except ValidationError as error:
         raise SceneError(explain(error, content, root=Scene, lines=lines), file=file) from None
-    scene._folder = Path(folder)
+    scene._folder = folder
     scene._file = file
     return scene
 

@@ -8,14 +8,15 @@ slower; within `warn` the visit is only reported.
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.errors import InputError
+from backhoe_planner.arrays import Matrix, Vector, as_array, as_number
+from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
@@ -110,7 +111,8 @@ class ZoneLog:
     """
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
-        self._robot = robot.with_tip(scene.tip)
+        check_kind(robot, Robot, key="robot")
+        self._robot = robot.with_tip(check_kind(scene, Scene, key="scene").tip)
         self._solids = tuple(obstacle for obstacle in build_obstacles(scene, robot) if obstacle.zone is not None)
         self._proximity = Proximity(self._robot, self._solids, self_collision=False)
         self._sectors = tuple(zone for zone in scene.zones if isinstance(zone, SwingSector))
@@ -119,6 +121,7 @@ class ZoneLog:
         self._warn = np.array(room)[self._proximity.owner] if len(self._proximity.pairs) else np.zeros(0)
         self._visits: dict[_Key, Transgression] = {}
         self._over: list[Transgression] = []
+        self._last = -math.inf  # s
 
     @property
     def transgressions(self) -> tuple[Transgression, ...]:
@@ -139,9 +142,13 @@ class ZoneLog:
 
         Raises
         ------
-        InputError: `q` does not fit the machine.
+        InputError: `q` does not fit the machine, or `time` is before that of the last sample.
         """
         posture = self._robot.check_q(q)
+        time = as_number(time, key="time")
+        if time < self._last:
+            raise InputError("runs backwards", key="time", found=time, allowed=f"{self._last:g} s or later")
+        self._last = time
         within: dict[str, Level] = {}
         kept: dict[_Key, Transgression] = {}
         for zone, link, distance in self._distances(posture):
@@ -205,14 +212,14 @@ def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgress
     SceneError: a zone does not fit the machine.
     InputError: the motion has another number of joints.
     """
-    if not scene.zones:
+    check_kind(robot, Robot, key="robot")
+    time = as_array(getattr(trajectory, "time", None), None, key="trajectory.time")
+    q = as_array(getattr(trajectory, "q", None), len(time), robot.n, key="trajectory.q")
+    if not len(time) or (np.diff(time) < 0.0).any():
+        raise InputError("are not moments in their order", key="trajectory.time", found=reprlib.repr(time.tolist()))
+    if not check_kind(scene, Scene, key="scene").zones:
         return ()
     log = ZoneLog(robot, scene)
-    time, q = np.asarray(trajectory.time), np.asarray(trajectory.q)
-    if q.ndim != 2 or q.shape[1] != robot.n:
-        raise InputError(
-            "has another number of joints", key="trajectory", found=str(q.shape), allowed=f"(T, {robot.n})"
-        )
     count = min(max(int(np.ceil((time[-1] - time[0]) / _SAMPLED_EVERY)), 0), _MOST_MOMENTS) + 1
     even = np.linspace(time[0], time[-1], count)
     moments = np.unique(np.concatenate((even, time))) if len(time) < 2 * count else even

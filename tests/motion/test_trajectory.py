@@ -73,7 +73,7 @@ def test_samples_cannot_be_changed_and_are_copies() -> None:
         ([0.0, 1.0], np.zeros((2, 1)), np.array([[0.0], [np.nan]]), "trajectory.v"),
         ([0.0, 1.0], np.zeros((3, 1)), np.zeros((3, 1)), "trajectory"),
         ([0.0, 1.0], np.zeros((2, 1)), np.zeros((2, 2)), "trajectory"),
-        ([0.0, 1.0], np.zeros(2), np.zeros(2), "trajectory"),
+        ([0.0, 1.0], np.zeros(2), np.zeros(2), "trajectory.q"),
     ],
 )
 def test_bad_samples_are_refused(time: list[float], q: NDArray[np.float64], v: NDArray[np.float64], key: str) -> None:

@@ -71,7 +71,10 @@ class Commands:
 def _numbers(values: object, count: int) -> Vector | None:
     """`values` as (count,) finite numbers, or None where they are not."""
     try:
-        found = np.array(values, dtype=float)
+        found = np.array(values)
+        if found.dtype.kind not in "fiu":
+            return None
+        found = found.astype(float, copy=False)
     except (TypeError, ValueError, OverflowError):
         return None
     if count == 1 and found.ndim == 0:

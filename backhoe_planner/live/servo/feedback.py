@@ -22,7 +22,7 @@ import math
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 
 _SEED = 1e-7  # J that a force against the hand may use before the hand has given any; chosen, too little to feel
@@ -79,6 +79,8 @@ class Feedback:
     """
 
     def __init__(self, dt: float, *, damping: float = 60.0, largest: float = 30.0, sharpest: float = 200.0) -> None:
+        dt, damping = as_number(dt, key="dt", above=0.0), as_number(damping, key="damping", least=0.0)
+        largest, sharpest = as_number(largest, key="largest", above=0.0), as_number(sharpest, key="sharpest", least=0.0)
         self._dt = dt
         self._damping = damping
         self._largest = largest
@@ -100,11 +102,22 @@ class Feedback:
         nearness: rho, 0 where obstacles are far, 1 where no more approach is possible.
         """
         # three numbers each: plain numbers cost a fraction of what arrays would
-        hx, hy, hz = hand.tolist()
-        nx, ny, nz = normal.tolist()
+        try:
+            (hx, hy, hz), (rx, ry, rz), (nx, ny, nz) = hand.tolist(), refused.tolist(), normal.tolist()
+            right = (
+                isinstance(nearness, float)
+                and 0.0 <= nearness <= 1.0
+                and math.isfinite(hx + hy + hz + rx + ry + rz + nx + ny + nz)
+            )
+        except (AttributeError, TypeError, ValueError):
+            right = False
+        if not right:
+            hx, hy, hz = as_vector(hand, 3, key="hand").tolist()
+            rx, ry, rz = as_vector(refused, 3, key="refused").tolist()
+            nx, ny, nz = as_vector(normal, 3, key="normal").tolist()
+            nearness = as_number(nearness, key="nearness", least=0.0, most=1.0)
         fx, fy, fz = self._force
         self._stored = min(self._stored - self._dt * (fx * hx + fy * hy + fz * hz), _MOST_STORED)
-        rx, ry, rz = refused.tolist()
         into = hx * nx + hy * ny + hz * nz
         there = nearness * into
         tx, ty, tz = hx - there * nx, hy - there * ny, hz - there * nz

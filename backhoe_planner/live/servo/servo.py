@@ -22,13 +22,14 @@ Within the slow distance of one of the scene's zones the wish is scaled down, di
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Vector
-from backhoe_planner.errors import InputError
+from backhoe_planner.arrays import Indices, Vector, as_number
+from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking.braking_path import MOST_PARTS, JointState, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.pair_bounds import CLOSE, Near, PairBounds
@@ -40,7 +41,7 @@ from backhoe_planner.live.servo.commands import Commands
 from backhoe_planner.live.servo.feedback import Feedback, Refusal
 from backhoe_planner.live.servo.safe_velocity import SafeVelocity, VelocityFilter, VelocityWish
 from backhoe_planner.live.servo.servo_state import Command, ServoState, Status
-from backhoe_planner.live.servo.surroundings import Surroundings, number_within
+from backhoe_planner.live.servo.surroundings import Surroundings
 from backhoe_planner.live.servo.tip_task import JointWish, TipTask
 from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
 from backhoe_planner.site import (
@@ -103,8 +104,14 @@ class Servo:
         feedback: Feedback | None = None,
         load: Load | None = None,
     ) -> None:
-        dt = number_within("dt", dt, *_STEPS)
-        watchdog = number_within("watchdog", watchdog, 0.0, math.inf)
+        dt = as_number(dt, key="dt", least=_STEPS[0], most=_STEPS[1])
+        watchdog = as_number(watchdog, key="watchdog", least=0.0, finite=False)
+        circulate = check_flag(circulate, key="circulate")
+        self_collision = check_flag(self_collision, key="self_collision")
+        if feedback is not None:
+            check_kind(feedback, Feedback, key="feedback")
+        if load is not None and not callable(load):
+            raise InputError("cannot be called", key="load", found=reprlib.repr(load))
         robot = machine_on_site(robot, scene)
         self.robot, self.scene, self.dt, self.circulate = robot, scene, dt, circulate
         self.limits = scaled_limits(robot, scene)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,8 +9,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Indices, Vector
-from backhoe_planner.errors import InputError
+from backhoe_planner.arrays import Flags, Indices, Vector, as_number, as_vector
+from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.live.braking.separation import MACHINE, Separation
 from backhoe_planner.machine import Robot, voxel_boxes
 from backhoe_planner.machine.shape import shapes
@@ -99,6 +98,7 @@ class Surroundings:
         if isinstance(obstacle, Mapping):
             spec = obstacle_from_dict(obstacle)
             obstacle = build_obstacle(spec, folder=self._scene.folder, clearance=self._scene.clearance)
+        check_kind(obstacle, Obstacle, key="obstacle")
         check_links(self._robot, obstacle.links, key=f"{obstacle.name}.links")
         in_use = self._names_in_use()
         if obstacle.zone is not None and obstacle.name not in self._placed:
@@ -114,14 +114,14 @@ class Surroundings:
         try:
             cloud = np.array(points, dtype=float)
         except (TypeError, ValueError) as error:
-            raise InputError("are not points", key=name) from error
+            raise InputError("are not points", key=f"points of {name}") from error
         if cloud.ndim != 2 or cloud.shape[1] != 3:
-            raise InputError("are not points", key=name, found=f"shape {cloud.shape}", allowed="(k, 3)")
+            raise InputError("are not points", key=f"points of {name}", found=f"shape {cloud.shape}", allowed="(k, 3)")
         if not (np.abs(cloud) <= _FARTHEST).all():
-            raise InputError("lie too far away", key=name, allowed=f"numbers of at most {_FARTHEST:g} m")
-        resolution = number_within("resolution", resolution, *_VOXELS)
+            raise InputError("lie too far away", key=f"points of {name}", allowed=f"numbers of at most {_FARTHEST:g} m")
+        resolution = as_number(resolution, key="resolution", least=_VOXELS[0], most=_VOXELS[1])
         if clearance is not None:
-            clearance = number_within("clearance", clearance, 0.0, _FARTHEST)
+            clearance = as_number(clearance, key="clearance", least=0.0, most=_FARTHEST)
         if len(cloud) == 0:
             return None
         boxes = voxel_boxes(cloud, resolution)
@@ -196,7 +196,7 @@ class Surroundings:
         self._shifts += dt * self._velocities
 
     def _find(self, name: str) -> _Placed:
-        if name not in self._placed:
+        if check_kind(name, str, key="name") not in self._placed:
             if self._is_waiting(name):
                 raise InputError("the obstacle has not appeared yet", key="name", found=name)
             there = ", ".join(self._placed)
@@ -250,21 +250,9 @@ def shifted(obstacle: Obstacle, by: Vector) -> Obstacle:
 
 
 def _three(values: object, key: str) -> Vector:
-    try:
-        found = np.array(values, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        found = np.full(1, np.nan)
-    if found.shape != (3,) or not (np.abs(found) <= _FARTHEST).all():
-        raise InputError("is not a vector", key=key, found=values, allowed=f"three numbers of at most {_FARTHEST:g}")
-    return found
-
-
-def number_within(key: str, value: object, least: float, most: float) -> float:
-    """`value` as a number from `least` to `most`; InputError, which names it by `key`, where it is not one."""
-    try:
-        found = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        found = math.nan
-    if not least <= found <= most:
-        raise InputError("is not a number in its range", key=key, found=value, allowed=f"{least:g} to {most:g}")
-    return found
+    found = as_vector(values, 3, key=key)
+    if not (np.abs(found) <= _FARTHEST).all():
+        raise InputError(
+            "is too long", key=key, found=found.tolist(), allowed=f"three numbers of at most {_FARTHEST:g}"
+        )
+    return found.copy()

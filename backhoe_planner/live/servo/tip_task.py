@@ -101,10 +101,10 @@ class TipTask:
             J = np.vstack((J, self._robot.pitch_sense * turn[:, -1] @ turn))
             xdot = np.append(xdot, command.pitch)
         nearby, damped = self._critical_points(near), False
-        quick = self.law.wish_on_null_line(q, J, xdot, nearby)
+        quick = self.law.wish_on_null_line_unchecked(q, J, xdot, nearby)
         if quick is None:
             at = Configuration(self._robot, q, None, self.jacobian, self._at.J[0], _NOTHING)
-            wish = self.law.wish(at, J, xdot, nearby)
+            wish = self.law.wish_unchecked(at, J, xdot, nearby)
             v, null, damped = wish.v, wish.null, wish.task.damping > 0.0
         else:
             v, null = quick

@@ -30,6 +30,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import Configuration, Kinematics, wrap_angle
 from backhoe_planner.machine.robot import Robot
 
@@ -179,6 +180,7 @@ class DiggingForces:
 
 def digging_forces(robot: Robot) -> DiggingForces | None:
     """The digging forces; None without cylinders on the last two joints, without a pitch, or with the tip on a pin."""
+    check_kind(robot, Robot, key="robot")
     if robot.hydraulics is None or robot.n < 2 or not robot.has_pitch:
         return None
     if {robot.n - 2, robot.n - 1} - set(robot.hydraulics.joint_of.tolist()):

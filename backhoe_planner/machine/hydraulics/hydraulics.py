@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Flags
+from backhoe_planner.arrays import Array, Flags, as_rows
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.linkage import Linkage
 
@@ -167,7 +167,7 @@ class Hydraulics:
         Positions lie within `joint_range`. nan where the cylinders of one joint do not
         agree, and where no position in the joint's range has this length.
         """
-        lengths = np.asarray(lengths, dtype=float)
+        lengths = as_rows(lengths, len(self.cylinders), key="lengths")
         q = np.full((*lengths.shape[:-1], len(self.joint_names)), np.nan)
         for joint in np.flatnonzero(self._has_cylinder):
             mine = np.flatnonzero(self.joint_of == joint)
@@ -200,7 +200,8 @@ class Hydraulics:
 
     def rod_speeds(self, q: Array, v: Array) -> Array:
         """(..., m) l' = r v [m/s], extending positive, at q, v (..., n)."""
-        return np.asarray(self._arms(q) * np.asarray(v)[..., self.joint_of])
+        arms = self._arms(q)
+        return np.asarray(arms * as_rows(v, len(self.joint_names), key="v", beside=arms)[..., self.joint_of])
 
     def flows(self, q: Array, v: Array) -> Array:
         """(..., m) oil that the pump feeds into each cylinder [m^3/s], 0 or more, at q, v (..., n)."""
@@ -235,7 +236,8 @@ class Hydraulics:
 
     def joint_torques(self, q: Array, force: Array) -> Array:
         """(..., n) tau = r^T F [N m] at q (..., n) of the cylinders' force F (..., m) [N], push positive."""
-        return self._by_joint(self._arms(q) * np.asarray(force))
+        arms = self._arms(q)
+        return self._by_joint(arms * as_rows(force, len(self.cylinders), key="force", beside=arms))
 
     def cylinder_forces(self, q: Array, tau: Array) -> Array:
         """(..., m) the forces F [N] that give the torques tau (..., n) [N m], push positive.
@@ -244,9 +246,10 @@ class Hydraulics:
         A torque on a joint without a cylinder is ignored.
         """
         arms = self._arms(q)
+        tau = as_rows(tau, len(self.joint_names), key="tau", beside=arms)
         share = self._by_joint(arms * arms)[..., self.joint_of]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(arms * np.asarray(tau)[..., self.joint_of] / share)
+            return np.asarray(arms * tau[..., self.joint_of] / share)
 
     def pressures(self, q: Array, tau: Array) -> Array:
         """(..., m) pressure [Pa] in the chamber that bears the torques tau (..., n) [N m] at q (..., n).
@@ -299,9 +302,10 @@ class Hydraulics:
 
     def _of_linkages(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
         """(..., m) what `compute` says of each cylinder's linkage at its joint's angle, at q (..., n)."""
-        found = np.empty((*np.shape(q)[:-1], len(self.cylinders)))
+        q = as_rows(q, len(self.joint_names), key="q")
+        found = np.empty((*q.shape[:-1], len(self.cylinders)))
         for column, (cylinder, joint) in enumerate(zip(self.cylinders, self.joint_of, strict=True)):
-            found[..., column] = compute(cylinder.linkage, np.asarray(q, dtype=float)[..., joint])
+            found[..., column] = compute(cylinder.linkage, q[..., joint])
         return found
 
     def _by_joint(self, values: Array) -> Array:

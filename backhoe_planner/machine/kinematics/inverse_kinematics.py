@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from backhoe_planner.arrays import Array, Flags, Vector
+from backhoe_planner.arrays import Array, Flags, Vector, as_count, as_number
+from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import BatchKinematics, Kinematics
 from backhoe_planner.machine.kinematics.target import TargetBatch, TipTarget, movable_rows
 from backhoe_planner.machine.robot import Robot
@@ -71,10 +72,16 @@ def solve_inverse_kinematics(
     rng: draws the other starting points; by default one that is seeded with 0.
     attempts: the greatest number of starting points.
     tolerance: on the position error [m] and the angle error [rad].
+
+    Raises
+    ------
+    InputError: an argument is not of its kind; names it.
     """
     kinematics, batch = Kinematics(robot), BatchKinematics(robot)
-    rng = rng or np.random.default_rng(0)
-    guesses = (robot.middle if start is None else np.asarray(start, dtype=float))[None, :]
+    check_kind(target, TipTarget, key="target")
+    rng = np.random.default_rng(0) if rng is None else check_kind(rng, np.random.Generator, key="rng")
+    attempts, tolerance = as_count(attempts, key="attempts", least=1), as_number(tolerance, key="tolerance", above=0.0)
+    guesses = (robot.middle if start is None else robot.check_q(start, what="start"))[None, :]
     ends: list[Vector] = []
     while len(ends) < attempts:
         targets = TargetBatch.of([target] * len(guesses))

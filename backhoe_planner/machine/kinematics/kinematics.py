@@ -14,8 +14,8 @@ from typing import TypeVar
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
-from backhoe_planner.errors import InputError
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_vector
+from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine.robot import Robot
 
 _Angle = TypeVar("_Angle", float, Array)
@@ -96,22 +96,29 @@ class Kinematics:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
+        self.robot = check_kind(robot, Robot, key="robot")
+        self._n = robot.n
         self._data = robot.model.createData()
         self._joints = range(1, robot.model.njoints)
 
     def at(self, q: Vector) -> Configuration:
-        """The configuration at `q` (n,), which must be finite and of the right length."""
+        """The configuration at `q` (n,).
+
+        Raises
+        ------
+        InputError: `q` is not n finite numbers.
+        """
         robot, data = self.robot, self._data
+        q = as_vector(q, self._n, key="q", names=robot.joint_names)
         pin.computeJointJacobians(robot.model, data, q)
         T_world_tip = pin.updateFramePlacement(robot.model, data, robot.tip_frame).copy()
         jacobian = pin.getFrameJacobian(robot.model, data, robot.tip_frame, pin.LOCAL_WORLD_ALIGNED)
-        jacobian = jacobian.reshape(6, robot.n)  # of one joint alone it is 1-D
+        jacobian = jacobian.reshape(6, self._n)  # of one joint alone it is 1-D
         points = [data.oMi[joint].translation for joint in self._joints]
         points.append(T_world_tip.translation)
-        own_q = np.array(q, dtype=float)
+        own_q = q.copy()
         own_q.setflags(write=False)
-        return Configuration(robot, own_q, T_world_tip, jacobian, data.J.reshape(6, robot.n).copy(), np.array(points))
+        return Configuration(robot, own_q, T_world_tip, jacobian, data.J.reshape(6, self._n).copy(), np.array(points))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_array, as_number, as_vector
+from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
 _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
@@ -24,18 +25,31 @@ class TipTarget:
     position: (3,) [m], world.
     pitch: (low, high) [rad], equal where one angle is asked for; None where it is free.
     rotation: (3, 3) R_world_tip; None where orientation is free.
+
+    Raises
+    ------
+    InputError: one of them is not such numbers.
     """
 
     position: Vector
     pitch: tuple[float, float] | None = None
     rotation: Matrix | None = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", as_vector(self.position, 3, key="position"))
+        if self.pitch is not None:
+            low, high = as_array(self.pitch, 2, key="pitch").tolist()
+            object.__setattr__(self, "pitch", (low, high))
+        if self.rotation is not None:
+            object.__setattr__(self, "rotation", as_array(self.rotation, 3, 3, key="rotation"))
+
     def pitch_excess(self, pitch: float) -> float:
         """How far `pitch` lies above (+) or below (-) the asked range [rad]; 0 inside."""
+        pitch = as_number(pitch, key="pitch")
         if self.pitch is None:
             return 0.0
         low, high = self.pitch
-        off = wrap_angle(float(pitch) - 0.5 * (low + high))
+        off = wrap_angle(pitch - 0.5 * (low + high))
         return float(np.sign(off) * max(abs(off) - 0.5 * (high - low), 0.0))
 
     def error(self, at: Configuration) -> Vector:
@@ -44,7 +58,7 @@ class TipTarget:
         Rows: 3 of position; then 1 of pitch (0 inside the asked range) or 3 of the
         rotation vector, in world axes.
         """
-        rows = [self.position - at.tip_position]
+        rows = [self.position - check_kind(at, Configuration, key="at").tip_position]
         if self.rotation is not None:
             rows.append(at.tip_rotation @ pin.log3(at.tip_rotation.T @ self.rotation))
         elif self.pitch is not None:
@@ -53,6 +67,7 @@ class TipTarget:
 
     def turn_to(self, other: TipTarget) -> float:
         """The angle between the orientations, or the middle pitches, of two targets [rad]; 0 where one has none."""
+        check_kind(other, TipTarget, key="other")
         if self.rotation is not None and other.rotation is not None:
             return float(np.linalg.norm(pin.log3(self.rotation.T @ other.rotation)))
         if self.pitch is not None and other.pitch is not None:
@@ -61,6 +76,7 @@ class TipTarget:
 
     def jacobian(self, at: Configuration) -> Matrix:
         """(m, n) of `error` at a configuration: to first order, a step dq reduces the error by jacobian @ dq."""
+        check_kind(at, Configuration, key="at")
         if self.rotation is not None:
             return at.jacobian
         if self.pitch is not None:

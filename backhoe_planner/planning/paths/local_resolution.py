@@ -83,7 +83,7 @@ def _next(
     """(n,) the configuration on `target` that the law goes to from `at` in `span` [s]; None where it is stuck."""
     error, J = _rows(target, at)
     limits = problem.limits
-    wish = span * law.wish(at, J, error / span, nearby).v
+    wish = span * law.wish_unchecked(at, J, error / span, nearby).v
     low = np.maximum(limits.lower - at.q, -_LARGEST_STEP)
     high = np.minimum(limits.upper - at.q, _LARGEST_STEP)
     room = _APPROACH * np.maximum(nearby.margin - _SPARE, 0.0)

@@ -132,7 +132,7 @@ def _drive_tip(
         wished = turning.direction(error, at, nearby, stepper, left)
         dq = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(len(J)), wished)
         xdot = wished * _pace(problem.limits, dq)
-        wish = law.wish(at, J, xdot, nearby)
+        wish = law.wish_unchecked(at, J, xdot, nearby)
         fade = min(1.0, left / 0.05) if null_space else 0.0
         if not stepper.advance(_within_rates(wish.primary + fade * wish.null, problem.limits), nearby, at.jacobian[:3]):
             break

@@ -123,7 +123,7 @@ class Stepper:
             # two half steps beside each other share the change of velocity
             span = 0.5 * (dt + self._last_dt)
             for _ in range(_CORRECTIONS):
-                shielded = self._shield.filter(
+                shielded = self._shield.filter_unchecked(
                     wish, q=self.q, v_before=self.v, dt=span, nearby=nearby, J_tip=J_tip, extra_margin=extra
                 )
                 q = self._within_limits(self.q + shielded.v * dt)
@@ -242,7 +242,7 @@ class Stepper:
         """(K,) how much further away each nearby pair must be kept for the step to `q` to be clear [m]."""
         found = np.zeros(len(nearby))
         for row, pair in enumerate(nearby.pair):
-            reached = self.proximity.distance_of(int(pair), q, time=self.time + dt)
+            reached = self.proximity.distance_of_unchecked(int(pair), q, time=self.time + dt)
             missing = self.proximity.clearance[pair] + 0.5 * _BUFFER - reached
             if missing > 0.0:
                 found[row] = 2.0 * missing + _BUFFER

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import InputError, PlanFileError, RobotError
+from backhoe_planner.errors import InputError, PlanFileError, RobotError, check_path
 from backhoe_planner.files.output_file import whole_file
 from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, load_robot, shipped_folder
 from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
@@ -120,8 +120,9 @@ class Plan:
         ------
         OutputError: the folder does not exist or cannot be written.
         """
+        path = check_path(path, key="path")
         with whole_file(path) as stream:
-            stream.write(_record(self, Path(path).parent).model_dump_json() + "\n")
+            stream.write(_record(self, path.parent).model_dump_json() + "\n")
 
 
 def plan_to_dict(plan: Plan) -> dict[str, Any]:
@@ -142,7 +143,8 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     RobotError: the URDF is missing or has changed since the plan was made.
     SceneError: a file that the scene names is missing.
     """
-    file = Path(path)
+    file = check_path(path, key="path")
+    urdf = None if urdf is None else check_path(urdf, key="urdf")
     record = read_plan_file(file)
     robot = load_robot(_locate(record.robot.urdf, file) if urdf is None else urdf, tip=record.robot.tip)
     if robot.urdf.sha256 != record.robot.sha256:

@@ -88,7 +88,7 @@ class MotionCheck:
         self._pairs = np.flatnonzero(proximity.appears_at <= time)
         self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
         self._clearance = proximity.clearance[self._pairs]
-        proximity.cover(np.array(ends))
+        proximity.cover_unchecked(np.array(ends))
         self._travel = proximity.travel[self._pairs] * (1.0 + _SLOPE)
         self._transposed = np.ascontiguousarray(self._travel.T)
         self._nothing = np.zeros(len(self._pairs))
@@ -265,7 +265,7 @@ class MotionCheck:
     def _measure(self, rows: NDArray[np.intp], q: Vector) -> Vector:
         """(K,) distance beyond clearance and spare of the pairs `rows` at `q` [m]."""
         self.measured += 1
-        margin = self.proximity.distances_of(self._pairs[rows], q, time=self._time) - self._clearance[rows]
+        margin = self.proximity.distances_of_unchecked(self._pairs[rows], q, time=self._time) - self._clearance[rows]
         if not self._tight_ends or not self._tight[rows].any():
             return np.asarray(margin - self._spare[rows])
         spare = self._spare[rows]
@@ -279,7 +279,7 @@ class MotionCheck:
             return False
         if not len(self._pairs):
             return True
-        margin = self.proximity.distances_of(self._pairs, q, time=self._time) - self._clearance
+        margin = self.proximity.distances_of_unchecked(self._pairs, q, time=self._time) - self._clearance
         if margin.min() < -0.5 * _ROUNDING:
             return False
         allowed = np.minimum(0.5 * margin, margin - _ROUNDING)

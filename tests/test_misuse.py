@@ -1,0 +1,498 @@
+"""Whatever is handed to a public name: what is wrong is an `InputError` that names the argument, lists count as arrays.
+
+`CALLS` has one entry for every public function, constructor and method that takes arguments: how it is
+called, with good arguments, and what each argument is. From this the bad values follow.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, is_dataclass
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.errors import InputError
+from backhoe_planner.files.records import Record
+from backhoe_planner.live import plan_from_recording
+from backhoe_planner.machine.shape import shapes
+
+NAN, INF, OBJECT = float("nan"), float("inf"), object()
+
+# --- the machine and the site ---------------------------------------------------------
+
+
+@cache
+def robot() -> bp.Robot:
+    return bp.load_robot("example:backhoe")
+
+
+@cache
+def scene() -> bp.Scene:
+    joints = dict(zip(robot().joint_names, [0.0, 0.4, -1.6, -0.9], strict=True))
+    return bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": joints},
+            "task": {"goal": {"position": [4.0, 0.0, 0.0]}},
+            "obstacles": [{"name": "rock", "shape": "sphere", "radius": 0.3, "position": [4.0, 2.0, 1.0]}],
+            "zones": [{"name": "line", "kind": "ceiling", "height": 4.0, "stop": 0.5, "slow": 0.8, "warn": 1.0}],
+        }
+    )
+
+
+Q = np.array([0.0, 0.4, -1.6, -0.9])
+V = np.array([0.1, -0.1, 0.05, 0.0])
+
+
+@cache
+def motion() -> bp.Trajectory:
+    return bp.Trajectory.from_steps(np.linspace(0.0, 2.0, 5), Q + np.linspace(0.0, 0.05, 5)[:, None])
+
+
+@cache
+def path() -> bp.TipPath:
+    return bp.TipPath([bp.Waypoint(position=(3.0, 0.0, 0.0)), bp.Waypoint(position=(5.0, 0.0, 0.0))])
+
+
+@cache
+def proximity() -> bp.Proximity:
+    return bp.Proximity(robot(), bp.build_obstacles(scene(), robot()))
+
+
+@cache
+def at() -> bp.Configuration:
+    return bp.Kinematics(robot()).at(Q)
+
+
+@cache
+def law() -> bp.CompletedLaw:
+    return bp.CompletedLaw(robot(), influence=0.6)
+
+
+@cache
+def nearby() -> bp.Nearby:
+    return proximity().at(Q, margin=5.0)
+
+
+@cache
+def hydraulics() -> bp.Hydraulics:
+    found = robot().hydraulics
+    assert found is not None
+    return found
+
+
+@cache
+def servo() -> bp.Servo:
+    return bp.Servo(robot(), scene())
+
+
+def limits() -> bp.JointLimits:
+    return robot().limits
+
+
+# --- what an argument is ---------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Values that an argument must refuse."""
+
+    bad: tuple[Any, ...]
+
+
+NO_NUMBER: tuple[Any, ...] = (None, "text", {"a": 1}, OBJECT, [])
+
+
+def vector(n: int) -> Kind:
+    """n finite numbers."""
+    good = [0.1] * n
+    return Kind(
+        (*NO_NUMBER, [*good, 0.1], good[:-1], [[0.1] * n], [*good[:-1], NAN], np.full(n, INF), ["1"] * n, [good])
+    )
+
+
+ROWS = Kind((None, "text", {"a": 1}, OBJECT, [], [0.1], [[0.1] * 4, [0.1] * 3], [NAN] * 4, np.full((2, 4), NAN), 3.0))
+MATRIX = Kind((None, "text", {"a": 1}, OBJECT, [], [0.1], np.full((3, 4), NAN), np.zeros((3, 7)), 3.0))
+SAMPLES = Kind((None, "text", {"a": 1}, OBJECT, [], [0.1], np.full((3, 4), NAN), np.zeros((2, 4)), 3.0))
+NUMBER = Kind((*NO_NUMBER, NAN, [0.1, 0.2], "0.3", True, 10**400))
+POSITIVE = Kind((*NUMBER.bad, -1.0, 0.0))
+LIMIT = Kind((*NO_NUMBER, [0.1], [[0.1] * 4], [NAN] * 4))  # may be infinite
+POSITIVE_LIMIT = Kind((*LIMIT.bad, [-1.0] * 4))
+COUNT = Kind((*NO_NUMBER, NAN, -1, 0.5, "3", True))
+FLAG = Kind((None, "yes", {"a": 1}, OBJECT, [], NAN, 2))
+TEXT = Kind((None, {"a": 1}, OBJECT, [], 3.0, "no such name"))
+PATH = Kind((None, {"a": 1}, OBJECT, [], 3.0, "no/such/file", "a\0b", ""))
+THING = Kind((None, "text", {"a": 1}, OBJECT, [], 3.0, np.zeros(4)))  # of a class of this package
+
+
+def optional(kind: Kind) -> Kind:
+    return Kind(tuple(value for value in kind.bad if value is not None))
+
+
+def only(*bad: Any) -> Kind:
+    return Kind(bad)
+
+
+@dataclass(frozen=True)
+class Call:
+    """How something is called: good arguments, and what each is."""
+
+    function: Callable[..., Any]
+    good: dict[str, Any]
+    kinds: dict[str, Kind]
+    lists: bool = True  # whether the answer is compared for arrays and lists
+
+
+def call(function: Callable[..., Any], *, lists: bool = True, **arguments: Any) -> Call:
+    """Each argument is a pair: a good value, and what it is."""
+    good = {name: value for name, (value, _) in arguments.items()}
+    return Call(function, good, {name: kind for name, (_, kind) in arguments.items()}, lists)
+
+
+@cache
+def calls() -> dict[str, Call]:
+    the = robot()
+    target = bp.TipTarget(np.array([4.0, 0.0, 0.5]), pitch=(-1.0, -0.5))
+    J, xdot = at().jacobian[:3], np.array([0.1, 0.0, -0.05])
+    prox, oil, shield = proximity(), hydraulics(), bp.Shield(the.limits)
+    count = len(oil.cylinders)
+    stepped = np.stack([Q, Q + 0.01, Q + 0.02])
+    q4, v4, t3 = (Q, vector(4)), (V, vector(4)), (np.linspace(0.0, 1.0, 3), vector(3))
+    rq, rv, rtau = (Q, ROWS), (V, ROWS), (1e3 * V, ROWS)
+    site: dict[str, Any] = {"robot": (the, THING), "scene": (scene(), THING)}
+    index = only(None, "text", {}, OBJECT, [], -1, 10**6, 0.5)
+    indices = only(None, "text", {"a": 1}, OBJECT, [[0]], [-1], [10**6], [0.5])
+    rows: dict[str, Any] = {
+        "at": (at(), THING),
+        "J_e": (J, MATRIX),
+        "xdot_e": (xdot, vector(3)),
+        "nearby": (nearby(), THING),
+    }
+    return {
+        # functions
+        "load_robot": call(
+            bp.load_robot, source=("example:backhoe", PATH), tip=("bucket_tip", optional(TEXT)),
+            hydraulics=(hydraulics().file, optional(PATH)), lists=False,
+        ),
+        "digging_forces": call(bp.digging_forces, robot=(the, THING)),
+        "solve_inverse_kinematics": call(
+            bp.solve_inverse_kinematics, robot=(the, THING), target=(target, THING), start=(Q, optional(vector(4))),
+            rng=(np.random.default_rng(0), optional(THING)), attempts=(3, Kind((*COUNT.bad, 0))),
+            tolerance=(1e-6, POSITIVE), lists=False,
+        ),
+        "build_problem": call(bp.build_problem, lists=False, **site),
+        "build_obstacles": call(bp.build_obstacles, lists=False, **site),
+        "certify": call(bp.certify, lists=False, **site, trajectory=(motion(), THING)),
+        "zone_log": call(bp.zone_log, **site, trajectory=(motion(), THING)),
+        "load_scene": call(bp.load_scene, path=("trench.yaml", PATH), lists=False),
+        "load_plan": call(bp.load_plan, path=("no/such/plan", PATH), urdf=("a.urdf", optional(PATH)), lists=False),
+        "scene_from_dict": call(
+            bp.scene_from_dict, content=(scene().to_dict(), THING), folder=(".", only(None, {}, OBJECT, [], 3.0)),
+            file=("a.yaml", only({}, OBJECT, [], 3.0)), lists=False,
+        ),
+        "plan": call(
+            bp.plan, **site, method=("reactive", TEXT), seed=(0, COUNT), effort=("quick", TEXT),
+            budget=(9.0, Kind((*POSITIVE.bad, INF))), watch=(print, only("text", {"a": 1}, OBJECT, [], 3.0)),
+            lists=False,
+        ),
+        # the machine
+        "JointLimits": call(
+            lambda **keys: bp.JointLimits(**keys).upper,
+            lower=(-np.ones(4), only(*NO_NUMBER[:-1], [[0.1]], [NAN])), upper=(np.ones(4), LIMIT),
+            velocity=(np.ones(4), POSITIVE_LIMIT), acceleration=(np.ones(4), POSITIVE_LIMIT),
+            effort=(np.full(4, INF), POSITIVE_LIMIT),
+        ),
+        "Robot.random_q": call(the.random_q, rng=(np.random.default_rng(0), THING), lists=False),
+        "Robot.with_tip": call(the.with_tip, tip=("bucket_tip", optional(TEXT)), lists=False),
+        "Robot.check_q": call(lambda q: the.check_q(q), q=q4),
+        "Kinematics": call(bp.Kinematics, robot=(the, THING), lists=False),
+        "Kinematics.at": call(lambda q: bp.Kinematics(the).at(q).J_world, q=q4),
+        "TipTarget": call(
+            lambda **keys: bp.TipTarget(**keys).distances(at()), position=(np.ones(3), vector(3)),
+            pitch=((0.1, 0.2), optional(vector(2))), rotation=(np.eye(3), optional(MATRIX)),
+        ),
+        "TipTarget.pitch_excess": call(target.pitch_excess, pitch=(0.3, NUMBER)),
+        "TipTarget.error": call(target.error, at=(at(), THING)),
+        "TipTarget.jacobian": call(target.jacobian, at=(at(), THING)),
+        "TipTarget.distances": call(target.distances, at=(at(), THING)),
+        "TipTarget.turn_to": call(target.turn_to, other=(target, THING)),
+        "Hydraulics.lengths": call(oil.lengths, q=rq),
+        "Hydraulics.moment_arms": call(oil.moment_arms, q=rq),
+        "Hydraulics.joints": call(
+            oil.joints, lengths=(oil.lengths(Q), only(None, "text", {}, OBJECT, [], [0.1] * (count + 1), 3.0))
+        ),
+        "Hydraulics.joint_range": call(oil.joint_range, joint=("boom", TEXT)),
+        "Hydraulics.rod_speeds": call(oil.rod_speeds, q=rq, v=rv),
+        "Hydraulics.flows": call(oil.flows, q=rq, v=rv),
+        "Hydraulics.total_flow": call(oil.total_flow, q=rq, v=rv),
+        "Hydraulics.velocity_limits": call(oil.velocity_limits, q=rq),
+        "Hydraulics.joint_torques": call(
+            oil.joint_torques, q=rq, force=(np.full(count, 1e3), only(*NO_NUMBER, [0.1] * (count + 1), 3.0))
+        ),
+        "Hydraulics.cylinder_forces": call(oil.cylinder_forces, q=rq, tau=rtau),
+        "Hydraulics.pressures": call(oil.pressures, q=rq, tau=rtau),
+        "Hydraulics.torque_limits": call(oil.torque_limits, q=rq),
+        "Hydraulics.power": call(oil.power, q=rq, v=rv, tau=rtau),
+        "Hydraulics.load_sensing_power": call(oil.load_sensing_power, q=rq, v=rv, tau=rtau),
+        # motions
+        "Trajectory": call(
+            lambda **keys: bp.Trajectory(**keys).accelerations(), time=t3, q=(stepped, SAMPLES),
+            v=(0 * stepped, SAMPLES),
+        ),
+        "Trajectory.from_steps": call(
+            lambda **keys: bp.Trajectory.from_steps(**keys).v, time=(t3[0], Kind((*t3[1].bad, [0.0, 1.0, 0.5]))),
+            q=(stepped, SAMPLES),
+        ),
+        "Trajectory.at": call(motion().at, time=(np.array([0.3, 0.7]), only(None, "text", {}, OBJECT, NAN, [NAN]))),
+        "Trajectory.moments": call(lambda longest: motion().moments(longest=longest).q, longest=(0.1, POSITIVE)),
+        "TipPath": call(
+            bp.TipPath, waypoints=(path().waypoints, only(None, "text", {"a": 1}, OBJECT, [], 3.0, [1, 2])),
+            numbers=((1, 2), only(None, "text", OBJECT, 3.0, [1], [0.5, 1.5])), lists=False,
+        ),
+        "TipPath.__call__": call(path(), s=(0.5, NUMBER), order=(1, only(None, "text", {}, OBJECT, [], -1, 2, 0.5))),
+        "TipPath.target": call(lambda s: path().target(s).position, s=(0.5, NUMBER)),
+        "TipPath.nearest": call(
+            path().nearest, point=(np.ones(3), vector(3)), low=(0.1, NUMBER), high=(1.0, optional(NUMBER))
+        ),
+        "TipPath.place": call(
+            path().place, at=(at(), THING), low=(0.0, NUMBER), high=(1.0, NUMBER),
+            slack=(0.0, Kind((*NUMBER.bad, -1.0))),
+        ),
+        "TipPath.arc": call(path().arc, s=(0.5, NUMBER)),
+        "TipPath.describe": call(path().describe, s=(0.5, NUMBER)),
+        "TipPath.number": call(path().number, index=(1, index)),
+        "TipPath.turn": call(path().turn, a=(0.1, NUMBER), b=(0.2, NUMBER)),
+        "TipPath.corners": call(path().corners, angle=(0.1, NUMBER)),
+        # the site
+        "Nearby.only": call(
+            lambda rows: nearby().only(rows).margin,
+            rows=(nearby().margin > 0.0, only(None, "text", {}, OBJECT, [True], [0, 1], 3.0)),
+        ),
+        "Obstacle": call(
+            lambda **keys: bp.Proximity(the, [bp.Obstacle(links=None, spec=scene().obstacles[0], **keys)]).distances(Q),
+            name=("it", only(None, 3.0, {}, OBJECT, [])),
+            pieces=((shapes.sphere(0.3, pin.SE3.Identity()),), only(None, "text", OBJECT, 3.0, [3.0])),
+            clearance=(0.1, NUMBER), appears_at=(0.0, NUMBER), velocity=(np.zeros(3), vector(3)),
+        ),
+        "Obstruction.joint_limit": call(bp.Obstruction.joint_limit, joint=("boom", only()), distance=(0.1, only())),
+        "Proximity": call(
+            bp.Proximity, robot=(the, THING), self_collision=(True, FLAG), lists=False,
+            obstacles=(bp.build_obstacles(scene(), the), only(None, "text", {"a": 1}, OBJECT, 3.0, [3.0])),
+        ),
+        "Proximity.at": call(
+            lambda **keys: prox.at(**keys).distance, q=q4, time=(0.5, NUMBER), within=(3.0, NUMBER),
+            margin=(np.full(len(prox.pairs), 2.0), Kind((*NO_NUMBER, NAN, [0.1, 0.2]))),
+        ),
+        "Proximity.cover": call(prox.cover, q=rq),
+        "Proximity.is_at": call(prox.is_at, q=q4, time=(0.5, NUMBER)),
+        "Proximity.stays_clear": call(prox.stays_clear, q=q4, time=(0.5, NUMBER)),
+        "Proximity.distances": call(prox.distances, q=q4, time=(0.5, NUMBER)),
+        "Proximity.tightest": call(lambda **keys: str(prox.tightest(**keys)), q=q4, time=(0.5, NUMBER)),
+        "Proximity.lower_bounds": call(
+            prox.lower_bounds, q=q4, time=(0.5, NUMBER),
+            floor=(np.full(len(prox.pairs), 99.0), only(*NO_NUMBER, [0.1, 0.2])),
+        ),
+        "Proximity.distance_of": call(prox.distance_of, pair=(1, index), q=q4, time=(0.5, NUMBER)),
+        "Proximity.distances_of": call(prox.distances_of, pairs=(np.array([1, 2]), indices), q=q4, time=(0.5, NUMBER)),
+        "Proximity.all_at_least": call(
+            prox.all_at_least, pairs=(np.array([1, 2]), indices),
+            least=(np.zeros(2), only(*NO_NUMBER, [0.1], [NAN] * 2)), q=q4, time=(0.5, NUMBER),
+        ),
+        "Proximity.obstacle_offset": call(prox.obstacle_offset, index=(0, index), time=(0.5, NUMBER)),
+        "ZoneLog": call(bp.ZoneLog, lists=False, **site),
+        "ZoneLog.note": call(lambda **keys: bp.ZoneLog(the, scene()).note(**keys), time=(0.5, NUMBER), q=q4),
+        # the law
+        "CompletedLaw": call(
+            bp.CompletedLaw, robot=(the, THING), influence=(0.6, POSITIVE), nominal=(0.1, Kind((*NUMBER.bad, -1.0))),
+            gains=(None, optional(THING)), directionality=(True, FLAG), lists=False,
+        ),
+        "CompletedLaw.wish": call(lambda **keys: law().wish(**keys).v, **rows),
+        "CompletedLaw.wish_on_null_line": call(
+            law().wish_on_null_line, q=q4, **{name: pair for name, pair in rows.items() if name != "at"}
+        ),
+        "CompletedLaw.near_limit": call(law().near_limit, q=q4, v=v4),
+        "CriticalRows": call(
+            lambda **keys: law().wish(at(), J, xdot, bp.CriticalRows(**keys)).v, margin=(np.full(2, 0.1), vector(2)),
+            gradient=(np.ones((2, 4)), MATRIX), drift=(np.zeros(2), vector(2)),
+        ),
+        "Shield": call(bp.Shield, limits=(the.limits, THING), lists=False),
+        "Shield.velocity_bounds": call(shield.velocity_bounds, q=q4, v_before=v4, dt=(0.01, POSITIVE)),
+        "Shield.braking_time": call(shield.braking_time, v=v4),
+        "Shield.stopping_time": call(shield.stopping_time, v=v4),
+        "Shield.filter": call(
+            lambda **keys: shield.filter(**keys).v, wish=v4, q=q4, v_before=v4, dt=(0.01, POSITIVE),
+            nearby=(nearby(), THING), J_tip=(J, MATRIX), extra_margin=(0.0, Kind((*NO_NUMBER, NAN, [0.1] * 99))),
+        ),
+        # live
+        "Servo": call(
+            lambda **keys: bp.Servo(**keys).q, robot=(the, THING), scene=(scene(), THING), q=(Q, optional(vector(4))),
+            dt=(0.001, POSITIVE), watchdog=(0.2, Kind((*NUMBER.bad, -1.0))), circulate=(False, FLAG),
+            self_collision=(True, FLAG), feedback=(None, optional(THING)), load=(None, optional(THING)), lists=False,
+        ),
+        "Servo.is_moving": call(lambda name: servo().is_moving(name), name=(None, only()), lists=False),
+        "Servo.add": call(servo().add, obstacle=({}, THING), lists=False),
+        "Servo.add_points": call(
+            servo().add_points, name=("scan", only(None, 3.0, {}, OBJECT, [], "", "rock", "line")),
+            points=(np.ones((2, 3)), only(None, "text", {"a": 1}, OBJECT, [[1.0]], [[NAN] * 3], 3.0)),
+            resolution=(0.1, POSITIVE), clearance=(0.1, optional(Kind((*NUMBER.bad, -1.0)))), lists=False,
+        ),
+        "Servo.remove": call(servo().remove, name=("none", TEXT), lists=False),
+        "Servo.move": call(servo().move, name=("rock", TEXT), by=(np.zeros(3), vector(3))),
+        "Servo.set_velocity": call(servo().set_velocity, name=("rock", TEXT), velocity=(np.zeros(3), vector(3))),
+        "Servo.shift_of": call(servo().shift_of, name=("rock", TEXT)),
+        "Servo.step": call(servo().step, lists=False),  # raises nothing, see below
+        "Feedback": call(
+            bp.Feedback, dt=(0.001, POSITIVE), damping=(60.0, Kind((*NUMBER.bad, -1.0))), largest=(30.0, POSITIVE),
+            sharpest=(200.0, Kind((*NUMBER.bad, -1.0))), lists=False,
+        ),
+        "Feedback.next": call(
+            lambda **keys: bp.Feedback(0.001).next(**keys), hand=(np.ones(3), vector(3)),
+            refused=(np.ones(3), vector(3)),
+            normal=(np.array([0.0, 0.0, 1.0]), vector(3)), nearness=(0.5, Kind((*NUMBER.bad, -1.0, 2.0))),
+        ),
+        "PlanFollower": call(
+            bp.PlanFollower, servo=(servo(), THING), plan=(motion(), THING), executor=(None, optional(THING)),
+            seed=(0, COUNT), allow_failed=(False, FLAG), lists=False,
+        ),
+        "Plan.save": call(lambda path: recording().save(path), path=("no/such/folder/a.json", PATH), lists=False),
+    }  # fmt: skip
+
+
+@cache
+def recording() -> bp.Plan:
+    return plan_from_recording(robot(), scene(), motion())
+
+
+# --- all of them ----------------------------------------------------------------------
+
+# what only holds values, made by this package; their methods are above
+RESULTS = {
+    "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
+    "Hydraulics", "InverseKinematics", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
+    "Obstruction", "Piece", "Plan", "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "Step",
+    "TaskInverse", "Tracking", "Transgression", "Wish",
+}  # fmt: skip
+PUBLIC = {name: getattr(bp, name) for name in dir(bp) if not name.startswith("_")}
+RECORDS = [name for name, thing in PUBLIC.items() if inspect.isclass(thing) and issubclass(thing, Record)]
+
+
+def takes_arguments(function: Any) -> bool:
+    return len([name for name in inspect.signature(function).parameters if name not in ("self", "cls")]) > 0
+
+
+def to_cover() -> Iterator[str]:
+    for name, thing in PUBLIC.items():
+        if not inspect.isclass(thing):
+            if takes_arguments(thing):
+                yield name
+            continue
+        if issubclass(thing, (Exception, Enum, Record)):
+            continue
+        holds = is_dataclass(thing) or issubclass(thing, tuple)
+        if name not in RESULTS and (not holds or thing.__init__ is not object.__init__):
+            yield name
+        for method, member in vars(thing).items():
+            inner = getattr(member, "__func__", member)
+            own = inspect.isfunction(inner) and inner.__module__ == thing.__module__
+            if (
+                own
+                and (not method.startswith("_") or method == "__call__")
+                and not method.endswith("_unchecked")
+                and takes_arguments(inner)
+            ):
+                yield f"{name}.{method}"
+
+
+def test_every_public_name_that_takes_arguments_is_here() -> None:
+    assert sorted(set(to_cover()) - set(calls())) == []
+
+
+NAMES = tuple(re.findall(r'^        "([\w.]+)": call\(', Path(__file__).read_text(encoding="utf-8"), re.M))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_misuse_is_an_input_error_that_names_the_argument(name: str) -> None:
+    found, wrong = calls()[name], []
+    for argument, kind in found.kinds.items():
+        for bad in kind.bad:
+            said = f"{argument}={bad!r:.60}"
+            try:
+                found.function(**{**found.good, argument: bad})
+            except InputError as error:
+                if argument not in str(error) and error.file is None:
+                    wrong.append(f"{said} is not named: {error}")
+            except Exception as error:  # noqa: BLE001
+                wrong.append(f"{said} ends in {type(error).__name__}: {error!s:.100}")
+            else:
+                wrong.append(f"{said} is accepted")
+    assert not wrong, "\n".join(wrong)
+
+
+def same(one: Any, other: Any) -> None:
+    if isinstance(one, bp.BothWays):
+        same((one.positive, one.negative), (other.positive, other.negative))
+    elif isinstance(one, tuple):
+        for a, b in zip(one, other, strict=True):
+            same(a, b)
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_lists_count_as_arrays(name: str) -> None:
+    found = calls()[name]
+    arrays = {key: value for key, value in found.good.items() if isinstance(value, np.ndarray)}
+    if not found.lists or not arrays:
+        return
+    same(found.function(**found.good), found.function(**{**found.good, **{k: v.tolist() for k, v in arrays.items()}}))
+
+
+@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize("bad", [None, "text", OBJECT, [], NAN])
+def test_record_refuses_what_is_no_key_and_what_is_no_value(name: str, bad: Any) -> None:
+    first = next(iter(PUBLIC[name].model_fields))
+    for keys in ({"no_such_key": bad}, {first: OBJECT}):
+        with pytest.raises(InputError, match=next(iter(keys))):
+            PUBLIC[name](**keys)
+
+
+@pytest.mark.parametrize("wish", ["tip_velocity", "joint_velocity", "pitch_rate"])
+def test_step_of_a_servo_raises_nothing(wish: str) -> None:
+    for bad in vector(4 if wish == "joint_velocity" else 3).bad:
+        state = servo().step(**{wish: bad})
+        assert bad is None or state.command is bp.Command.INVALID
+        assert servo().last_error is None
+
+
+# --- what was silent ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("joint", range(4))
+@pytest.mark.parametrize("value", [NAN, INF])
+def test_nothing_is_said_of_a_posture_that_is_none(joint: int, value: float) -> None:
+    q = Q.copy()
+    q[joint] = value
+    named = robot().joint_names[joint]
+    for ask in (proximity().at, proximity().distances, proximity().tightest, bp.Kinematics(robot()).at):
+        with pytest.raises(InputError, match=rf"q \({named}\): is not finite"):
+            ask(q)
+    assert np.isfinite(proximity().distances(Q)).all(), "and what comes after is right"
+
+
+def test_log_of_zones_refuses_times_that_run_backwards_and_goes_on() -> None:
+    log = bp.ZoneLog(robot(), scene())
+    log.note(1.0, Q)
+    for time in (0.5, NAN, -INF):
+        with pytest.raises(InputError, match=r"^time: "):
+            log.note(time, Q)
+    log.note(1.0, Q)
+    log.note(2.0, Q)
