@@ -10,6 +10,7 @@ import trimesh
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.text_file import read_text
+from backhoe_planner.site.quantities import LARGEST
 
 
 def read_heights(path: Path) -> Matrix:
@@ -17,7 +18,7 @@ def read_heights(path: Path) -> Matrix:
 
     Raises
     ------
-    InputError: missing, empty, ragged, fewer than 2 x 2, or not finite.
+    InputError: missing, empty, ragged, fewer than 2 x 2, or with a height that is not finite or beyond `LARGEST`.
     """
     text = read_text(path, what="height map")
     rows = [line.replace(";", ",").split(",") for line in text.splitlines() if line.strip()]
@@ -31,8 +32,7 @@ def read_heights(path: Path) -> Matrix:
     heights = np.array(values)
     if min(heights.shape) < 2:
         raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(heights.shape))
-    if not np.all(np.isfinite(heights)):
-        raise InputError("a height is not finite", file=path)
+    _check_size(heights, "a height", path, ("row", "column"))
     return heights
 
 
@@ -41,7 +41,7 @@ def read_points(path: Path) -> Matrix:
 
     Raises
     ------
-    InputError: missing, empty, or without finite points.
+    InputError: missing, empty, or with a coordinate that is not finite or beyond `LARGEST`.
     """
     if not path.is_file():
         raise InputError("no such point cloud file", file=path)
@@ -55,9 +55,21 @@ def read_points(path: Path) -> Matrix:
         points = _points_from_text(path)
     if len(points) == 0:
         raise InputError("holds no points", file=path)
-    if not np.all(np.isfinite(points)):
-        raise InputError("holds a point that is not finite", file=path)
+    _check_size(points, "a coordinate", path, ("point", "coordinate"))
     return points
+
+
+def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str]) -> None:
+    """InputError that names the first of `values` (rows, columns) that is no number of metres on a site."""
+    wrong = ~(np.abs(values) <= LARGEST)
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0].tolist()
+        found = float(values[row, column])
+        raise InputError(
+            f"{what} is not finite" if not np.isfinite(found) else f"{what} is too large",
+            file=path, key=f"{axes[0]} {row + 1}, {axes[1]} {column + 1}", found=f"{found:g}",
+            allowed=f"{-LARGEST:g} to {LARGEST:g} m",
+        )  # fmt: skip
 
 
 def _points_from_text(path: Path) -> Matrix:

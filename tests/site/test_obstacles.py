@@ -56,6 +56,14 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
     ),
     "height NaN": ("heightmap", "a.csv", b"1,nan\n2,3\n", {"size": [1, 1]}, "not finite"),
     "height infinite": ("heightmap", "a.csv", b"1,inf\n2,3\n", {"size": [1, 1]}, "not finite"),
+    "height beyond any site": (
+        "heightmap",
+        "a.csv",
+        b"1,2\n2,-1e308\n",
+        {"size": [1, 1]},
+        r"a\.csv: row 2, column 2: a height is too large; found -1e\+308; allowed: -100000 to 100000 m",
+    ),
+    "height a little beyond": ("heightmap", "a.csv", b"1,100001\n2,3\n", {"size": [1, 1]}, "row 1, column 2: a height"),
     "points missing": ("pointcloud", "a.ply", None, {"resolution": 0.1}, "no such point cloud file"),
     "points empty": ("pointcloud", "a.ply", b"", {"resolution": 0.1}, "empty|can be read|no points"),
     "points garbage": ("pointcloud", "a.ply", b"ply?\nnot really\n", {"resolution": 0.1}, "can be read"),
@@ -74,6 +82,13 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
         b"1 2 3\n4 five 6\n",
         {"resolution": 0.1},
         "line 2: is not a number.*five",
+    ),
+    "point beyond any site": (
+        "pointcloud",
+        "a.xyz",
+        b"1 2 3\n4 5 1e308\n",
+        {"resolution": 0.1},
+        r"a\.xyz: point 2, coordinate 3: a coordinate is too large; found 1e\+308; allowed: -100000 to 100000 m",
     ),
     "point NaN": ("pointcloud", "a.xyz", b"1 2 3\nnan nan nan\n", {"resolution": 0.1}, "not finite"),
     "points too fine": (
