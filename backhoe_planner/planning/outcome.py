@@ -57,8 +57,9 @@ def blocked_path(motion: Trajectory, found: Obstruction, path: TipPath, why: str
     """
     assert found.path_from is not None
     assert found.path_to is not None
-    where = f"from {path.describe(found.path_from)} to {path.describe(found.path_to)} of {path.describe_end()}"
-    message = f"the path is blocked {where} by {found}{why}"
+    begin, end = path.describe(found.path_from), path.describe(found.path_to)
+    where = f"at {begin}" if begin == end else f"from {begin} to {end}"
+    message = f"the path is blocked {where} of {path.describe_end()} by {found}{why}"
     return Outcome(motion, "blocked", message, Findings(obstruction=by_arc_length(found, path)))
 
 
