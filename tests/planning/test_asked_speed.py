@@ -14,7 +14,8 @@ from backhoe_planner.planning import measure_speed
 CAGE = """<robot name="lift">
   <link name="post"/>
   <link name="cage"><inertial><mass value="300"/>
-    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
   <joint name="hoist" type="prismatic"><parent link="post"/><child link="cage"/>
     <axis xyz="0 0 1"/><limit lower="0" upper="3" velocity="1" acceleration="2" effort="1e4"/></joint>
 </robot>"""
