@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -38,8 +39,10 @@ class TipTarget:
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", as_vector(self.position, 3, key="position"))
         if self.pitch is not None:
-            low, high = as_array(self.pitch, 2, key="pitch").tolist()
-            object.__setattr__(self, "pitch", (low, high))
+            # paths make targets by the thousand, whose angles are two numbers already: an array of them costs more
+            if not (isinstance(self.pitch, tuple) and len(self.pitch) == 2 and _are_finite(*self.pitch)):
+                low, high = as_array(self.pitch, 2, key="pitch").tolist()
+                object.__setattr__(self, "pitch", (low, high))
         if self.rotation is not None:
             object.__setattr__(self, "rotation", as_array(self.rotation, 3, 3, key="rotation"))
 
@@ -87,6 +90,10 @@ class TipTarget:
         """Position error [m] and angle error [rad] at a configuration, both 0 or more."""
         error = self.error(at)
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+
+
+def _are_finite(low: float, high: float) -> bool:
+    return isinstance(low, float) and isinstance(high, float) and math.isfinite(low + high)
 
 
 @dataclass(frozen=True, eq=False)
