@@ -38,11 +38,10 @@ class TipTarget:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", as_vector(self.position, 3, key="position"))
-        if self.pitch is not None:
-            # paths make targets by the thousand, whose angles are two numbers already: an array of them costs more
-            if not (isinstance(self.pitch, tuple) and len(self.pitch) == 2 and _are_finite(*self.pitch)):
-                low, high = as_array(self.pitch, 2, key="pitch").tolist()
-                object.__setattr__(self, "pitch", (low, high))
+        # paths make targets by the thousand, whose angles are two numbers already: an array of them costs more
+        if not (self.pitch is None or (isinstance(self.pitch, tuple) and _are_two_numbers(*self.pitch))):
+            low, high = as_array(self.pitch, 2, key="pitch").tolist()
+            object.__setattr__(self, "pitch", (low, high))
         if self.rotation is not None:
             object.__setattr__(self, "rotation", as_array(self.rotation, 3, 3, key="rotation"))
 
@@ -92,8 +91,8 @@ class TipTarget:
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
 
-def _are_finite(low: float, high: float) -> bool:
-    return isinstance(low, float) and isinstance(high, float) and math.isfinite(low + high)
+def _are_two_numbers(*pitch: float) -> bool:
+    return len(pitch) == 2 and all(isinstance(angle, float) and math.isfinite(angle) for angle in pitch)
 
 
 @dataclass(frozen=True, eq=False)
