@@ -17,7 +17,7 @@ from backhoe_planner.planning import Stepper, Work, World, approach_goal, places
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 CAGE = """<robot name="lift">
   <link name="post"/>
-  <link name="cage"><inertial><mass value="300"/>
+  <link name="cage"><collision><geometry><sphere radius="0.01"/></geometry></collision><inertial><mass value="300"/>
     <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <joint name="hoist" type="prismatic"><parent link="post"/><child link="cage"/>
     <axis xyz="0 0 1"/><limit lower="0" upper="3" velocity="1" acceleration="2" effort="1e4"/></joint>

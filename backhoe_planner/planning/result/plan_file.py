@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from pydantic import Field, StrictInt, ValidationError, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, StrictInt, ValidationError, model_serializer, model_validator
 
 from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.records import Figure, Record, explain
@@ -100,7 +100,14 @@ class ClearanceRecord(Record):
     time: Figure
     """[s]"""
     tracking: Figure = 0.0
-    """What of the value the machine's tracking error can take; the margin leaves it out [m]."""
+    """What of the value the tracking error can take; the margin leaves it out [m]. Not in the file where 0."""
+
+    @model_serializer(mode="wrap")
+    def _without_zero(self, serialise: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        content: dict[str, Any] = serialise(self)
+        if not self.tracking:
+            content.pop("tracking", None)
+        return content
 
     @classmethod
     def of(cls, found: Obstruction) -> ClearanceRecord:
