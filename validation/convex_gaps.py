@@ -23,6 +23,7 @@ _ITERATIONS = 80  # a round rim needs about 30, corners fewer than 15
 _CONVERGED = 1e-9  # m between the upper and the lower bound
 _TOUCHING = 1e-9  # m between two parts that touch
 _POINTS_LOOKED_AT, _PARTS_LOOKED_AT, _PAIRS_LOOKED_AT = 12, 4, 5  # of what is nearest by its points
+_ALL_PAIRS = 100  # of parts, up to which all are looked at
 _OUTLINE = 16  # points of a link that are looked at first
 _ROUND = 0.98  # of a cylinder's radius that its points reach between them
 _HOLLOW = 1.001  # times its own volume that the hull of a mesh has, from which on it closes something
@@ -100,6 +101,17 @@ class Body:
         self.reach = float(np.max(np.linalg.norm(self.points - self.centre, axis=1) + self.fat)) / _ROUND
 
     @cached_property
+    def middles(self) -> Matrix:
+        """(K, 3) a point of each part [m]."""
+        return np.array([part.middle for part in self.parts])
+
+    @cached_property
+    def reaches(self) -> Vector:
+        """(K,) how far each part reaches from its middle [m]."""
+        away = [np.linalg.norm(np.vstack((p.points, p.corners)) - p.middle, axis=1).max() for p in self.parts]
+        return np.asarray(np.array(away) / _ROUND + np.array([part.radius for part in self.parts]))
+
+    @cached_property
     def outline(self) -> Body:
         """The same with a few of its points, for a first look at many moments."""
         found = Body(self.name, self.parts)
@@ -123,6 +135,8 @@ class Body:
 
 def least_pair(first: Body, second: Body, rotation: Matrix, translation: Vector) -> tuple[float, tuple[int, int]]:
     """The least gap of the parts whose points are nearest, and which two they are; never below the true distance."""
+    if len(first.parts) * len(second.parts) <= _ALL_PAIRS:
+        return _least_of_all(first, second, rotation, translation)
     placed = first.points @ rotation.T + translation
     distance, nearest = second.tree.query(placed)
     order = np.argsort(distance - first.fat - second.fat[nearest])[:_POINTS_LOOKED_AT]
@@ -133,6 +147,21 @@ def least_pair(first: Body, second: Body, rotation: Matrix, translation: Vector)
         if len(pairs) >= _PAIRS_LOOKED_AT:
             break
     return min((gap(first.parts[a], second.parts[b], rotation, translation), (a, b)) for a, b in pairs)
+
+
+def _least_of_all(first: Body, second: Body, rotation: Matrix, translation: Vector) -> tuple[float, tuple[int, int]]:
+    """The same over all parts, those first whose balls are nearest."""
+    between = (first.middles @ rotation.T + translation)[:, None] - second.middles[None]
+    lower = np.linalg.norm(between, axis=2) - first.reaches[:, None] - second.reaches[None]
+    best, where = np.inf, (0, 0)
+    for index in np.argsort(lower, axis=None).tolist():
+        a, b = divmod(index, len(second.parts))
+        if lower[a, b] >= best:
+            break
+        found = gap(first.parts[a], second.parts[b], rotation, translation)
+        if found < best:
+            best, where = found, (a, b)
+    return best, where
 
 
 def first_look(first: Body, second: Body, rotations: Array, translations: Matrix, rows: Indices) -> Vector:
