@@ -103,7 +103,7 @@ WRONG: dict[str, tuple[list[Data], list[str]]] = {
         ["zones[0]", "point and normal, or from and to"],
     ),
     "wall through the machine": ([{"kind": "wall", "name": "x", "from": [-1, -1], "to": [2, 2]}], ["origin"]),
-    "two of one name": ([LINE, {**SECTOR, "name": "power line"}], ["'power line'"]),
+    "two of one name": ([LINE, {**SECTOR, "name": "power line"}], ["zones[1].name", "zones[0]", "power line"]),
     "flat cab": (
         [{"kind": "cab", "name": "x", "size": [1, 0, 1], "position": [0, 0, 0]}],
         ["zones[0].size[1]", "found 0"],
