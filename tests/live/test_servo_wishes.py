@@ -158,6 +158,28 @@ def test_the_work_of_a_step_is_bounded_as_somebody_walks_into_the_machine(panda:
     assert most > 10  # it was in the way
 
 
+@pytest.mark.parametrize("clearance", [0.05, 0.3])
+def test_between_somebody_and_a_post_every_step_is_proven(panda: Robot, clearance: float) -> None:
+    """Standing still keeps clear of the post: somebody who walks into the arm must not weigh against that."""
+    robot = panda.with_tip("panda_hand")
+    q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8]
+    post = {"name": "post", "shape": "capsule", "radius": 0.1, "from": [0.4, 0.75, 0.0], "to": [0.4, 0.75, 1.5]}
+    person = {
+        "name": "person", "shape": "capsule", "radius": 0.25, "from": [0.4, -1.2, 0.25], "to": [0.4, -1.2, 1.6],
+    }  # fmt: skip
+    servo = standing(robot, q, clearance=clearance, obstacles=[post])
+    servo.add(person)
+    servo.set_velocity("person", [0.0, 0.4, 0.0])
+    evading = 0
+    for _ in range(700):
+        state = servo.step([0.0, 0.2, 0.0])
+        assert state.proven
+        evading += state.status is Status.EVADING
+    assert servo.last_error is None
+    assert evading > 100
+    assert bp.Proximity(robot, bp.build_obstacles(servo.scene, robot)).distances(servo.q).min() > 0.0
+
+
 def test_joints_that_share_a_pump_are_cut_back_together(backhoe: Robot) -> None:
     """The rates of all joints may come to 0.4 rad/s: also where a post holds the swing and the others go on."""
 

@@ -50,6 +50,8 @@ class PathClearance(NamedTuple):
     bound: (K,) proven distance over the whole path [m].
     gaps: (S, K, V) from every corner of the links to the planes, at each of S samples [m].
     closely: (K,) which pairs were measured at several places of the path.
+
+    Of a path that is not the first of its step, `gaps` and `closely` are of the pairs whose obstacle stands still.
     """
 
     free: bool

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.law import BindingSolution, Rows
+from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
@@ -26,6 +26,7 @@ from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
 
 MOST_CANDIDATES = 24  # rows of one kind, among which those that bind are sought; chosen
+_OF_STANDING = 16  # of these for what stands, where both stand and move; chosen, most of them
 _LOOKS = 12  # pairs that are measured anew per path at most; chosen
 _MOVING_LOOKS = 3  # the same where only what moves is too near: it does not decide whether a path may be taken
 _RESERVED = CLOSER_LOOK + 1  # distances for the end of a step: of a pair that is clear again, and the oldest plane
@@ -94,12 +95,16 @@ class PathCheck:
         change = [abs(q + rate * look - end) + look * change + abs(rate) * later for q, rate, end, change in joints]
         return self.bounds.awake(np.array(change))
 
-    def clearance(self, awake: Awake, path: BrakingPath, *, look_at_movers: bool = True) -> PathClearance:
+    def clearance(
+        self, awake: Awake, path: BrakingPath, *, first: tuple[BrakingPath, PathClearance] | None = None
+    ) -> PathClearance:
         """What is proven of a path for the pairs `awake`. If there are any, the placements hold the path then.
 
-        look_at_movers: whether what moves is measured anew where its bound falls short. It does not
-        decide whether a path may be taken.
+        first: of the paths of this step the one that was checked for all pairs, and what was found. What moves
+            then has the bound that follows from there, as it does not decide whether a path may be taken.
         """
+        if first is not None and not self.bounds.stands[awake.pairs].all():
+            return self._clearance_of_standing(awake, path, *first)
         separation, at, pairs = self.separation, self.at, awake.pairs
         self._paths += 1
         if len(pairs) == 0:
@@ -113,13 +118,30 @@ class PathCheck:
             return PathClearance(True, True, True, bound, gaps, closely)
         short = (bound < required - TOLERANCE).nonzero()[0]
         # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes longest
-        again = short[stands[pairs[short]] | (look_at_movers & (bound[short] > 0.0))]
+        again = short[stands[pairs[short]] | (bound[short] > 0.0)]
         if len(again):
             self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
             short = (bound < required - TOLERANCE).nonzero()[0]
         stands_clear = not stands[pairs[short]].any()
         free = len(short) == 0 and bool((bound >= required + BUFFER).all())
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
+
+    def _clearance_of_standing(
+        self, awake: Awake, path: BrakingPath, before: BrakingPath, found: PathClearance
+    ) -> PathClearance:
+        """The same where what moves has a bound by what was `found` of the path `before`.
+
+        On both paths it is met after the same part of the way, so that they differ by no more than their ends.
+        """
+        separation, (pairs, budget) = self.separation, awake
+        stands = self.bounds.stands[pairs]
+        now = self.clearance(Awake(pairs[stands], budget), path)
+        nearer = (separation.travel @ np.abs(path.end - before.end))[separation.classes[pairs]]
+        nearer += abs(path.time - before.time) * np.sqrt((separation.velocity[pairs] ** 2).sum(axis=1))
+        bound = found.bound - nearer
+        bound[stands] = now.bound
+        clear = now.clear and bool((bound >= self.bounds.required[pairs] - TOLERANCE).all())
+        return now._replace(free=False, clear=clear, bound=bound)
 
     def _look_again(
         self,
@@ -158,11 +180,18 @@ class PathCheck:
             gaps[:, closely] = separation.gaps(pairs[closely], at, path.parts + 1)
         self.bounds.renew_soon(pairs[again])
 
-    def rows(self, awake: Awake, path: BrakingPath, found: PathClearance) -> Rows:
-        """The rows of what could bind along a path [m/s]. The placements must hold the path."""
+    def rows(self, awake: Awake, path: BrakingPath, found: PathClearance, *, firm: bool = False) -> tuple[Rows, ...]:
+        """The rows of what could bind along a path [m/s]. The placements must hold the path.
+
+        found: of the first path of a step, with the gaps of all pairs.
+        firm: whether those of what stands are hard, and those of what moves a block of their own. Soft ones are
+            weighed against a person who walks into the machine, and what comes out runs into the post behind it.
+            A machine that stands still keeps the hard ones.
+        """
         separation, (pairs, budget) = self.separation, awake
         if len(pairs) == 0:
-            return Rows.none("braking", len(path.v))
+            return (Rows.none("braking", len(path.v)),)
+        stands = self.bounds.stands[pairs]
         classes = separation.classes[pairs]
         wanted = self.bounds.required[pairs] + BUFFER
         room = found.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
@@ -177,26 +206,40 @@ class PathCheck:
             only = counts[tight, row].copy()
             counts[:, row] = False
             counts[tight, row] = only
-        samples, k, corners = np.nonzero(counts)
-        if len(k) == 0:
-            return Rows.none("braking", len(path.v))
-        if len(k) > MOST_CANDIDATES:
+        if np.count_nonzero(counts) <= MOST_CANDIDATES:
+            samples, k, corners = np.nonzero(counts)
+            if len(k) == 0:
+                return (Rows.none("braking", len(path.v)),)
+        else:
             count, _, corners_each = room.shape
             by_pair = (len(pairs), count * corners_each)
-            k, columns = tightest_of_each(
-                room.transpose(1, 0, 2).reshape(by_pair), counts.transpose(1, 0, 2).reshape(by_pair)
-            )
+            room_of, counts_of = room.transpose(1, 0, 2).reshape(by_pair), counts.transpose(1, 0, 2).reshape(by_pair)
+            if firm and not stands.all():
+                own, other = np.flatnonzero(stands), np.flatnonzero(~stands)
+                k, columns = tightest_of_each(room_of[own], counts_of[own], most=_OF_STANDING)
+                more = tightest_of_each(room_of[other], counts_of[other], most=MOST_CANDIDATES - _OF_STANDING)
+                k, columns = np.append(own[k], other[more[0]]), np.append(columns, more[1])
+            else:
+                k, columns = tightest_of_each(room_of, counts_of)
             samples, corners = np.divmod(columns, corners_each)
         part = samples / path.parts
         G = separation.rows(pairs[k], samples, corners, self.at) @ path.D / path.look
         h = room[samples, k, corners] / (part * path.look) + G @ path.v
         # never ask for more than the start itself is short of
         short = np.maximum(wanted[k] - found.gaps[0, k, corners], 0.0)
-        return Rows("braking", G, np.maximum(h, -2.0 * short))
+        h = np.maximum(h, -2.0 * short)
+        if not firm:
+            return (Rows("braking", G, h),)
+        hard = stands[k]
+        soft = ~hard | (h < 0.0)  # a way back to the buffer is wished for, not demanded
+        return (
+            Rows("braking", G[hard], np.maximum(h[hard], 0.0), Kind.HARD),
+            Rows("braking, soft", G[soft], h[soft]),
+        )
 
 
-def tightest_of_each(room: Matrix, counts: Flags) -> tuple[Indices, Indices]:
-    """Of every pair the entries with the least room that count, at most `MOST_CANDIDATES` of all pairs together.
+def tightest_of_each(room: Matrix, counts: Flags, *, most: int = MOST_CANDIDATES) -> tuple[Indices, Indices]:
+    """Of every pair the entries with the least room that count, at most `most` of all pairs together.
 
     So that a pair with many corners does not crowd out the others. Where there are more pairs
     than that, those with the least room.
@@ -211,9 +254,11 @@ def tightest_of_each(room: Matrix, counts: Flags) -> tuple[Indices, Indices]:
     """
     left = np.where(counts, room, np.inf)
     pairs = np.flatnonzero(counts.any(axis=1))
-    if len(pairs) > MOST_CANDIDATES:
-        pairs = pairs[np.argpartition(left[pairs].min(axis=1), MOST_CANDIDATES - 1)[:MOST_CANDIDATES]]
-    each = min(MOST_CANDIDATES // len(pairs), room.shape[1])
+    if len(pairs) == 0:
+        return pairs, pairs
+    if len(pairs) > most:
+        pairs = pairs[np.argpartition(left[pairs].min(axis=1), most - 1)[:most]]
+    each = min(most // len(pairs), room.shape[1])
     columns = np.argpartition(left[pairs], each - 1, axis=1)[:, :each]
     k = np.repeat(pairs, each)
     columns = columns.reshape(-1)

@@ -254,7 +254,7 @@ class Recovery:
                 return depth, RecoveryPath(path, found, level)
             if not found.clear:
                 # rest must keep these rows: a motion that they demand could contradict the way out
-                more = self._check.rows(step.awake, path, found)
+                (more,) = self._check.rows(step.awake, path, found)
                 others = (*others, more._replace(h=np.maximum(more.h, 0.0)))
         return depth, None
 

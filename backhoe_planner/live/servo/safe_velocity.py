@@ -31,6 +31,7 @@ from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, PathCheck, 
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, BLENDS, Recovery, RecoveryStep
 
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
+_ATTEMPTS_IF_TORN = 2  # as `ATTEMPTS`, where something moves: chosen, the next step corrects again
 _FREE = 0.005  # m^2: weight of the null space beside the tip; chosen, small beside the square of an arm's length
 _SLOW = 1e-3  # m/s: what comes no faster is as far away in time as at this speed; chosen
 _VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
@@ -121,11 +122,15 @@ class VelocityFilter:
         awake = check.awake(state, wish.range.look)
         evasion = self._evasion_rows(near, low, high)
         held_back = evading = False
-        straight: tuple[BrakingPath, PathClearance] | None = None
-        for attempt in range(ATTEMPTS):
+        first = straight = None
+        # what moves may ask for what something that stands forbids
+        torn = self._bounds.anything_moves and (len(evasion.h) > 0 or not self._bounds.stands[awake.pairs].all())
+        most = _ATTEMPTS_IF_TORN if torn else ATTEMPTS
+        for attempt in range(most):
             late = not evasion.are_kept_by(v, TOLERANCE)
             path = check.path(state.q, v)
-            found = check.clearance(awake, path, look_at_movers=attempt == 0)
+            found = check.clearance(awake, path, first=first)
+            first = first or (path, found)
             if (found.free if attempt == 0 else found.clear) and not late:
                 return self._accept(path, awake, found, held_back=held_back, evading=evading)
             if attempt == 0 and found.clear and not late:
@@ -134,8 +139,8 @@ class VelocityFilter:
                 # what moves is met by one correction a step: it goes on moving, and the next step corrects again
                 return self._accept(path, awake, found, evading=evading)
             nearer = v
-            if attempt < ATTEMPTS - 1:
-                nearer = self._within_rows(state, wish, (check.rows(awake, path, found), evasion))
+            if attempt < most - 1:
+                nearer = self._within_rows(state, wish, (*check.rows(awake, path, found, firm=torn), evasion))
                 evading |= late
                 held_back = True
             if np.abs(nearer - v).max() < _UNCHANGED:
@@ -146,9 +151,10 @@ class VelocityFilter:
         if straight is not None:  # only the buffer is missing, and asking for it leads nowhere
             return self._accept(straight[0], awake, straight[1], evading=evading)
         brake = self._braking(state.v)
-        for part in BLENDS:
+        brakes = torn and np.abs(v - brake).max() < _UNCHANGED  # that path was checked last
+        for part in () if brakes else BLENDS:
             path = check.path(state.q, np.minimum(np.maximum(brake + part * (v - brake), low), high))
-            found = check.clearance(awake, path)
+            found = check.clearance(awake, path, first=first)
             if found.stands_clear:
                 return self._accept(path, awake, found, evading=evading)
         return SafeVelocity(self._joints.brake(state.v), True, evading, None)
