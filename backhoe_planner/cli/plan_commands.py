@@ -52,6 +52,8 @@ def plan(
         if target.exists() and any(map(target.samefile, inputs)):
             raise bp.OutputError("is an input of this command", file=target)
         check_writable(target)
+    if html is not None and html.resolve() == output.resolve():
+        raise bp.OutputError("is where the plan goes too", file=html, key="--html")
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
     print_warnings(robot.warnings)

@@ -35,7 +35,8 @@ _HALVINGS = 8  # of the distance between two places, to prove that a pair does n
 _PIN_OF_CONTACT = 2.0  # times the distance from the joint at which its links touch anyway: still at the pin
 _PIN_OF_LINK = 0.25  # or this part of the smaller link
 _STOP = 2  # places at each end of the range: 5 % of it
-_TOUCH = 1e-6  # m: nearer is touching; flush faces are measured to about 1e-9 m
+_TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each other at 0.2 mm
+_SOMETIMES = 0.25  # of the postures in which two pieces touch, of links that touch throughout; less is no pin
 _GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what folds into a link goes deeper
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
 
@@ -72,10 +73,15 @@ class SelfPairs:
 
 
 @lru_cache(maxsize=8)
-def self_pairs(robot: Robot) -> SelfPairs:
+def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPairs:
     """The pairs of a machine's pieces that must not touch, and what is left out.
 
     Deterministic: the postures are seeded.
+
+    Parameters
+    ----------
+    posture: n joint positions [rad or m], where the machine may stand outside of its joints' ranges:
+        they are taken to reach so far.
     """
     beside: list[list[tuple[int, int]]] = [[] for _ in range(robot.n)]  # on the bodies that this joint joins
     beyond: list[tuple[int, int]] = []
@@ -90,7 +96,7 @@ def self_pairs(robot: Robot) -> SelfPairs:
                 beyond.append(pair)
     reasons = _reasons_beyond(robot, beyond)
     for joint, pairs in enumerate(beside):
-        reasons.update(_reasons_beside(robot, joint, pairs))
+        reasons.update(_reasons_beside(robot, joint, pairs, None if posture is None else posture[joint]))
     kept = sorted(pair for pair in (*beyond, *(p for pairs in beside for p in pairs)) if pair not in reasons)
     left_out = dict.fromkeys(LeftOut(*_links(robot, pair), *reason) for pair, reason in sorted(reasons.items()))
     return SelfPairs(tuple(kept), tuple(left_out))
@@ -108,22 +114,28 @@ def _reasons_beyond(robot: Robot, pairs: list[tuple[int, int]]) -> dict[tuple[in
     data, geometry = robot.model.createData(), model.createData()
     rng = np.random.default_rng(0)
     touches: Counter[tuple[str, str]] = Counter()
+    pieces: Counter[tuple[int, int]] = Counter()
     for _ in range(_POSTURES if pairs else 0):
         pin.computeCollisions(robot.model, data, model, geometry, robot.random_q(rng), False)
         results = zip(pairs, geometry.collisionResults, strict=True)
-        touches.update({_links(robot, pair) for pair, result in results if result.isCollision()})
+        hit = [pair for pair, result in results if result.isCollision()]
+        pieces.update(hit)
+        touches.update({_links(robot, pair) for pair in hit})
     return {
         pair: (True, f"touch in {touches[links]} of {_POSTURES} postures")
         for pair in pairs
         if touches[links := _links(robot, pair)] >= _TOUCHES_BY_CONSTRUCTION * _POSTURES
+        and pieces[pair] >= _SOMETIMES * _POSTURES
     }
 
 
-def _reasons_beside(robot: Robot, joint: int, pairs: list[tuple[int, int]]) -> dict[tuple[int, int], tuple[bool, str]]:
-    """The same for pieces on the two bodies that `joint` (index) joins."""
+def _reasons_beside(
+    robot: Robot, joint: int, pairs: list[tuple[int, int]], stands_at: float | None
+) -> dict[tuple[int, int], tuple[bool, str]]:
+    """The same for pieces on the two bodies that `joint` (index) joins; see `self_pairs` for where it `stands_at`."""
     if not pairs:
         return {}
-    sweep = _Sweep(robot, joint, pairs)
+    sweep = _Sweep(robot, joint, pairs, stands_at)
     name, its_own = robot.joint_names[joint], _own_links(robot, joint)
     by_links: defaultdict[tuple[str, str], list[int]] = defaultdict(list)
     for row, pair in enumerate(pairs):
@@ -162,7 +174,7 @@ class _Sweep:
     from_pin: (S, P) where the pieces come nearest: how far from a hinge's axis, or from the origin of a slide [m].
     """
 
-    def __init__(self, robot: Robot, joint: int, pairs: list[tuple[int, int]]) -> None:
+    def __init__(self, robot: Robot, joint: int, pairs: list[tuple[int, int]], stands_at: float | None) -> None:
         self._robot, self._joint, self._pairs = robot, joint, pairs
         self._model = geometry_model(robot)
         for a, b in pairs:
@@ -174,6 +186,10 @@ class _Sweep:
         lower, upper = robot.limits.lower[joint], robot.limits.upper[joint]
         if not (np.isfinite(lower) and np.isfinite(upper)):
             lower, upper = -np.pi, np.pi
+        if stands_at is not None:
+            lower, upper = min(lower, stands_at), max(upper, stands_at)
+        if not robot.prismatic[joint]:
+            upper = min(upper, lower + 2.0 * np.pi)  # then all comes again
         self._places = np.linspace(lower, upper, _PLACES)
         measured = [[self._measure(row, place) for row in range(len(pairs))] for place in self._places]
         self.distance: Matrix = np.array([[distance for distance, _ in row] for row in measured])
@@ -213,7 +229,7 @@ class _Sweep:
         return float(np.linalg.norm(piece.piece.hull - origin, axis=1).max()) + piece.piece.radius
 
     def touches_within(self, row: int, radius: float, graze: float) -> bool:
-        """Whether a pair touches near the joint only, over nearly all of its range, or hardly at all.
+        """Whether a pair was seen to touch, and near the joint only, over nearly all of its range, or hardly at all.
 
         Parameters
         ----------
@@ -221,24 +237,28 @@ class _Sweep:
         graze: overlap that does not count [m].
         """
         touching = self.distance[:, row] <= _TOUCH
-        near = np.all(self.from_pin[touching, row] <= radius)
-        throughout = np.mean(touching) >= _TOUCHES_BY_CONSTRUCTION
-        return bool(near or throughout or np.all(self.distance[:, row] > -graze))
+        if not np.any(touching):
+            return False  # they meet between two places, if anywhere
+        if np.mean(touching) >= _TOUCHES_BY_CONSTRUCTION:
+            return True
+        near = np.all(self.from_pin[touching, row] <= radius) or np.all(self.distance[:, row] > -graze)
+        return bool(near) and self._keeps_apart_elsewhere(row)
 
     def grazes_at_the_ends(self, row: int, graze: float) -> bool:
         """Whether a pair touches only at the ends of the joint's range, and overlaps there by less than `graze` [m]."""
         distance = self.distance[:, row]
-        return bool(np.all(distance[_STOP:-_STOP] > _TOUCH) and np.all(distance > -graze))
+        at_ends = np.any(distance <= _TOUCH) and np.all(distance[_STOP:-_STOP] > _TOUCH)
+        return bool(at_ends and np.all(distance > -graze)) and self._keeps_apart_elsewhere(row)
 
     def never_meets(self, row: int) -> bool:
         """Whether it is proven that a pair keeps apart over the joint's whole range."""
-        distance = self.distance[:, row]
-        if np.any(distance <= _TOUCH):
-            return False
-        return all(
-            self._apart(row, *ends)
-            for ends in zip(self._places, self._places[1:], distance, distance[1:], strict=False)
-        )
+        return bool(np.all(self.distance[:, row] > _TOUCH)) and self._keeps_apart_elsewhere(row)
+
+    def _keeps_apart_elsewhere(self, row: int) -> bool:
+        """The same between all neighbouring places at neither of which it touches."""
+        places, distance = self._places, self.distance[:, row]
+        ends = zip(places, places[1:], distance, distance[1:], strict=False)
+        return all(self._apart(row, *end) for end in ends if min(end[2:]) > _TOUCH)
 
     def _apart(self, row: int, a: float, b: float, d_a: float, d_b: float, halvings: int = _HALVINGS) -> bool:
         """The same between the places `a` and `b`, where the pair is `d_a` and `d_b` [m] apart."""

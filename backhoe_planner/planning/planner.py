@@ -30,6 +30,7 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene
 
+_LARGEST_SEED = 2**32 - 1  # what OMPL's generator takes
 _SLOWER = 3  # plans at most, each with slower joints; chosen, as each is a whole plan
 _TOO_MUCH = 10.0  # times a limit: chosen, slower joints are not tried for what is so far beyond it
 _LONG_SEARCH = 4  # times the usual starting points, for a start that is given by the tip; chosen: all else hangs on it
@@ -71,6 +72,8 @@ def plan(
     if checked is None:
         raise InputError.unknown_name("no such method", method, names=METHODS, key="method")
     budget, seed = as_number(budget, key="budget", above=0.0), as_count(seed, key="seed")
+    if seed > _LARGEST_SEED:
+        raise InputError("is too large", key="seed", found=seed, allowed=f"0 to {_LARGEST_SEED}")
     if watch is not None and not callable(watch):
         raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
     if not isinstance(effort, str) or effort not in EFFORTS:

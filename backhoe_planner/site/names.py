@@ -23,10 +23,12 @@ def check_name(name: object, *, in_use: Mapping[str, str] | None = None, key: st
 
     Raises
     ------
-    InputError: it is no text, blank, in use, or begins as reports begin to speak of the machine.
+    InputError: it is no text, blank, more than a line, in use, or begins as reports begin to speak of the machine.
     """
-    if not isinstance(name, str) or not name.strip() or name.startswith(_RESERVED):
-        allowed = "any text that is not blank and does not begin with " + " or ".join(map(repr, _RESERVED))
+    if not isinstance(name, str) or not name.strip() or not name.isprintable() or name.startswith(_RESERVED):
+        allowed = "one line of printable text that is not blank and does not begin with " + " or ".join(
+            map(repr, _RESERVED)
+        )
         raise InputError("is no name", key=key, found=repr(name), allowed=allowed)
     if in_use is not None and name in in_use:
         raise InputError(f"is the name of {in_use[name]}", key=key, found=name)

@@ -75,6 +75,11 @@ def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str]) ->
 def _points_from_text(path: Path) -> Matrix:
     rows = []
     for number, line in enumerate(read_text(path, what="point cloud").splitlines(), start=1):
+        if len(line.split()) > 1 and any("," in cell[:-1] for cell in line.split()) and not line.startswith("#"):
+            if number == 1:
+                continue  # a header
+            hint = "a comma stands between numbers, not in them"
+            raise InputError("has commas and blanks", file=path, key=f"line {number}", found=line.strip(), hint=hint)
         cells = line.replace(",", " ").split()
         if not cells or cells[0].startswith("#"):
             continue

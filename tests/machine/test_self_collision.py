@@ -151,3 +151,53 @@ def test_links_that_touch_at_their_own_pin_when_they_bend_are_left_out(tmp_path:
     )
     assert self_pairs(robot).kept == ()
     assert [pair.why for pair in self_pairs(robot).left_out] == ["touch at elbow"]
+
+
+def swept_post(folder: Path, *, post_at: str, limits: tuple[float, float], hub: bool = False) -> Robot:
+    """A jib that turns by `limits` about z, and a post of its own base, 20 mm wide, 1 m from the axis."""
+    shapes = [f"0.02 0.02 0.4 | {post_at}", *(["0.3 0.3 0.3 | 0 0 -0.1"] if hub else [])]
+    turn = joint("turn", "base", "arm", at="0 0 0.05")
+    text = turn.replace('lower="-3.1" upper="3.1"', f'lower="{limits[0]}" upper="{limits[1]}"')
+    return machine(folder, link("base", *shapes), ARM, TIP, text, tip="tip")
+
+
+@pytest.mark.parametrize("hub", [False, True])
+@pytest.mark.parametrize("limits", [(-3.14159, 3.14159), (-6.28318, 6.28318), (-62.8, 62.8)])
+@pytest.mark.parametrize("angle", [4.5, 45.0])
+def test_a_post_between_two_places_of_the_sweep_counts(
+    hub: bool, limits: tuple[float, float], angle: float, tmp_path: Path
+) -> None:
+    x, y = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+    robot = swept_post(tmp_path, post_at=f"{x:.6f} {y:.6f} 0.05", limits=limits, hub=hub)
+    assert kept_links(robot) == {frozenset(("arm", "base"))}
+
+
+def test_a_servo_that_starts_outside_its_range_keeps_off_what_stands_there(tmp_path: Path) -> None:
+    """Range 1 rad either way, start at 1.5 rad, a post of its own base at 1.25 rad in between: it cannot come back."""
+    robot = swept_post(tmp_path, post_at=f"{np.cos(1.25):.6f} {np.sin(1.25):.6f} 0.05", limits=(-1.0, 1.0))
+    assert self_pairs(robot).kept == ()
+    assert len(self_pairs(robot, (1.5,)).kept) == 1
+    scene = bp.scene_from_dict(
+        {"version": 1, "start": {"joints": {"turn": 1.5}}, "task": {"goal": {"position": [2, 0, 0.05]}}}
+    )
+    servo = bp.Servo(robot, scene, dt=0.005, q=np.array([1.5]))
+    for _ in range(600):
+        state = servo.step(joint_velocity=np.array([-0.5]))
+    # the arm is 0.1 m wide, so that its edge meets the post some 0.06 m before
+    assert state.q[0] > 1.25 + 0.05
+
+
+def test_a_post_on_a_hub_that_others_always_touch_counts(tmp_path: Path) -> None:
+    """The base's hub overlaps the arm's hub wherever both joints between them stand; its post does not."""
+    robot = machine(
+        tmp_path,
+        link("base", "0.3 0.3 0.3 | 0 0 0", "0.04 0.04 0.4 | 1 0 0"),
+        '<link name="plate"/>',
+        joint("lower_turn", "base", "plate"),
+        link("arm", "0.3 0.3 0.3 | 0 0 0", "1.8 0.05 0.05 | 0.9 0 0"),
+        joint("upper_turn", "plate", "arm"),
+        tip="arm",
+    )
+    names = {(robot.pieces[a].name, robot.pieces[b].name) for a, b in self_pairs(robot).kept}
+    assert ("arm/1", "base/1") in names
+    assert ("arm/0", "base/0") not in names

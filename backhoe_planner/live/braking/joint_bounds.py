@@ -123,7 +123,7 @@ class JointBounds:
         over: list[float] = [
             abs(rate) / fastest for rate, (_, _, fastest) in zip(v.tolist(), self._ranges, strict=True)
         ]
-        return max(1.0, *over) if self._load is None else max(1.0, *over, self._load(q, v))
+        return max(1.0, *over) if self._load is None else max(1.0, *over, self._load(q.copy(), v.copy()))
 
     def room_for(self, more: Vector, v: Vector) -> float:
         """The largest part, at most 1, of `more` (n,) that fits within the joints' rates beside v (n,)."""

@@ -92,7 +92,10 @@ class Separation:
         self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
         self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
         radii = travel_bounds(robot, q)
-        pairs = self_pairs(robot).kept if self_collision else ()
+        posture = None
+        if q is not None and np.any((q < robot.limits.lower) | (q > robot.limits.upper)):
+            posture = tuple(q.tolist())
+        pairs = self_pairs(robot, posture).kept if self_collision else ()
         rows = [*radii[self._moving]]
         for outer, inner in pairs:
             shared = robot.support[robot.pieces[inner].joint] > 0.0

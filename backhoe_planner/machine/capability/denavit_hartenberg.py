@@ -97,7 +97,7 @@ def _axes(robot: Robot, data: pin.Data) -> tuple[list[Vector], list[Vector]]:
     """Direction and a point of every joint's axis, in the world at q = 0."""
     axes, points = [], []
     for k in range(robot.n):
-        column = data.J[:, k]
+        column = data.J.reshape(6, robot.n)[:, k]  # of one joint alone it is 1-D
         axes.append(np.array(column[:3] if robot.prismatic[k] else column[3:]))
         points.append(np.array(data.oMi[k + 1].translation))
     return axes, points
