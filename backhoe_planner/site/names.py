@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Mapping
 from typing import Annotated
 
@@ -25,7 +26,12 @@ def check_name(name: object, *, in_use: Mapping[str, str] | None = None, key: st
     ------
     InputError: it is no text, blank, more than a line, in use, or begins as reports begin to speak of the machine.
     """
-    if not isinstance(name, str) or not name.strip() or not name.isprintable() or name.startswith(_RESERVED):
+    if (
+        not isinstance(name, str)
+        or not name.strip()
+        or any(unicodedata.category(sign) == "Cc" for sign in name)
+        or name.startswith(_RESERVED)
+    ):
         allowed = "one line of printable text that is not blank and does not begin with " + " or ".join(
             map(repr, _RESERVED)
         )
