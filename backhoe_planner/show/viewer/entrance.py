@@ -5,15 +5,13 @@ from __future__ import annotations
 import html
 import math
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import Protocol
 from urllib.parse import urlsplit
 
 import tornado.web
 
 from backhoe_planner.show.page.page import read_parts
-
-if TYPE_CHECKING:
-    from backhoe_planner.show.viewer.live_server import LiveServer
+from backhoe_planner.show.viewer.password import Password
 
 _HEADERS = {
     # a foreign page could lay this one invisibly over its own, so that a click there drives
@@ -25,10 +23,32 @@ _HEADERS = {
 }
 
 
+class Guarded(Protocol):
+    """The server behind the entrance, as far as the entrance knows it.
+
+    Attributes
+    ----------
+    password: None where anyone may enter.
+    opens: what is opened with it, for people.
+    """
+
+    password: Password | None
+    opens: str
+
+    @property
+    def cookie(self) -> str:
+        """The name of the cookie that holds the key."""
+        ...
+
+    def answers_to(self, host: str) -> bool:
+        """Whether `host`, as a browser sends it, is one of the server's names."""
+        ...
+
+
 class OwnPages(tornado.web.RequestHandler):
     """Answers only to this server's names and to its own pages, which no other page may frame."""
 
-    server: LiveServer
+    server: Guarded
 
     def set_default_headers(self) -> None:
         """Give every response, errors too, the headers that keep foreign pages off."""
@@ -59,7 +79,7 @@ class OwnPages(tornado.web.RequestHandler):
 class NotFound(OwnPages):
     """What is asked for is not here."""
 
-    def initialize(self, server: LiveServer) -> None:
+    def initialize(self, server: Guarded) -> None:
         """Take what the route gives."""
         self.server = server
 
@@ -72,7 +92,7 @@ class NotFound(OwnPages):
 class Login(OwnPages):
     """Asks for the password."""
 
-    def initialize(self, server: LiveServer) -> None:
+    def initialize(self, server: Guarded) -> None:
         """Take what the route gives."""
         self.server = server
 

@@ -51,6 +51,8 @@ class LivePage(OwnPages):
 class LiveSocket(OwnPages, tornado.websocket.WebSocketHandler):
     """The connection to one page, through which drawings and numbers are sent."""
 
+    server: LiveServer
+
     def prepare(self) -> None:
         """Refuse also browsers that have not given the password, and those beyond the greatest number of pages."""
         super().prepare()
