@@ -69,10 +69,12 @@ def tracking_room(robot: Robot, pieces: Sequence[int], travel: Matrix) -> Vector
     if robot.tube is None:
         return np.zeros(len(pieces))
     room = np.asarray(travel) @ robot.tube.joints
+    if not np.isfinite(robot.tube.tip):
+        return np.asarray(room)
     tip = robot.model.frames[robot.tip_frame]
     turn = float(robot.tube.joints[~robot.prismatic].sum())
     own = travel_bounds(robot)
-    for row, index in enumerate(pieces if np.isfinite(robot.tube.tip) else ()):
+    for row, index in enumerate(pieces):
         piece = robot.pieces[index]
         if piece.joint == int(tip.parentJoint) and np.array_equal(travel[row], own[index]):
             lever = float(np.linalg.norm(piece.piece.hull - tip.placement.translation, axis=1).max())

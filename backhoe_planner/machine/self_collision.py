@@ -9,7 +9,7 @@ tool) counts as itself. Left out are pieces
     that touch at the pin   of the joint's own two links, near its axis only; of other links one joint
                             apart that touch over its whole range, near its axis or only grazing
     that touch at the stop  of the joint's own two links, grazing at the ends of its range
-    of links that touch     in nearly every posture, two or more joints apart
+    of links that touch     in nearly every posture, two or more joints apart, where the pieces often do
 
 Whatever else may touch somewhere counts.
 """
@@ -142,6 +142,7 @@ def _reasons_beside(
         by_links[_links(robot, pair)].append(row)
     reasons: dict[tuple[int, int], tuple[bool, str]] = {}
     for links, rows in by_links.items():
+        own = set(links) == its_own
         touching = sweep.distance[:, rows] <= _TOUCH
         throughout = np.mean(touching.any(axis=1)) >= _TOUCHES_BY_CONSTRUCTION
         size = sweep.size(rows)
@@ -150,11 +151,9 @@ def _reasons_beside(
         for row in rows:
             if sweep.never_meets(row):
                 reasons[pairs[row]] = False, f"cannot meet over the range of {name}"
-            elif (throughout or set(links) == its_own) and sweep.touches_within(
-                row, pin_radius, graze if throughout else 0.0
-            ):
+            elif (throughout or own) and sweep.touches_within(row, pin_radius, graze if throughout else 0.0):
                 reasons[pairs[row]] = True, f"touch at {name}"
-            elif set(links) == its_own and sweep.grazes_at_the_ends(row, graze):
+            elif own and sweep.grazes_at_the_ends(row, graze):
                 reasons[pairs[row]] = True, f"touch at the stop of {name}"
     return reasons
 

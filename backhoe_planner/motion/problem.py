@@ -17,6 +17,7 @@ from backhoe_planner.site import (
     Scene,
     Waypoint,
     build_obstacles,
+    check_joint_names,
     machine_on_site,
     scaled_limits,
 )
@@ -70,9 +71,9 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
             file=robot.urdf.path,
             key="link",
         )
-    _check_joint_names(robot, scene, "limits.acceleration", scene.limits.acceleration)
+    check_joint_names(robot, scene, scene.limits.acceleration, key="limits.acceleration")
     if scene.gains != "auto":
-        _check_joint_names(robot, scene, "gains.s_k", scene.gains.s_k)
+        check_joint_names(robot, scene, scene.gains.s_k, key="gains.s_k")
     if scene.soil is not None and not robot.has_pitch:
         raise SceneError(
             "soil acts on a bucket: the axis of the last joint must stay horizontal",
@@ -120,13 +121,6 @@ def hand_set_gains(problem: Problem) -> Gains | None:
     return None if gains == "auto" else gains
 
 
-def _check_joint_names(robot: Robot, scene: Scene, key: str, names: dict[str, float]) -> None:
-    for name in names:
-        if name not in robot.joint_names:
-            problem = "the machine has no such joint"
-            raise SceneError.unknown_name(problem, name, names=robot.joint_names, file=scene.file, key=key)
-
-
 def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]:
     if scene.start is None:
         return None, None
@@ -134,7 +128,7 @@ def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]
         return None, _target(robot, scene, scene.start.tip, "start.tip")
     joints = scene.start.joints
     assert joints is not None
-    _check_joint_names(robot, scene, "start.joints", joints)
+    check_joint_names(robot, scene, joints, key="start.joints")
     missing = [name for name in robot.joint_names if name not in joints]
     if missing:
         raise SceneError(f"joints are missing: {', '.join(missing)}", file=scene.file, key="start.joints")

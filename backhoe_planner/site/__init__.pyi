@@ -1,4 +1,5 @@
 from .clearance_screen import ClearanceScreen as ClearanceScreen
+from .limits import check_joint_names as check_joint_names
 from .limits import machine_on_site as machine_on_site
 from .limits import scaled_limits as scaled_limits
 from .names import check_name as check_name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -65,15 +66,23 @@ def machine_on_site(robot: Robot, scene: Scene) -> Robot:
     return replace(robot, tube=TrackingTube(_joint_errors(robot, scene), tip))
 
 
+def check_joint_names(robot: Robot, scene: Scene, names: Iterable[str], *, key: str) -> None:
+    """Check names of joints that a scene has at `key`.
+
+    Raises
+    ------
+    SceneError: one of `names` is none of the machine's joints.
+    """
+    for name in names:
+        if name not in robot.joint_names:
+            problem = "the machine has no such joint"
+            raise SceneError.unknown_name(problem, name, names=robot.joint_names, file=scene.file, key=key)
+
+
 def _joint_errors(robot: Robot, scene: Scene) -> Vector:
     """(n,) of every joint, by the scene's tracking error [rad or m]."""
     joints = 0.0 if scene.tracking is None else scene.tracking.joints
     if isinstance(joints, float):
         return np.full(robot.n, joints)
-    for name in joints:
-        if name not in robot.joint_names:
-            problem = "the machine has no such joint"
-            raise SceneError.unknown_name(
-                problem, name, names=robot.joint_names, file=scene.file, key="tracking.joints"
-            )
+    check_joint_names(robot, scene, joints, key="tracking.joints")
     return np.array([joints.get(name, 0.0) for name in robot.joint_names])
