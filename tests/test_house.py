@@ -74,6 +74,7 @@ def test_imports_run_one_way(file: Path) -> None:
 SUITES = {
     # rooms within a room; "" is what stands in the room itself
     "machine": ["shape", "hydraulics", "description", "", "kinematics", "capability"],
+    "site": ["schema", ""],
     "motion": ["", "timing"],
     "planning": ["search", "paths", "reactive", "report", "result", ""],
     "live": ["braking", "recovery", "servo", ""],
@@ -98,7 +99,7 @@ def test_imports_run_one_way_within_a_room(floor: str) -> None:
 
 
 # modules whose own name says where a thing is from: `obstacle_shapes.Sphere`, `shapes.Sphere`
-VOCABULARIES = {"backhoe_planner.site.obstacle_shapes", "backhoe_planner.machine.shape.shapes"}
+VOCABULARIES = {"backhoe_planner.site.schema.obstacle_shapes", "backhoe_planner.machine.shape.shapes"}
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_name)

@@ -21,7 +21,8 @@ from scipy.optimize import linprog
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.site import build_obstacle, obstacle_shapes
+from backhoe_planner.site import build_obstacle
+from backhoe_planner.site.schema import obstacle_shapes
 from validation.obstacles import Record, halfspace, random_obstacle
 from validation.scenes import scene_of
 from validation.signed_distances import SignedDistance, obstacle_distance

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.machine import load_mesh
-from backhoe_planner.site import obstacle_shapes
+from backhoe_planner.site.schema import obstacle_shapes
 
 SignedDistance = Callable[[Matrix], NDArray[np.float64]]
 

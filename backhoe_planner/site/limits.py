@@ -10,7 +10,8 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError, check_kind
 from backhoe_planner.machine import JointLimits, Robot, TrackingTube
-from backhoe_planner.site.scene_file import Scene, SwingSector
+from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.site.schema.zone_kinds import SwingSector
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:

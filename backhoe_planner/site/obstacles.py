@@ -19,8 +19,9 @@ from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.machine import Robot
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site import obstacle_shapes
-from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
+from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.site.schema import obstacle_shapes
+from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
 
 
 @dataclass(frozen=True)

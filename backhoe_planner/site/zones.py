@@ -20,7 +20,8 @@ from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
-from backhoe_planner.site.scene_file import Scene, SwingSector, ZoneSpec
+from backhoe_planner.site.scene_file import Scene
+from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
 
 Level = Literal["warn", "slow", "stop"]
 

@@ -47,11 +47,12 @@ from backhoe_planner.machine import Robot, TipTarget, solve_inverse_kinematics
 from backhoe_planner.site import (
     Obstacle,
     Obstruction,
+    Scene,
+    SwingSector,
     build_obstacles,
     machine_on_site,
     pace,
     scaled_limits,
-    scene_file,
 )
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
@@ -94,7 +95,7 @@ class Servo:
     def __init__(
         self,
         robot: Robot,
-        scene: scene_file.Scene,
+        scene: Scene,
         dt: float = 0.001,
         *,
         q: object = None,
@@ -135,7 +136,7 @@ class Servo:
         self._sectors = [
             (zone.start + zone.stop, zone.end - zone.stop, zone.slow_distance - zone.stop)
             for zone in scene.zones
-            if isinstance(zone, scene_file.SwingSector) and zone.slow_distance > zone.stop
+            if isinstance(zone, SwingSector) and zone.slow_distance > zone.stop
         ]
         self._site = Surroundings(robot, scene, self._separation)
         self._update_moving()
@@ -436,7 +437,7 @@ _ZERO = np.zeros(3)
 _ZERO.setflags(write=False)
 
 
-def _start(robot: Robot, scene: scene_file.Scene) -> Vector:
+def _start(robot: Robot, scene: Scene) -> Vector:
     if scene.start is None:
         raise InputError("the scene does not say where the machine stands", key="start", allowed="start, or q=")
     if scene.start.tip is not None:

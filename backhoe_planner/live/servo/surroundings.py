@@ -22,8 +22,8 @@ from backhoe_planner.site import (
     check_links,
     check_name,
     obstacle_from_dict,
-    obstacle_shapes,
 )
+from backhoe_planner.site.schema import obstacle_shapes
 
 _FARTHEST = 1000.0  # m or m/s: chosen, beyond any site; a larger number is a slip
 _VOXELS = (0.001, 100.0)  # m: shortest and longest edge; chosen, beyond them it is a slip

@@ -12,7 +12,8 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import load_mesh
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
-from backhoe_planner.site import Obstacle, Scene, obstacle_shapes, read_heights
+from backhoe_planner.site import Obstacle, Scene, read_heights
+from backhoe_planner.site.schema import obstacle_shapes
 
 _MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; chosen, each costs milliseconds
 

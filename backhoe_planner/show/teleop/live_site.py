@@ -26,8 +26,8 @@ from backhoe_planner.site import (
     build_obstacles,
     check_links,
     check_name,
-    obstacle_shapes,
 )
+from backhoe_planner.site.schema import obstacle_shapes
 
 _MOST = 40  # obstacles; chosen, each costs time in every step
 _BRAKING = 0.6  # part of the acceleration; chosen, less than the servo's `BRAKING`, so that it can brake sooner

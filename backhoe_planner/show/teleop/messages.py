@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.site import obstacle_shapes
+from backhoe_planner.site.schema import obstacle_shapes
 
 LARGEST = 16_384  # characters or bytes of a message; chosen, those of the page itself have a few hundred
 _LONGEST_NAME = 60  # characters; chosen, so that a row of the panel can show it

@@ -17,8 +17,8 @@ from pydantic import Field, field_validator, model_validator
 from backhoe_planner.files.records import Record
 from backhoe_planner.machine import convex_cover, load_mesh, terrain_columns, voxel_boxes
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site.names import Name
-from backhoe_planner.site.quantities import (
+from backhoe_planner.site.schema.names import Name
+from backhoe_planner.site.schema.quantities import (
     AnyLength,
     Length,
     NonNegative,
@@ -29,7 +29,7 @@ from backhoe_planner.site.quantities import (
     rotation_matrix,
     unit_quaternion,
 )
-from backhoe_planner.site.survey_files import read_heights, read_points
+from backhoe_planner.site.schema.survey_files import read_heights, read_points
 
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up; chosen, about what a bucket's teeth leave behind
 _TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep

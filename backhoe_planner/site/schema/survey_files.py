@@ -10,7 +10,7 @@ import trimesh
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.text_file import read_text
-from backhoe_planner.site.quantities import LARGEST
+from backhoe_planner.site.schema.quantities import LARGEST
 
 
 def read_heights(path: Path) -> Matrix:

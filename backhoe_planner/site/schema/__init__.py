@@ -1,0 +1,1 @@
+"""The records of the scene file, by what they describe."""

@@ -1,0 +1,69 @@
+"""A path as a CSV file."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from backhoe_planner.errors import SceneError
+from backhoe_planner.files.records import describe
+from backhoe_planner.files.text_file import read_text
+from backhoe_planner.site.schema.tasks import Waypoint
+
+_POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
+_COLUMNS = (*_POSITION, "pitch", *_QUATERNION)
+
+
+def read_path_file(path: Path) -> Iterator[Waypoint]:
+    """The waypoints of a CSV with a header.
+
+    Raises
+    ------
+    SceneError: no such file, no header, an unknown or a missing column, a cell that is not a
+        finite number, a row that is no waypoint, fewer than two rows.
+    """
+    text = read_text(path, what="path", error=SceneError)
+    try:
+        rows = [(f"line {number}", row) for number, row in enumerate(csv.reader(io.StringIO(text)), start=1)]
+    except csv.Error as error:
+        raise SceneError(f"cannot be read: {error}", file=path) from error
+    (_, header), *rows = [(line, [cell.strip() for cell in row]) for line, row in rows if any(map(str.strip, row))]
+    for column in header:
+        if column not in _COLUMNS:
+            raise SceneError.unknown_name("unknown column", column, names=_COLUMNS, file=path, key="header")
+    turned = any(column in header for column in _QUATERNION)
+    missing = [column for column in (*_POSITION, *(_QUATERNION if turned else ())) if column not in header]
+    if missing:
+        raise SceneError(f"a column is missing: {', '.join(missing)}", file=path, key="header", found=",".join(header))
+    twice = [column for column in _COLUMNS if header.count(column) > 1]
+    if twice:
+        raise SceneError("a column stands twice", file=path, key="header", found=", ".join(twice))
+    if len(rows) < 2:
+        raise SceneError("a path needs at least 2 waypoints", file=path, found=str(len(rows)))
+    for line, row in rows:
+        if len(row) != len(header):
+            raise SceneError(f"has {len(row)} cells, the header {len(header)}", file=path, key=line)
+        values = {column: _number(cell, path, f"{line}, {column}") for column, cell in zip(header, row, strict=True)}
+        quaternion = tuple(values[key] for key in _QUATERNION) if turned else None
+        position = tuple(values[key] for key in _POSITION)
+        try:
+            yield Waypoint.model_validate(
+                {"position": position, "pitch": values.get("pitch"), "quaternion": quaternion}
+            )
+        except ValidationError as error:
+            raise SceneError(describe(error.errors()[0]), file=path, key=line) from None
+
+
+def _number(cell: str, path: Path, key: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        raise SceneError("is not a number", file=path, key=key, found=repr(cell)) from None
+    if not math.isfinite(value):
+        raise SceneError("is not finite", file=path, key=key, found=cell)
+    return value

@@ -1,0 +1,134 @@
+"""The part of the scene file that says what is to be done: start, goal, path."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import field_validator, model_validator
+
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.files.records import Record, exactly_one
+from backhoe_planner.machine import TipTarget
+from backhoe_planner.site.schema.quantities import (
+    Finite,
+    PitchRange,
+    Positive,
+    Quaternion,
+    Vector3,
+    rotation_matrix,
+    unit_quaternion,
+)
+
+_SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
+
+
+class Pose(Record):
+    """A pose of the tip, as much of it as is specified."""
+
+    position: Vector3
+    """x, y, z of the tip [m], world."""
+    pitch: Finite | PitchRange | None = None
+    """Angle of the line bucket pin to tip above the horizontal [rad]: a number, or [low, high]."""
+    rpy: Vector3 | None = None
+    """Full orientation as roll, pitch, yaw about the fixed x, y, z axes [rad]."""
+    quaternion: Quaternion | None = None
+    """Full orientation [w, x, y, z]."""
+
+    _check_quaternion = field_validator("quaternion")(unit_quaternion)
+
+    @model_validator(mode="after")
+    def _one_orientation(self) -> Pose:
+        given = [key for key in ("pitch", "rpy", "quaternion") if getattr(self, key) is not None]
+        if len(given) > 1:
+            raise ValueError(f"only one of pitch, rpy, quaternion may be given, here are {' and '.join(given)}")
+        if self.pitch is not None and max(map(abs, np.atleast_1d(self.pitch))) > 2.0 * math.pi:
+            raise ValueError(f"pitch is in radians, within one turn either way; {self.pitch} looks like degrees")
+        if isinstance(self.pitch, tuple) and self.pitch[0] > self.pitch[1]:
+            raise ValueError(f"pitch range [low, high] is reversed: {list(self.pitch)}")
+        return self
+
+    @property
+    def pitch_range(self) -> tuple[float, float] | None:
+        """(low, high) [rad], equal for a single angle; None where free."""
+        if self.pitch is None:
+            return None
+        return self.pitch if isinstance(self.pitch, tuple) else (self.pitch, self.pitch)
+
+    @property
+    def rotation(self) -> Matrix | None:
+        """(3, 3) R_world_tip, or None where free."""
+        return rotation_matrix(self.rpy, self.quaternion)
+
+    @property
+    def target(self) -> TipTarget:
+        """The pose as a target of the tip."""
+        return TipTarget(position=np.array(self.position), pitch=self.pitch_range, rotation=self.rotation)
+
+
+class Goal(Pose):
+    """Where the tip is to arrive."""
+
+
+class Waypoint(Pose):
+    """A point of the bucket's path."""
+
+
+class Start(Record):
+    """Where the machine stands at time 0: by its joints, or by its tip."""
+
+    joints: dict[str, Finite] | None = None
+    """Position of every joint by name [rad or m]."""
+    tip: Pose | None = None
+    """Pose of the tip; the joints are found by inverse kinematics."""
+
+    _one = exactly_one("joints", "tip")
+
+
+class PathTask(Record):
+    """A path that the tip is to follow, straight from waypoint to waypoint."""
+
+    waypoints: tuple[Waypoint, ...] | None = None
+    """At least two."""
+    file: str | None = None
+    """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz. Relative to the scene file."""
+    speed: Positive | None = None
+    """Of the tip [m/s]; left out: as fast as the limits allow."""
+    tolerance: Positive = 0.005
+    """How far the tip may be off the path where nothing is in the way [m]."""
+    detour: bool = True
+    """May the tip leave the path to get around an obstacle?"""
+
+    _one = exactly_one("waypoints", "file")
+
+    @model_validator(mode="after")
+    def _some_length(self) -> PathTask:
+        if self.speed is not None and self.speed < _SLOWEST:
+            raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
+        if self.waypoints is not None:
+            if len(self.waypoints) < 2:
+                raise ValueError(f"a path needs at least 2 waypoints, this one has {len(self.waypoints)}")
+            kinds = {_orientation_kind(waypoint) for waypoint in self.waypoints} - {"position"}
+            if len(kinds) > 1:
+                raise ValueError("one path mixes pitch and full orientation")
+            length = sum(
+                math.dist(a.position, b.position) for a, b in zip(self.waypoints, self.waypoints[1:], strict=False)
+            )
+            if length == 0.0 and not kinds:
+                raise ValueError("the waypoints all lie in one point")
+        return self
+
+
+def _orientation_kind(pose: Pose) -> str:
+    if pose.pitch is not None:
+        return "pitch"
+    return "position" if pose.rotation is None else "orientation"
+
+
+class Task(Record):
+    """What is to be done: exactly one of goal, path."""
+
+    goal: Goal | None = None
+    path: PathTask | None = None
+
+    _one = exactly_one("goal", "path")
