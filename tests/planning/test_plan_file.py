@@ -221,13 +221,23 @@ def test_the_certificate_alone_says_verified(solved: bp.Plan, tmp_path: Path) ->
 
 
 def test_without_a_certificate_that_holds_nothing_is_verified(solved: bp.Plan, tmp_path: Path) -> None:
-    broken = replace(solved.certificate, problems=("link1 comes too near", "and so on"))
+    tightest = Obstruction("obstacle", "ball", "link1", distance=0.01, margin=-0.04)
+    broken = replace(solved.certificate, clearances=(tightest,), problems=("link1 comes too near", "and so on"))
     silent = replace(solved, certificate=broken)
     assert (silent.verdict, silent.reason, silent.message) == ("failed", "blocked", "link1 comes too near; and so on")
     over = replace(broken, velocity=replace(broken.velocity, ratio=1.5))
     assert replace(silent, certificate=over).reason == "outside_limits"
     late = replace(silent, failure="budget", note="time ran out")
     assert (late.verdict, late.reason, late.message) == ("failed", "budget", "time ran out")
+
+
+def test_where_nothing_is_in_the_way_of_a_motion_that_ends_elsewhere_it_is_not_blocked(solved: bp.Plan) -> None:
+    """The same motion, half a metre short of another goal: no clearance and no limit is touched."""
+    task = {"goal": {"position": [2.6, 2.9, 0.0]}}
+    elsewhere = bp.scene_from_dict(solved.scene.to_dict() | {"task": task})
+    short = replace(solved, certificate=bp.certify(solved.robot, elsewhere, solved.trajectory))
+    assert (short.verdict, short.reason) == ("failed", "not_done")
+    assert short.message == "the tip ends 0.500 m from the goal"
 
 
 def test_a_verdict_is_not_believed(solved: bp.Plan, tmp_path: Path) -> None:

@@ -96,8 +96,9 @@ class Plan:
         if self.failure:
             return self.failure
         speed = self.certificate.tip_speed
-        kept = self.certificate.limits_kept and (speed is None or speed.kept)
-        return "blocked" if kept else "outside_limits"
+        if not self.certificate.limits_kept or (speed is not None and not speed.kept):
+            return "outside_limits"
+        return "not_done" if self.certificate.safe else "blocked"
 
     @property
     def message(self) -> str:

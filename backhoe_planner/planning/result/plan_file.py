@@ -23,7 +23,9 @@ from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Finite, Obstruction
 
 Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
-Reason = Literal["", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "budget"]
+Reason = Literal[
+    "", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "not_done", "budget"
+]
 LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed"]
 
 FORMAT: Literal["backhoe-planner/plan"] = "backhoe-planner/plan"
