@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import Robot, bend_weights
@@ -48,7 +49,8 @@ class PathClearance(NamedTuple):
     clear: whether every pair keeps the required distance.
     stands_clear: whether every pair whose obstacle stands still keeps it.
     bound: (K,) proven distance over the whole path [m].
-    gaps: (S, K, V) from every corner of the links to the planes, at each of S samples [m].
+    gaps: (K, S, V) from every corner of the links to the planes, at each of S samples [m]; working memory,
+        of the path that was checked last.
     closely: (K,) which pairs were measured at several places of the path.
 
     Of a path that is not the first of its step, `gaps` and `closely` are of the pairs whose obstacle stands still.
@@ -83,27 +85,23 @@ class Placements:
         count, n = model.njoints, robot.n
         self.T = np.zeros((most, count, 3, 4))
         self.R, self.t = self.T[..., :3], self.T[..., 3]
-        self.R[:, 0] = np.eye(3)
         self.J = np.zeros((most, 6, n))
         # views of Pinocchio's own memory, which is never allocated anew
-        joints = range(1, count)
-        rotations = [self._data.oMi[joint].rotation for joint in joints]
-        translations = [self._data.oMi[joint].translation for joint in joints]
-        self._jacobian = self._data.J.reshape(6, n)
-        self._copies = [
-            [
-                *zip((self.R[sample, joint] for joint in joints), rotations, strict=True),
-                *zip((self.t[sample, joint] for joint in joints), translations, strict=True),
-                (self.J[sample], self._jacobian),
-            ]
-            for sample in range(most)
-        ]
+        R, t = [pose.rotation for pose in self._data.oMi], [pose.translation for pose in self._data.oMi]
+        self._sources = _one_behind_the_other(R), _one_behind_the_other(t), self._data.J.reshape(6, n)
+        self._targets = [(self.R[sample], self.t[sample], self.J[sample]) for sample in range(most)]
 
     def place(self, sample: int, q: Vector) -> None:
         """Fill row `sample` with the placements at q (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
-        for target, source in self._copies[sample]:
-            target[:] = source
+        for target, source in zip(self._targets[sample], self._sources, strict=True):
+            target[...] = source
+
+
+def _one_behind_the_other(views: list[Array]) -> Array:
+    """One view of arrays that are members of the items of one C++ vector, and so equally far apart in memory."""
+    first, second, *_ = (view.__array_interface__["data"][0] for view in views)
+    return as_strided(views[0], (len(views), *views[0].shape), (second - first, *views[0].strides), writeable=False)
 
 
 class BrakingPath:

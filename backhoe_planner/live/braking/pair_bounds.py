@@ -15,7 +15,7 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
-from backhoe_planner.live.braking.separation import FAR, Separation
+from backhoe_planner.live.braking.separation import FAR, Memory, Separation, least_of_each
 from backhoe_planner.site import pace
 
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
@@ -30,13 +30,14 @@ class Near(NamedTuple):
     Attributes
     ----------
     pairs: (K,) their indices.
-    gaps: (K, V) from every corner of the link to the pair's plane [m].
-    least: (K,) the least of these [m].
+    gaps: (K, V) from every corner of the link to the pair's plane [m]; working memory.
+    nearest, least: (K,) the column of the least of these, and the least [m].
     distance, margin: (K,) proven lower bounds of the distance, and of distance minus clearance [m].
     """
 
     pairs: Indices
     gaps: Matrix
+    nearest: Indices
     least: Vector
     distance: Vector
     margin: Vector
@@ -87,6 +88,7 @@ class PairBounds:
         self.anything_moves = False
         self._path_odometer, self._start_odometer = np.zeros(classes), np.zeros(classes)
         self._moved_by = np.zeros(classes)
+        self._memory = Memory()
         self._accepted: tuple[Indices, Vector, Indices] | None = None
 
     # --- which pairs there are -----------------------------------------------------------
@@ -162,13 +164,13 @@ class PairBounds:
         lower = self._distance + self._distance_at - odometer
         pairs = (lower < self._within).nonzero()[0]
         if len(pairs) == 0:
-            return Near(pairs, np.zeros((0, 1)), np.zeros(0), np.zeros(0), np.zeros(0))
-        gaps = separation.gaps(pairs, at, 1)[0]
-        least = gaps.min(axis=1)
+            return Near(pairs, np.zeros((0, 1)), pairs, np.zeros(0), np.zeros(0), np.zeros(0))
+        gaps = separation.gaps(pairs, at, 1, memory=self._memory)[:, 0]
+        nearest, least = least_of_each(gaps)
         distance = np.maximum(least, lower.take(pairs))
         self._distance[pairs] = distance
         self._distance_at[pairs] = odometer.take(pairs)
-        return Near(pairs, gaps, least, distance, distance - separation.clearance.take(pairs))
+        return Near(pairs, gaps, nearest, least, distance, distance - separation.clearance.take(pairs))
 
     def pace(self, near: Near) -> float:
         """The part of the wished speed that the slow distances of zones leave."""

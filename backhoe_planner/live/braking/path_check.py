@@ -15,6 +15,8 @@ them are clear.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
@@ -22,7 +24,7 @@ from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
 from backhoe_planner.live.braking.joint_bounds import BRAKING, TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
-from backhoe_planner.live.braking.separation import Separation
+from backhoe_planner.live.braking.separation import Memory, Separation, least_of_each
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
 
 MOST_CANDIDATES = 24  # rows of one kind, among which those that bind are sought; chosen
@@ -49,6 +51,7 @@ class PathCheck:
     def __init__(self, separation: Separation, bounds: PairBounds, joints: JointBounds, at: Placements) -> None:
         self.separation, self.bounds, self.joints, self.at = separation, bounds, joints, at
         self._before = 0
+        self._memory = Memory()
         self._paths = self._rows = self._problems = self._iterations = 0
 
     # --- work --------------------------------------------------------------------------
@@ -112,7 +115,7 @@ class PathCheck:
         path.place(at)
         required, stands = self.bounds.required[pairs], self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
-        bound, gaps = separation.least_on(pairs, path, at, drift_time)
+        bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
         closely = np.zeros(len(pairs), dtype=bool)
         if (bound - required).min() >= BUFFER:
             return PathClearance(True, True, True, bound, gaps, closely)
@@ -168,8 +171,8 @@ class PathCheck:
             return
         until = separation.measured + left
         for row in again.tolist():
-            separation.renew(int(pairs[row]), at, int(gaps[:, row].min(axis=1).argmin()))
-        better, gaps[:, again] = separation.least_on(pairs[again], path, at, drift_time)
+            separation.renew(int(pairs[row]), at, int(gaps[row].min(axis=1).argmin()))
+        better, gaps[again] = separation.least_on(pairs[again], path, at, drift_time)
         bound[again] = np.maximum(bound[again], better)
         for row in again[(better < required[again] - TOLERANCE) & stands[again]].tolist():
             if separation.measured + CLOSER_LOOK > until:
@@ -177,7 +180,7 @@ class PathCheck:
             bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, at, 0.0))
             closely[row] = True
         if closely.any():
-            gaps[:, closely] = separation.gaps(pairs[closely], at, path.parts + 1)
+            gaps[closely] = separation.gaps(pairs[closely], at, path.parts + 1)
         self.bounds.renew_soon(pairs[again])
 
     def rows(self, awake: Awake, path: BrakingPath, found: PathClearance, *, firm: bool = False) -> tuple[Rows, ...]:
@@ -194,39 +197,36 @@ class PathCheck:
         stands = self.bounds.stands[pairs]
         classes = separation.classes[pairs]
         wanted = self.bounds.required[pairs] + BUFFER
-        room = found.gaps - (path.off_chord(separation.travel[classes]) + wanted)[None, :, None]
-        counts = room < (2.0 * budget[classes])[None, :, None]
-        counts[0] = False
-        # a pair that was measured closely keeps one plane, which is right where the pair is tightest
-        settled = found.closely & (found.bound >= wanted + 2.0 * budget[classes])
-        if settled.any():
-            counts[:, settled] = False
-        for row in (found.closely & ~settled).nonzero()[0].tolist():
-            tight = int(found.gaps[1:, row].min(axis=1).argmax()) + 1
-            only = counts[tight, row].copy()
-            counts[:, row] = False
-            counts[tight, row] = only
-        if np.count_nonzero(counts) <= MOST_CANDIDATES:
-            samples, k, corners = np.nonzero(counts)
-            if len(k) == 0:
-                return (Rows.none("braking", len(path.v)),)
+        needed = path.off_chord(separation.travel).take(classes) + wanted
+        within = needed + 2.0 * budget.take(classes)
+        corners_each = found.gaps.shape[2]
+        # of every pair, without the first sample: where the machine is, it is at any velocity
+        gaps = found.gaps.reshape(len(pairs), -1)[:, corners_each:]
+        if found.closely.any():
+            gaps = gaps.copy()
+            within[found.closely & (found.bound >= within - needed + wanted)] = -np.inf
+            # a pair that was measured closely keeps one plane, which is right where the pair is tightest
+            for row in found.closely.nonzero()[0].tolist():
+                of_samples = gaps[row].reshape(path.parts, corners_each)
+                tight = int(of_samples.min(axis=1).argmax())
+                of_samples[:tight], of_samples[tight + 1 :] = np.inf, np.inf
+        nearest, least = least_of_each(gaps)
+        binding = Candidates(gaps, within, nearest, least - needed, (least < within).nonzero()[0])
+        if len(binding.pairs) == 0:
+            return (Rows.none("braking", len(path.v)),)
+        chosen = binding.all_of(MOST_CANDIDATES)
+        if chosen is None and firm and not stands.all():
+            own, other = binding.among(stands).tightest(_OF_STANDING), binding.among(~stands)
+            k, columns = map(np.append, own, other.tightest(MOST_CANDIDATES - _OF_STANDING))
         else:
-            count, _, corners_each = room.shape
-            by_pair = (len(pairs), count * corners_each)
-            room_of, counts_of = room.transpose(1, 0, 2).reshape(by_pair), counts.transpose(1, 0, 2).reshape(by_pair)
-            if firm and not stands.all():
-                own, other = np.flatnonzero(stands), np.flatnonzero(~stands)
-                k, columns = tightest_of_each(room_of[own], counts_of[own], most=_OF_STANDING)
-                more = tightest_of_each(room_of[other], counts_of[other], most=MOST_CANDIDATES - _OF_STANDING)
-                k, columns = np.append(own[k], other[more[0]]), np.append(columns, more[1])
-            else:
-                k, columns = tightest_of_each(room_of, counts_of)
-            samples, corners = np.divmod(columns, corners_each)
+            k, columns = chosen or binding.tightest(MOST_CANDIDATES)
+        samples, corners = np.divmod(columns, corners_each)
+        samples += 1
         part = samples / path.parts
         G = separation.rows(pairs[k], samples, corners, self.at) @ path.D / path.look
-        h = room[samples, k, corners] / (part * path.look) + G @ path.v
+        h = (gaps[k, columns] - needed[k]) / (part * path.look) + G @ path.v
         # never ask for more than the start itself is short of
-        short = np.maximum(wanted[k] - found.gaps[0, k, corners], 0.0)
+        short = np.maximum(wanted[k] - found.gaps[k, 0, corners], 0.0)
         h = np.maximum(h, -2.0 * short)
         if not firm:
             return (Rows("braking", G, h),)
@@ -238,32 +238,52 @@ class PathCheck:
         )
 
 
-def tightest_of_each(room: Matrix, counts: Flags, *, most: int = MOST_CANDIDATES) -> tuple[Indices, Indices]:
-    """Of every pair the entries with the least room that count, at most `most` of all pairs together.
+class Candidates(NamedTuple):
+    """The corners that could become rows, of K pairs with M entries each.
 
-    So that a pair with many corners does not crowd out the others. Where there are more pairs
-    than that, those with the least room.
-
-    Parameters
+    Attributes
     ----------
-    room, counts: (K, M) for K pairs.
-
-    Returns
-    -------
-    Pair and column of each.
+    gaps: (K, M) of every corner [m].
+    within: (K,) gaps below this count [m].
+    nearest: (K,) the column of the least gap.
+    room: (K,) what is left of a pair's least gap, in the measure by which pairs are compared.
+    pairs: rows of the pairs of which a corner counts.
     """
-    left = np.where(counts, room, np.inf)
-    pairs = np.flatnonzero(counts.any(axis=1))
-    if len(pairs) == 0:
-        return pairs, pairs
-    if len(pairs) > most:
-        pairs = pairs[np.argpartition(left[pairs].min(axis=1), most - 1)[:most]]
-    each = min(most // len(pairs), room.shape[1])
-    columns = np.argpartition(left[pairs], each - 1, axis=1)[:, :each]
-    k = np.repeat(pairs, each)
-    columns = columns.reshape(-1)
-    real = counts[k, columns]
-    return k[real], columns[real]
+
+    gaps: Matrix
+    within: Vector
+    nearest: Indices
+    room: Vector
+    pairs: Indices
+
+    def among(self, those: Flags) -> Candidates:
+        """The same without the pairs for which `those` (K,) is false."""
+        return self._replace(pairs=self.pairs[those[self.pairs]])
+
+    def all_of(self, most: int) -> tuple[Indices, Indices] | None:
+        """Pair and column of every corner that counts; None where there are more than `most`."""
+        if len(self.pairs) > most:
+            return None
+        k, columns = np.nonzero(self.gaps[self.pairs] < self.within[self.pairs][:, None])
+        return (self.pairs[k], columns) if len(k) <= most else None
+
+    def tightest(self, most: int) -> tuple[Indices, Indices]:
+        """Pair and column of the corners with the least gaps of every pair, at most `most` of all pairs together.
+
+        So that a pair with many corners does not crowd out the others. Where there are more pairs
+        than that, those with the least room.
+        """
+        pairs = self.pairs
+        if len(pairs) > most:
+            pairs = pairs[np.argpartition(self.room[pairs], most - 1)[:most]]
+        if 2 * len(pairs) > most:
+            return pairs, self.nearest[pairs]
+        gaps = self.gaps[pairs]
+        each = min(most // max(len(pairs), 1), gaps.shape[1])
+        columns = np.argpartition(gaps, each - 1, axis=1)[:, :each].reshape(-1)
+        k = np.repeat(np.arange(len(pairs)), each)
+        real = gaps[k, columns] < self.within[pairs[k]]
+        return pairs[k[real]], columns[real]
 
 
 _NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=np.bool_))

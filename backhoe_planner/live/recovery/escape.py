@@ -176,7 +176,7 @@ class EscapeSearch:
         close = (least < self._clearance + max(margin, _BEYOND)).nonzero()[0]
         self._at.place(0, q)
         if len(close):  # the planes bound the distances everywhere
-            gaps = self._separation.gaps(self._pairs[close], self._at, 1)[0].min(axis=1)
+            gaps = self._separation.least_gaps(self._pairs[close], self._at, 0)
             least[close] = np.maximum(least[close], gaps)
             close = close[gaps < self._clearance[close] + max(margin, _BEYOND)]
         self.looked += 1

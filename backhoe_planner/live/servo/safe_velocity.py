@@ -27,7 +27,7 @@ from backhoe_planner.live.braking.joint_bounds import (
     VelocityRange,
 )
 from backhoe_planner.live.braking.pair_bounds import Awake, Near
-from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, PathCheck, tightest_of_each
+from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, Candidates, PathCheck
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, BLENDS, Recovery, RecoveryStep
 
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
@@ -251,17 +251,15 @@ class VelocityFilter:
         chosen = ((drift < 0.0) | too_close).nonzero()[0]
         if len(chosen) == 0:
             return self._nothing_comes
-        own = near.gaps[chosen]
-        counts = own < np.maximum(own.min(axis=1), clearance[chosen])[:, None] + _AS_NEAR
-        k, corners = np.nonzero(counts)
-        if len(k) > MOST_CANDIDATES:
-            # by the time that is left until the clearance is cut
-            comes = np.maximum(-drift[chosen], _SLOW)
-            k, corners = tightest_of_each((own - clearance[chosen][:, None]) / comes[:, None], counts)
-        G = separation.rows(near.pairs[chosen[k]], 0, corners, self._at)
-        comes = drift[chosen[k]]
+        within = np.maximum(near.least, clearance) + _AS_NEAR
+        # by the time that is left until the clearance is cut
+        room = (near.least - clearance) / np.maximum(-drift, _SLOW)
+        binding = Candidates(near.gaps, within, near.nearest, room, chosen)
+        k, corners = binding.all_of(MOST_CANDIDATES) or binding.tightest(MOST_CANDIDATES)
+        G = separation.rows(near.pairs[k], 0, corners, self._at)
+        comes = drift[k]
         moves = comes < 0.0
-        margin = own[k, corners] - clearance[chosen[k]] - np.where(moves, 2.0 * BUFFER, 0.0)
+        margin = near.gaps[k, corners] - clearance[k] - np.where(moves, 2.0 * BUFFER, 0.0)
         authority = 0.5 * np.abs(G) @ self._acceleration
         allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)

@@ -120,15 +120,10 @@ class TipTask:
 
     def _critical_points(self, near: Near) -> CriticalRows:
         """The rows that the law takes: one for each near pair, at its nearest point."""
-        acts = (near.margin < self.law.influence).nonzero()[0]
-        if len(acts) == 0:
+        if near.margin.min(initial=np.inf) >= self.law.influence:
             return _NOBODY
-        pairs = near.pairs[acts]
-        return CriticalRows(
-            margin=near.margin[acts],
-            gradient=-self._separation.nearest_rows(pairs, near.gaps[acts], near.least[acts], self._at),
-            drift=self._separation.drift.take(pairs),
-        )
+        gradient = -self._separation.nearest_rows(near.pairs, near.gaps, near.least, self._at)
+        return CriticalRows(near.margin, gradient, self._separation.drift.take(near.pairs))
 
     def _around(self, tip: Vector) -> Vector:
         """The wish for the tip (3,), turned along the surface that blocks it."""
