@@ -17,7 +17,10 @@ it imports `backhoe_planner` by its doors, and no script.
     signed_distances   exact distances of points to shapes, in plain numpy
     surfaces           points on every link's collision shape
     independent_check  the least distances of a whole motion, and what refutes a certificate
+    telescope          an excavator with a telescopic stick, as URDF text
+    processes          one function called for many items, in several processes
     planning_runs      the planner on many sites: rows, tables, comparisons
+    goal_runs          motions to a goal beside the best that is known, and beside their bound
     step_times         one obstacle course on which the steps of the law and the servo are timed
     servo_drives       a servo driven among obstacles that stand, appear and move
     recoveries         a servo that starts inside an obstacle or outside a limit

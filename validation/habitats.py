@@ -11,6 +11,7 @@ import numpy as np
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from validation.obstacles import MACHINES, Record, capsule, turned_box
+from validation.telescope import telescope_file
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Habitat:
 
     Attributes
     ----------
-    source, tip: what `load_robot` takes.
+    source, tip: what `load_robot` takes; a source None is the machine of `telescope`.
     low, high: (3,) corners of the box that the machine itself fills [m].
     clearance, influence: of the scene [m].
     far: least distance between start and goal of the tip [m].
@@ -27,7 +28,7 @@ class Habitat:
     extra: greatest margin of an obstacle that is close to the way [m].
     """
 
-    source: str
+    source: str | None
     tip: str | None
     low: tuple[float, float, float]
     high: tuple[float, float, float]
@@ -55,6 +56,10 @@ HABITATS = {
         source="example:panda", tip="panda_hand_tcp", low=(-0.2, -0.2, 0.0), high=(0.2, 0.2, 0.5),
         clearance=0.01, influence=0.2, far=0.3, length=(0.3, 2.0), extra=0.06,
     ),
+    "telescope": Habitat(
+        source=None, tip=None, low=(-3.2, -1.1, 0.0), high=(0.4, 1.1, 1.4),
+        clearance=0.05, influence=0.6, far=1.5, length=(0.6, 5.0), extra=0.2,
+    ),
 }  # fmt: skip
 assert tuple(HABITATS) == MACHINES
 
@@ -63,7 +68,7 @@ assert tuple(HABITATS) == MACHINES
 def load_machine(machine: str) -> bp.Robot:
     """The robot for which the sites of a machine are drawn; loaded once in a process."""
     habitat = HABITATS[machine]
-    return bp.load_robot(habitat.source, tip=habitat.tip)
+    return bp.load_robot(telescope_file() if habitat.source is None else habitat.source, tip=habitat.tip)
 
 
 def folded_ways(machine: str, start: Vector, goal: Vector) -> Iterator[Matrix]:
@@ -206,4 +211,5 @@ _NARROWS: dict[str, Callable[[int, np.random.Generator], Narrows]] = {
     "planar4": _narrow_planar,
     "backhoe": _narrow_backhoe,
     "panda": _narrow_panda,
+    "telescope": _narrow_backhoe,
 }

@@ -19,10 +19,10 @@ from backhoe_planner.arrays import Vector
 Triple = Sequence[float] | Vector
 Record = dict[str, Any]
 
-MACHINES = ("planar4", "backhoe", "panda")
+MACHINES = ("planar4", "backhoe", "panda", "telescope")
 
 # the backhoe's, 1 to 4 m long and 0.05 to 0.2 m thick, are cut down to the arm's reach
-_PIPE_SCALE = {"backhoe": 1.0, "planar4": 0.4, "panda": 0.2}
+_PIPE_SCALE = {"backhoe": 1.0, "planar4": 0.4, "panda": 0.2, "telescope": 1.0}
 
 
 def random_obstacle(machine: str, rng: np.random.Generator) -> Record:
@@ -170,11 +170,13 @@ _OBSTACLES: dict[str, Callable[[np.random.Generator], Record]] = {
     "planar4": _around_planar,
     "backhoe": _around_backhoe,
     "panda": _around_panda,
+    "telescope": _around_backhoe,
 }
 _FIXTURES: dict[str, Callable[[np.random.Generator], list[Record]]] = {
     "planar4": _fixtures_of_planar,
     "backhoe": _fixtures_of_backhoe,
     "panda": _fixtures_of_panda,
+    "telescope": _fixtures_of_backhoe,
 }
 
 

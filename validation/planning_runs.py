@@ -10,23 +10,21 @@ machine the multiple stays the same.
 from __future__ import annotations
 
 import json
-import multiprocessing
-import signal
-import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
 from validation.habitats import load_machine
 from validation.independent_check import refutations
+from validation.processes import call_for_all
 from validation.sites import Site, SiteKey, random_site
 from validation.tables import Row as TableRow
 from validation.tables import markdown
@@ -156,8 +154,6 @@ class Comparison:
 
 def run_site(key: SiteKey, settings: Settings) -> Row:
     """Draw a site, plan it, and hold the plan against the independent check where asked."""
-    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C
     known: dict[str, Any] = {"form": key.kind, "way_known": False, "blocked": False, "reference": None}
     begun = time.process_time()
     try:
@@ -201,40 +197,8 @@ def run(
     jobs: int = -1,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[list[Row], bool]:
-    """The rows of all sites in the order of the keys, and whether it was interrupted before the last.
-
-    Parameters
-    ----------
-    jobs: processes; -1 for one on each core, 1 for this process alone.
-    progress: is called with the number of sites done.
-    """
-    rows: list[Row] = []
-    results = _by_processes(keys, settings, jobs)
-    interrupted = False
-    try:
-        for row in results:
-            rows.append(row)
-            progress(len(rows))
-    except KeyboardInterrupt:
-        interrupted = len(rows) < len(keys)
-    finally:
-        results.close()
-    order = {key: place for place, key in enumerate(keys)}
-    return sorted(rows, key=lambda row: order[row.key]), interrupted
-
-
-def _by_processes(keys: Sequence[SiteKey], settings: Settings, jobs: int) -> Generator[Row, None, None]:
-    if jobs == 1:
-        yield from (run_site(key, settings) for key in keys)
-        return
-    calls = (delayed(run_site)(key, settings) for key in keys)
-    try:
-        yield from Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")(calls)
-    except (KeyboardInterrupt, GeneratorExit):
-        from joblib.externals.loky import get_reusable_executor
-
-        get_reusable_executor().shutdown(wait=True, kill_workers=True)
-        raise
+    """The rows of all sites in the order of the keys, and whether it was interrupted; see `call_for_all`."""
+    return call_for_all(partial(run_site, settings=settings), keys, jobs=jobs, progress=progress)
 
 
 def all_keys(

@@ -1,0 +1,97 @@
+#!/usr/bin/env python
+"""How good motions to a goal are, beside the best known of the same site and a proven bound.
+
+For each group of random sites (validation/sites.py): the part that was verified, cost over
+the best known, processor time, cost over the bound that the plan proves, and how far apart the
+results of several planning seeds are. `below bound` must be 0. What is best known is kept in
+a file; runs with other seeds and more effort make it better.
+
+    python scripts/bench_goals.py --sites 10 --best best.json
+    python scripts/bench_goals.py --sites 10 --best best.json --effort thorough --planning-seeds 1 2 3
+    python scripts/bench_goals.py --sites 10 --best best.json --objective work
+
+Ctrl-C ends the run and prints what is done. The exit status is 1 where an exception was raised
+or a motion is below a bound, 130 after Ctrl-C, else 0.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"  # one site to a core; before numpy is imported
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import backhoe_planner as bp
+from backhoe_planner.files.output_file import check_writable
+from backhoe_planner.motion import OBJECTIVES
+from backhoe_planner.planning import EFFORTS
+from validation import goal_runs as runs
+from validation.obstacles import MACHINES
+from validation.planning_runs import all_keys
+from validation.sites import KINDS
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sites", type=int, default=10, help="in each group")
+    parser.add_argument("--machines", nargs="+", choices=MACHINES, default=MACHINES)
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--seed", type=int, default=0, help="of the sites")
+    parser.add_argument("--planning-seeds", nargs="+", type=int, default=[0], metavar="SEED")
+    parser.add_argument("--effort", choices=list(EFFORTS), default="normal")
+    parser.add_argument("--objective", choices=list(OBJECTIVES), default="time")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
+    parser.add_argument("--best", type=Path, metavar="FILE.json", help="the best known; it is read and made better")
+    parser.add_argument("--save", type=Path, metavar="FILE.json", help="every row of this run")
+    options = parser.parse_args(arguments)
+    if options.sites < 1 or options.seed < 0 or options.jobs == 0 or min(options.planning_seeds) < 0:
+        parser.error("--sites and --jobs must be greater than 0, --seed and --planning-seeds not negative")
+    best = runs.Best()
+    try:
+        for path in (options.best, options.save):
+            if path:
+                check_writable(path)
+        best = runs.Best.load(options.best) if options.best else best
+    except (bp.OutputError, OSError, ValueError, KeyError, TypeError) as error:
+        parser.error(str(error))
+    keys = all_keys(options.sites, machines=options.machines, kinds=options.kinds, tasks=["goal"], seed=options.seed)
+    settings = runs.Settings(options.effort, options.objective, tuple(options.planning_seeds))
+
+    def progress(done: int) -> None:
+        if sys.stderr.isatty():
+            print(f"\r{done} of {len(keys)} ", end="", file=sys.stderr, flush=True)
+
+    rows, interrupted = runs.run(keys, settings, jobs=options.jobs, progress=progress)
+    if interrupted:
+        print(f"interrupted: {len(rows)} plans are done")
+    if not rows:
+        return 130
+    best.add_rows(rows, settings.effort)
+    if options.best:
+        best.save(options.best)
+    if options.save:
+        runs.save_rows(options.save, rows, settings)
+    below = _report(rows, best, settings)
+    return 130 if interrupted else int(below or any(row.verdict == "error" for row in rows))
+
+
+def _report(rows: Sequence[runs.Row], best: runs.Best, settings: runs.Settings) -> bool:
+    """Print the figures; whether a motion is below a bound."""
+    seeds = ", ".join(map(str, settings.planning_seeds))
+    print(f"{len(rows)} plans, effort {settings.effort}, objective {settings.objective}, planning seeds {seeds}\n")
+    print(runs.table(rows, best))
+    if failed := runs.failures(rows):
+        print(f"\nnot verified:\n{failed}")
+    below = runs.violations(rows, best)
+    for name in below:
+        print(f"\nbelow its bound: {name}")
+    return bool(below)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

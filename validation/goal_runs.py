@@ -1,0 +1,291 @@
+"""Motions to a goal beside the best that is known: duration or cost, bound, and spread over seeds.
+
+Every random site is planned with one or several seeds of the planner. The best motion known
+of a site is kept in a file from run to run: whatever finds a better one, by another seed, more
+effort or another planner, makes the ratios of all others larger. It is kept with a digest of the
+scene, so that a site that is drawn otherwise than before begins anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import backhoe_planner as bp
+from backhoe_planner.files.output_file import whole_file
+from validation.habitats import load_machine
+from validation.processes import call_for_all
+from validation.sites import Site, SiteKey, random_site
+from validation.tables import Row as TableRow
+from validation.tables import markdown, percent
+
+VERSION = 1
+WITHIN = (1.03, 1.1, 1.3)  # times the best known: the shares of motions within these are counted
+_ROUNDING = 1e-6  # part of a bound by which a motion may be below it
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The settings with which every site is planned."""
+
+    effort: str = "normal"
+    objective: str = "time"
+    planning_seeds: tuple[int, ...] = (0,)
+
+
+@dataclass(frozen=True)
+class Row:
+    """The result on one site with one seed of the planner.
+
+    Attributes
+    ----------
+    planning_seed: of the planner, not of the site.
+    verdict: ``verified``, ``failed``, or ``error`` where an exception was raised.
+    seconds: planning time on the processor [s].
+    cost: of the motion by the objective, in its unit; of verified plans only, else None.
+    duration: of the motion [s]; likewise.
+    bound: proven, no motion costs less; None where the plan has none.
+    digest: of the scene.
+    """
+
+    machine: str
+    kind: str
+    index: int
+    seed: int
+    planning_seed: int
+    objective: str
+    digest: str
+    way_known: bool
+    verdict: str
+    reason: str
+    message: str
+    seconds: float
+    cost: float | None = None
+    duration: float | None = None
+    bound: float | None = None
+
+    @property
+    def key(self) -> SiteKey:
+        """The name of the site."""
+        return SiteKey(self.machine, self.kind, "goal", self.index, self.seed)
+
+    @property
+    def name(self) -> str:
+        """Of the site, its seed and the objective; in the file of the best."""
+        return name_of(self.key, self.objective)
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """(machine, kind)."""
+        return self.machine, self.kind
+
+    @property
+    def verified(self) -> bool:
+        """Whether the plan is verified."""
+        return self.verdict == "verified"
+
+
+def name_of(key: SiteKey, objective: str) -> str:
+    """A site and an objective in the file of the best."""
+    return f"{key}, seed {key.seed}, {objective}"
+
+
+# --- the best known -----------------------------------------------------------------
+
+
+@dataclass
+class Best:
+    """The least cost known of every site, and what found it.
+
+    Attributes
+    ----------
+    costs: by `name_of` and digest of the scene.
+    found_by: likewise, in words.
+    """
+
+    costs: dict[tuple[str, str], float] = field(default_factory=dict)
+    found_by: dict[tuple[str, str], str] = field(default_factory=dict)
+
+    def add(self, name: str, digest: str, cost: float, found_by: str) -> None:
+        """A motion that was verified."""
+        place = (name, digest)
+        if cost < self.costs.get(place, np.inf):
+            self.costs[place], self.found_by[place] = cost, found_by
+
+    def add_rows(self, rows: Iterable[Row], effort: str) -> None:
+        """All verified motions of a run."""
+        for row in rows:
+            if row.cost is not None:
+                self.add(row.name, row.digest, row.cost, f"{effort}, seed {row.planning_seed}")
+
+    def of(self, row: Row) -> float:
+        """The least known cost of a row's site; NaN where none is known."""
+        return self.costs.get((row.name, row.digest), np.nan)
+
+    @staticmethod
+    def load(path: Path) -> Best:
+        """What was saved; nothing where there is no such file.
+
+        Raises
+        ------
+        ValueError: the file is not one that `save` wrote.
+        """
+        if not path.exists():
+            return Best()
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict) or content.get("version") != VERSION or "best" not in content:
+            raise ValueError(f"{path} is not a file of the best known, version {VERSION}")
+        best = Best()
+        for entry in content["best"]:
+            best.add(entry["site"], entry["scene"], entry["cost"], entry["found by"])
+        return best
+
+    def save(self, path: Path) -> None:
+        """Write the file, whole or not at all."""
+        entries = [
+            {"site": name, "scene": digest, "cost": cost, "found by": self.found_by[name, digest]}
+            for (name, digest), cost in sorted(self.costs.items())
+        ]
+        with whole_file(path) as stream:
+            stream.write(json.dumps({"version": VERSION, "best": entries}, indent=1, allow_nan=False) + "\n")
+
+
+# --- one site -----------------------------------------------------------------------
+
+
+def with_objective(scene: bp.Scene, objective: str) -> bp.Scene:
+    """The scene, to be planned for the least of an objective."""
+    return scene.model_copy(update={"objective": objective})
+
+
+def digest_of(scene: bp.Scene) -> str:
+    """A few letters that differ where anything differs but the objective and the name."""
+    content = scene.model_dump(by_alias=True, exclude_unset=True, exclude={"objective", "name"}, mode="json")
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def cost_of(plan: bp.Plan, objective: str) -> float:
+    """What the motion of a plan costs, in the objective's unit."""
+    return float(plan.metrics.duration if objective == "time" else plan.metrics.energy[objective])
+
+
+def run_site(key: SiteKey, settings: Settings, draw: Callable[[bp.Robot, SiteKey], Site] = random_site) -> list[Row]:
+    """Draw a site and plan it, with every seed of the planner."""
+    robot = load_machine(key.machine)
+    site = draw(robot, key)
+    scene = with_objective(site.scene, settings.objective)
+    about: dict[str, Any] = {
+        "machine": key.machine, "kind": key.kind, "index": key.index, "seed": key.seed,
+        "objective": settings.objective, "digest": digest_of(scene), "way_known": site.way_known,
+    }  # fmt: skip
+    return [_run(robot, scene, seed, settings, about) for seed in settings.planning_seeds]
+
+
+def _run(robot: bp.Robot, scene: bp.Scene, seed: int, settings: Settings, about: Mapping[str, Any]) -> Row:
+    begun = time.process_time()
+    try:
+        plan = bp.plan(robot, scene, seed=seed, effort=settings.effort)
+        seconds = time.process_time() - begun
+        found: dict[str, Any] = {"verdict": plan.verdict, "reason": plan.reason, "message": plan.message}
+        if plan.verified:
+            found |= {"cost": cost_of(plan, settings.objective), "duration": float(plan.metrics.duration)}
+            bound = getattr(plan, "bound", None)
+            found["bound"] = None if bound is None else float(bound)
+    except Exception as error:  # noqa: BLE001  an exception is a finding, not the end of the run
+        seconds = time.process_time() - begun
+        found = {"verdict": "error", "reason": "error", "message": f"{type(error).__name__}: {error}"}
+    return Row(**about, **found, planning_seed=seed, seconds=seconds)
+
+
+def run(
+    keys: Sequence[SiteKey],
+    settings: Settings,
+    *,
+    draw: Callable[[bp.Robot, SiteKey], Site] = random_site,
+    jobs: int = -1,
+    progress: Callable[[int], None] = lambda done: None,
+) -> tuple[list[Row], bool]:
+    """The rows of all sites in the order of the keys, and whether it was interrupted; see `call_for_all`."""
+    found, interrupted = call_for_all(
+        partial(run_site, settings=settings, draw=draw), keys, jobs=jobs, progress=progress
+    )
+    return [row for rows in found for row in rows], interrupted
+
+
+# --- figures ------------------------------------------------------------------------
+
+
+def spreads(rows: Sequence[Row]) -> list[float]:
+    """Of every site that was planned with several seeds: the greatest cost over the least."""
+    costs: dict[str, list[float]] = {}
+    for row in rows:
+        if row.cost is not None:
+            costs.setdefault(row.name, []).append(row.cost)
+    return [_ratio(max(found), min(found)) for found in costs.values() if len(found) > 1]
+
+
+def violations(rows: Sequence[Row], best: Best) -> list[str]:
+    """The sites with a verified motion, of any run, below a bound that was proven for the same site."""
+    bounds: dict[str, float] = {}
+    for row in rows:
+        if row.bound is not None:
+            bounds[row.name] = max(row.bound, bounds.get(row.name, -np.inf))
+    least = {row.name: best.of(row) for row in rows}
+    return [name for name, bound in bounds.items() if least[name] < bound * (1.0 - _ROUNDING)]
+
+
+def table(rows: Sequence[Row], best: Best) -> str:
+    """The figures of every group, and of all of them, as text."""
+    groups = dict.fromkeys(row.group for row in rows)
+    lines = [_figures(" ".join(group), [row for row in rows if row.group == group], best) for group in groups]
+    return markdown([*lines, _figures("all", rows, best)] if len(groups) > 1 else lines)
+
+
+def _figures(name: str, rows: Sequence[Row], best: Best) -> TableRow:
+    # what is not verified is within nothing
+    ratios = [np.inf if row.cost is None else _ratio(row.cost, best.of(row)) for row in rows]
+    over_bound = [_ratio(row.cost, row.bound) for row in rows if row.cost is not None and row.bound is not None]
+    return {
+        "group": name,
+        "sites": len({row.name for row in rows}),
+        "verified": f"{percent(row.verified for row in rows):.1f} %",
+        "/ best: median, p90, max": _spread([ratio for ratio in ratios if np.isfinite(ratio)]),
+        **{f"within {part:g}": f"{percent(ratio <= part for ratio in ratios):.0f} %" for part in WITHIN},
+        "CPU s: median, p90, max": _spread([row.seconds for row in rows]),
+        "/ bound: median": float(np.median(over_bound)) if over_bound else np.nan,
+        "below bound": len(violations(rows, best)) if over_bound else np.nan,
+        "seeds, worst / best: median, p90": _spread(spreads(rows), parts=(0.5, 0.9)),
+    }
+
+
+def _ratio(a: float, b: float) -> float:
+    """`a` over `b`; two costs of nothing are equal."""
+    return a / b if b > 0.0 else (1.0 if a <= b else np.inf)
+
+
+def _spread(values: Sequence[float], parts: Sequence[float] = (0.5, 0.9, 1.0)) -> str:
+    return ", ".join(f"{np.quantile(values, part):.3g}" for part in parts) if len(values) else "-"
+
+
+def failures(rows: Sequence[Row]) -> str:
+    """Every row that is not verified, in a line."""
+    return "\n".join(
+        f"  {row.name}, planned with seed {row.planning_seed}{' (a way is known)' if row.way_known else ''}: "
+        f"{row.reason}, {row.message}"
+        for row in rows if not row.verified
+    )  # fmt: skip
+
+
+def save_rows(path: Path, rows: Sequence[Row], settings: Settings) -> None:
+    """Write a run as JSON, whole or not at all."""
+    content = {"version": VERSION, "settings": asdict(settings), "rows": [asdict(row) for row in rows]}
+    with whole_file(path) as stream:
+        stream.write(json.dumps(content, indent=1, allow_nan=False) + "\n")
