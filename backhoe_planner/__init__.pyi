@@ -35,6 +35,7 @@ from .machine import digging_forces as digging_forces
 from .machine import load_robot as load_robot
 from .machine import solve_inverse_kinematics as solve_inverse_kinematics
 from .motion import Detour as Detour
+from .motion import Goal as Goal
 from .motion import Moments as Moments
 from .motion import Problem as Problem
 from .motion import TipPath as TipPath

@@ -219,7 +219,16 @@ def calls() -> dict[str, Call]:
         "TipTarget": call(
             lambda **keys: bp.TipTarget(**keys).distances(at()), position=(np.ones(3), vector(3)),
             pitch=((0.1, 0.2), optional(vector(2))), rotation=(np.eye(3), optional(MATRIX)),
+            rotation_tolerance=(0.1, Kind((*NUMBER.bad, -1.0))),
         ),
+        "Goal": call(
+            lambda **keys: bp.Goal(**keys).error(at()), target=(target, THING), q=(Q, optional(vector(4))),
+            name=("goal", only(None, {"a": 1}, OBJECT, [], 3.0)), rotation_tolerance=(0.1, optional(POSITIVE)),
+        ),
+        "Goal.error": call(bp.Goal(target).error, at=(at(), THING)),
+        "Goal.jacobian": call(bp.Goal(target, q=Q).jacobian, at=(at(), THING)),
+        "Goal.distances": call(bp.Goal(target).distances, at=(at(), THING)),
+        "Goal.shortfall": call(bp.Goal(target).shortfall, at=(at(), THING), lists=False),
         "TipTarget.pitch_excess": call(target.pitch_excess, pitch=(0.3, NUMBER)),
         "TipTarget.error": call(target.error, at=(at(), THING)),
         "TipTarget.jacobian": call(target.jacobian, at=(at(), THING)),

@@ -102,8 +102,7 @@ def _touches(problem: Problem, motion: bp.Trajectory) -> bool:
 
 def _unshielded(problem: Problem, *, null_space: bool) -> tuple[bp.Trajectory, bool]:
     """The law alone, at the pace that the joint rates allow, and whether it arrives."""
-    robot, goal = problem.robot, problem.goal
-    assert goal is not None
+    robot, goal = problem.robot, problem.goals[0].target
     assert problem.start_q is not None
     kinematics, proximity = bp.Kinematics(robot), bp.Proximity(robot, problem.obstacles)
     law = CompletedLaw(robot, influence=problem.scene.influence, directionality=null_space)
@@ -124,8 +123,7 @@ def _unshielded(problem: Problem, *, null_space: bool) -> tuple[bp.Trajectory, b
 
 def _printed(problem: Problem) -> tuple[bp.Trajectory, bool]:
     """Equation (12), one iteration a second, and whether it ends on the goal."""
-    robot, goal = problem.robot, problem.goal
-    assert goal is not None
+    robot, goal = problem.robot, problem.goals[0].target
     assert problem.start_q is not None
     kinematics, proximity = bp.Kinematics(robot), bp.Proximity(robot, problem.obstacles)
     q = run_iteration(problem, problem.start_q, goal, proximity=proximity, kinematics=kinematics)

@@ -241,8 +241,7 @@ def count_point_scenes(count: int, seed: int) -> list[Row]:
 
 def first_attempt(problem: Problem, *, null_space: bool = True) -> tuple[bp.Trajectory, bool]:
     """The completed law's first attempt, straight for the goal, and whether it arrives."""
-    assert problem.goal is not None
-    attempts = approach_goal(stepper_at_start(problem), problem.goal, [], work=Work(), null_space=null_space)
+    attempts = approach_goal(stepper_at_start(problem), problem.goals[0], [], work=Work(), null_space=null_space)
     attempt = next(iter(attempts))
     return attempt.stepper.trajectory(), attempt.arrived
 
@@ -280,14 +279,13 @@ TERMS = (
 
 def drive(problem: Problem, terms: Terms, *, longest: float = 60.0) -> tuple[bool, float]:
     """The completed law with some of its terms, straight for the goal: (arrived, duration [s])."""
-    assert problem.goal is not None
     stepper = stepper_at_start(problem)
     limits = problem.limits
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, directionality=terms.directionality)
     best, since = np.inf, 0.0
     while stepper.time < longest:
         at, nearby = stepper.look()
-        error, J = problem.goal.error(at)[:2], at.jacobian[:2]
+        error, J = problem.goals[0].error(at)[:2], at.jacobian[:2]
         left = float(np.linalg.norm(error))
         if left < 2e-5 and stepper.stopped():
             stepper.stop()

@@ -58,9 +58,17 @@ def _print_tracking_error(found: bp.Plan) -> None:
         )
 
 
+def _print_goal(found: bp.Plan) -> None:
+    """Which of several goals is reached; nothing where there is one, or a path."""
+    goals, number = found.problem.goals, found.certificate.goal
+    if len(goals) > 1 and number is not None:
+        OUT.print(f"goal          {number} of {len(goals)} is reached")
+
+
 def _print_motion(found: bp.Plan) -> None:
     metrics, tracking = found.metrics, found.certificate.tracking
     angle = f", {DEGREES * tracking.max_angle_error:.2f} deg" if _asks_angle(found) else ""
+    _print_goal(found)
     OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{angle} at most")
     for detour in metrics.detours:
         OUT.print(
@@ -109,6 +117,7 @@ def print_certificate(plan: bp.Plan) -> None:
     print_recording(plan)
     if not live.is_recording(plan):
         _print_tracking_error(plan)
+        _print_goal(plan)
         OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
     speed = certificate.tip_speed
     if speed is not None:
@@ -196,6 +205,6 @@ def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:
 
 
 def _asks_angle(found: bp.Plan) -> bool:
-    task = found.scene.task
-    poses = [task.goal] if task.goal is not None else found.scene.waypoints()
-    return any(pose.pitch is not None or pose.rotation is not None for pose in poses if pose is not None)
+    number = found.certificate.tracking.goal
+    asked = [found.problem.goals[number - 1].target] if number else [pose.target for pose in found.scene.waypoints()]
+    return any(target.pitch is not None or target.rotation is not None for target in asked)

@@ -181,11 +181,15 @@ def _spell(place: KeyPath) -> str:
 
 def _keys_at(loc: tuple[str | int, ...], root: type[BaseModel], variants: Mapping[str, type[BaseModel]]) -> list[str]:
     """The keys that may stand where `loc` points, from the schema itself."""
-    node = root
+    node, choices = root, [root]
     for part in loc[:-1]:
         fields = [field for name, field in node.model_fields.items() if part in (name, field.alias)]
         below = [record for field in fields for record in _models_in(field.annotation)]
-        node = below[0] if below else variants.get(str(part), node)
+        if below:
+            node, choices = below[0], below
+        else:  # an index, or what pydantic adds for the member of a union: its tag, or the name of its record
+            named = [record for record in choices if record.__name__ == part]
+            node = named[0] if named else variants.get(str(part), node)
     return [field.alias or name for name, field in node.model_fields.items()]
 
 

@@ -72,4 +72,4 @@ def unrecorded_changes(plan: Plan) -> tuple[str, ...]:
 
 def problem_to_show(plan: Plan) -> Problem:
     """The problem of a plan for pictures and pages, where that of a recording has no goal."""
-    return replace(plan.problem, goal=None, path=None) if is_recording(plan) else plan.problem
+    return replace(plan.problem, goals=(), path=None) if is_recording(plan) else plan.problem

@@ -115,7 +115,7 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
         obstacles=query.obstacles,
         start_q=query.q,
         start_target=None,
-        goal=None,
+        goals=(),
         path=None,
     )
     work = Work(_EFFORTS[min(query.attempt, len(_EFFORTS) - 1)], Brake(LONGEST))

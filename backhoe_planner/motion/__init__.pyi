@@ -1,6 +1,7 @@
 from .costs import PathCost as PathCost
 from .costs import trajectory_costs as trajectory_costs
 from .costs import trajectory_energy as trajectory_energy
+from .goals import Goal as Goal
 from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import Nodes as Nodes
 from .orientation import angle_bounds as angle_bounds
@@ -25,7 +26,7 @@ from .timing.timing import time_way as time_way
 from .tracking import Detour as Detour
 from .tracking import Tracking as Tracking
 from .tracking import progress as progress
-from .tracking import track_goal as track_goal
+from .tracking import track_goals as track_goals
 from .tracking import track_path as track_path
 from .trajectory import SAMPLE_PERIOD as SAMPLE_PERIOD
 from .trajectory import Moments as Moments

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError, SceneError
-from backhoe_planner.machine import JointLimits, Robot, TipTarget
+from backhoe_planner.machine import JointLimits, Kinematics, Robot, TipTarget
+from backhoe_planner.motion.goals import Goal
 from backhoe_planner.motion.objectives import find_objective
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import (
     Gains,
+    JointsGoal,
     Obstacle,
     Pose,
     Scene,
@@ -36,7 +38,7 @@ class Problem:
     start_q: (n,) where the joints stand; None where the start is given by the tip, or
         left to the planner.
     start_target: the tip's pose at the start, where that is how it is given.
-    goal: where the tip is to arrive, or None.
+    goals: where the motion may end, any of them; none where a path is followed.
     path: what the tip is to follow, or None.
     """
 
@@ -46,7 +48,7 @@ class Problem:
     obstacles: tuple[Obstacle, ...]
     start_q: Vector | None
     start_target: TipTarget | None
-    goal: TipTarget | None
+    goals: tuple[Goal, ...]
     path: TipPath | None
 
     @property
@@ -83,7 +85,6 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         )
     find_objective(scene.objective, robot, file=scene.file)
     start_q, start_target = _start(robot, scene)
-    goal = None if scene.task.goal is None else _target(robot, scene, scene.task.goal, "task.goal")
     path = None
     if scene.task.path is not None:
         waypoints = scene.waypoints()
@@ -93,7 +94,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         path = TipPath([waypoints[number - 1] for number in numbers], numbers=numbers)
     return Problem(
         robot, scene, limits=scaled_limits(robot, scene), obstacles=build_obstacles(scene, robot),
-        start_q=start_q, start_target=start_target, goal=goal, path=path,
+        start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,
     )  # fmt: skip
 
 
@@ -126,13 +127,33 @@ def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]
         return None, None
     if scene.start.tip is not None:
         return None, _target(robot, scene, scene.start.tip, "start.tip")
-    joints = scene.start.joints
-    assert joints is not None
-    check_joint_names(robot, scene, joints, key="start.joints")
+    assert scene.start.joints is not None
+    return _posture(robot, scene, scene.start.joints, "start.joints"), None
+
+
+def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
+    """Every goal of the task, by the tip's pose or by the joints."""
+    found = []
+    listed = isinstance(scene.task.goal, tuple)
+    for index, spec in enumerate(scene.task.goals):
+        key = f"task.goal[{index}]" if listed else "task.goal"
+        name = f"goal {index + 1}" if len(scene.task.goals) > 1 else "goal"
+        if isinstance(spec, JointsGoal):
+            q = _posture(robot, scene, spec.joints, f"{key}.joints")
+            at = Kinematics(robot).at(q)
+            found.append(Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name=name))
+        else:
+            found.append(Goal(_target(robot, scene, spec, key), name=name, rotation_tolerance=spec.rotation_tolerance))
+    return tuple(found)
+
+
+def _posture(robot: Robot, scene: Scene, joints: Mapping[str, float], key: str) -> Vector:
+    """(n,) positions of all joints, given by name [rad or m]; SceneError where one is unknown or missing."""
+    check_joint_names(robot, scene, joints, key=key)
     missing = [name for name in robot.joint_names if name not in joints]
     if missing:
-        raise SceneError(f"joints are missing: {', '.join(missing)}", file=scene.file, key="start.joints")
-    return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints"), None
+        raise SceneError(f"joints are missing: {', '.join(missing)}", file=scene.file, key=key)
+    return robot.check_q([joints[name] for name in robot.joint_names], what=key)
 
 
 def _target(robot: Robot, scene: Scene, pose: Pose, key: str) -> TipTarget:

@@ -14,14 +14,13 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
-from backhoe_planner.machine import Kinematics, TipTarget, bend_weights, tip_travel_bound
+from backhoe_planner.machine import Kinematics, bend_weights, tip_travel_bound
+from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
 from backhoe_planner.motion.orientation import angle_bounds
 from backhoe_planner.motion.path import TURN_LEVER, TipPath
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import Obstruction
 
-GOAL_TOLERANCE = 1e-3  # m at which a goal is reached; chosen, far below what a machine's control can do
-ANGLE_TOLERANCE = 1e-2  # rad at which an asked angle is reached; chosen, half a degree
 _BEGINNING = 0.1  # part of the path; chosen: while less is done, the tip may still be approaching
 _BESIDE = 10.0  # tolerances before and behind an end of a detour in which the tip swings out or in; chosen
 _SAME_PLACE = 1e-6  # m: chosen, nearer by less is rounding of a joint path
@@ -87,6 +86,7 @@ class Tracking:
     detours: where it left the path.
     max_speed, max_speed_time: of the tip on the followed parts [m/s], and when [s];
         10 tolerances next to a detour, where it swings out and in again, do not count.
+    goal: number of the goal at which the motion ends, or of the nearest, from 1; 0 for a path.
     """
 
     done: bool
@@ -100,23 +100,24 @@ class Tracking:
     detours: tuple[Detour, ...] = ()
     max_speed: float = 0.0
     max_speed_time: float = 0.0
+    goal: int = 0
 
 
-def track_goal(goal: TipTarget, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
-    """How close the tip is to `goal` at the last sample.
+def track_goals(goals: Sequence[Goal], trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
+    """How close the last sample is to the first of `goals` that is reached, else to the nearest.
 
     Parameters
     ----------
-    goal: where the tip is to arrive.
+    goals: where the motion may end, at least one.
     trajectory, kinematics: the motion, and the machine that makes it.
     """
-    position, angle = goal.distances(kinematics.at(trajectory.q[-1]))
-    missing = []
-    if position > GOAL_TOLERANCE:
-        missing.append(f"the tip ends {position:.3f} m from the goal")
-    if angle > ANGLE_TOLERANCE:
-        missing.append(f"the bucket ends {np.degrees(angle):.1f} deg from the asked angle")
-    return Tracking(not missing, " and ".join(missing), position, position, angle)
+    at = kinematics.at(trajectory.q[-1])
+    short = [goal.shortfall(at) for goal in goals]
+    reached = [number for number, missing in enumerate(short) if not missing]
+    misses = [float(np.linalg.norm(goal.error(at))) for goal in goals]
+    number = reached[0] if reached else int(np.argmin(misses))
+    position, angle = goals[number].distances(at)
+    return Tracking(not short[number], short[number], position, position, angle, goal=number + 1)
 
 
 def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:

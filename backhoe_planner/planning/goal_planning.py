@@ -5,39 +5,36 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from backhoe_planner.arrays import Vector
 from backhoe_planner.law import run_iteration
-from backhoe_planner.machine import TipTarget
-from backhoe_planner.motion import drive_of, retime, time_polyline
-from backhoe_planner.planning.outcome import Outcome, no_posture
+from backhoe_planner.motion import Goal, drive_of, retime, time_polyline
+from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.reactive.law_timing import shortest_time, speed_up
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.effort import Brake, OutOfTime
-from backhoe_planner.planning.search.postures import PostureResult
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
 
-_LONG_SEARCH = 8  # times the usual starting points, before a goal is said to be in collision; chosen
 _MOST_POSTURES = 8  # that the law is sent to, one attempt each; chosen
 
 
 @dataclass(frozen=True, eq=False)
 class ToGoal:
-    """The task of bringing the tip to a goal, at rest there.
+    """The task of ending at one of several goals, at rest there.
 
     In all methods `stepper` is the motion so far; it stays as it is.
     """
 
-    goal: TipTarget
+    goals: tuple[Goal, ...]
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """From rest by the law straight to the goal, else by a sampled way, else by the other ways of the law."""
-        found = self._postures(world, stepper)
+        """From rest by the law straight to a goal, else by a sampled way, else by the other ways of the law."""
+        found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         if isinstance(found, Outcome):
             return found
-        straight = next(approach_goal(stepper, self.goal, (), work=world.work))
+        straight = self._straight(world, stepper, [goal for goal, _ in found.by_goal()])
         try:
             if straight.arrived:
                 return _faster_way(world, stepper, straight, found)
@@ -49,44 +46,46 @@ class ToGoal:
             return describe_attempts([straight], world.work.brake)
         if isinstance(transit, Stepper):
             return Outcome(transit.trajectory(), findings=Findings(way="sampled"))
-        outcome = self._attempts(world, stepper, found.clear)
+        outcome = self._attempts(world, stepper, found)
         return replace(outcome, message=f"{outcome.message}; {transit}") if outcome.reason else outcome
 
     def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
-        """By the law straight to the goal, from a motion that need not be at rest; None where it does not arrive."""
-        attempt = next(approach_goal(stepper, self.goal, (), work=world.work))
+        """By the law straight to a goal, from a motion that need not be at rest; None where it does not arrive."""
+        attempt = self._straight(world, stepper, self.goals)
         return Outcome(attempt.stepper.trajectory(), findings=Findings(way=attempt.way)) if attempt.arrived else None
 
     def by_law(self, world: World, stepper: Stepper) -> Outcome:
         """From rest by the completed law alone."""
-        found = self._postures(world, stepper)
-        return found if isinstance(found, Outcome) else self._attempts(world, stepper, found.clear)
+        found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
+        return found if isinstance(found, Outcome) else self._attempts(world, stepper, found)
 
     def by_paper(self, world: World, stepper: Stepper) -> Outcome:
-        """By the paper's iteration as it is printed; its steps are timed afterwards."""
-        steps = run_iteration(
-            world.problem, stepper.q, self.goal, proximity=world.proximity, kinematics=world.kinematics
-        )
+        """By the paper's iteration as it is printed, to the first goal; its steps are timed afterwards."""
+        target = self.goals[0].target
+        steps = run_iteration(world.problem, stepper.q, target, proximity=world.proximity, kinematics=world.kinematics)
         return Outcome(time_polyline(steps, world.problem.limits), findings=Findings(iterations=len(steps) - 1))
 
-    def _postures(self, world: World, stepper: Stepper) -> PostureResult | Outcome:
-        """Clear configurations on the goal; or why there is none."""
-        count = world.work.effort.starting_points
-        found = world.postures.at(self.goal, near=stepper.q, count=count, time=stepper.time)
-        if found.best.reached and not found.clear:
-            found = world.postures.at(self.goal, near=stepper.q, count=_LONG_SEARCH * count, time=stepper.time)
-        return no_posture(world, found, self.goal, "goal_in_collision", "goal") or found
+    def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:
+        """The law straight to the first of `goals` at which that arrives, else the attempt that came nearest."""
+        attempts = []
+        for goal in goals:
+            attempts.append(next(approach_goal(stepper, goal, (), work=world.work)))
+            if attempts[-1].arrived:
+                return attempts[-1]
+        return min(attempts, key=lambda attempt: attempt.distance)
 
-    def _attempts(self, world: World, stepper: Stepper, postures: Sequence[Vector]) -> Outcome:
-        """All ways of the law, with `postures` (n,) on the goal, the preferred one first."""
-        attempts = list(approach_goal(stepper, self.goal, postures[:_MOST_POSTURES], work=world.work))
-        if not attempts[-1].arrived:
-            return describe_attempts(attempts, world.work.brake)
-        arrived = speed_up(stepper, attempts[-1].stepper)
-        return Outcome(arrived.trajectory(), findings=Findings(attempts=len(attempts), way=attempts[-1].way))
+    def _attempts(self, world: World, stepper: Stepper, found: GoalPostures) -> Outcome:
+        """All ways of the law, to one goal after the other until one arrives."""
+        attempts: list[Attempt] = []
+        for goal, postures in found.by_goal():
+            attempts += approach_goal(stepper, goal, postures[:_MOST_POSTURES], work=world.work)
+            if attempts[-1].arrived:
+                arrived = speed_up(stepper, attempts[-1].stepper)
+                return Outcome(arrived.trajectory(), findings=Findings(attempts=len(attempts), way=attempts[-1].way))
+        return describe_attempts(attempts, world.work.brake)
 
 
-def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: PostureResult) -> Outcome:
+def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: GoalPostures) -> Outcome:
     """The tip's straight way, or the joints' straight way where that is clear and faster."""
     limits, drive = world.problem.limits, drive_of(world.problem)
     direct = find_transit(world, stepper, found.clear, straight=True)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import TipPath
+from backhoe_planner.motion import Goal, TipPath
 from backhoe_planner.planning.goal_planning import describe_attempts
 from backhoe_planner.planning.outcome import Outcome, blocked_path, no_posture
 from backhoe_planner.planning.paths.corners import time_stretch
@@ -61,7 +61,7 @@ def follow_with_law(world: World, path: TipPath, stepper: Stepper | None) -> Out
         if stepper is None:
             yield from map(world.stepper, starts[:_FREE_STARTS])
             return
-        for attempt in approach_goal(stepper, target, starts, work=world.work, all_ways=True):
+        for attempt in approach_goal(stepper, Goal(target), starts, work=world.work, all_ways=True):
             attempts.append(attempt)
             if attempt.arrived:
                 yield speed_up(stepper, attempt.stepper)
@@ -146,7 +146,7 @@ class _Follower:
     def _ways(self, stepper: Stepper, s: float, postures: Sequence[Vector]) -> Iterator[Stepper]:
         """Motions that arrive on the path at `s`."""
         ordered = self.furthest(stepper, s, postures[:_POSTURES])
-        for attempt in approach_goal(stepper, self._path.target(s), ordered, work=self._world.work):
+        for attempt in approach_goal(stepper, Goal(self._path.target(s)), ordered, work=self._world.work):
             if attempt.arrived:
                 yield attempt.stepper
 

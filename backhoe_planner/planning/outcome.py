@@ -71,19 +71,33 @@ def by_arc_length(found: Obstruction, path: TipPath) -> Obstruction:
 
 def bad_start(world: World, start: Vector) -> Outcome | None:
     """Why nothing can begin at `start` (n,), None where it can."""
+    return bad_posture(world, start, "start")
+
+
+def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Outcome | None:
+    """Why no motion can begin or end at `q` (n,), None where one can.
+
+    Parameters
+    ----------
+    what: ``start``, or the goal by its name.
+    time: the obstacles stand where they are at this time [s].
+    """
+    starts = what == "start"
+    stays = at_rest(q) if starts else _at_start(world, q)
     limits, names = world.problem.limits, world.problem.robot.joint_names
-    outside = np.flatnonzero((start < limits.lower) | (start > limits.upper))
+    outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
         words = "; ".join(
-            f"{names[j]} starts at {start[j]:.4g}, "
+            f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g}, "
             f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} (radians or metres)"
             for j in outside
         )
-        return Outcome(at_rest(start), "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
-    contact = world.proximity.tightest(start)
+        return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
+    contact = world.proximity.tightest(q, time=time)
     if contact is not None and contact.margin < 0.0:
-        message = f"at the start {contact.describe()}"
-        return Outcome(at_rest(start), "start_in_collision", message, Findings(obstruction=contact))
+        message = f"at the {what} {contact.describe()}"
+        reason: Reason = "start_in_collision" if starts else "goal_in_collision"
+        return Outcome(stays, reason, message, Findings(obstruction=contact))
     return None
 
 

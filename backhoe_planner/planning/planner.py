@@ -81,7 +81,9 @@ def plan(
     begun = clock.monotonic()
     brake = Brake(budget)
     problem = build_problem(robot, scene)
-    has, needs, unfit = ("path", "goal", "paper") if problem.goal is None else ("goal", "path", "optimal")
+    has, needs, unfit = ("goal", "path", "optimal") if problem.goals else ("path", "goal", "paper")
+    if checked == "paper" and (len(problem.goals) > 1 or any(goal.q is not None for goal in problem.goals)):
+        has, needs, unfit = ("list of goals, or joints", "goal given by the tip's pose", "paper")
     if checked == unfit:
         allowed = ", ".join(name for name in METHODS if name != unfit)
         raise InputError(f"needs a {needs}; this scene has a {has}", key="method", found=unfit, allowed=allowed)
@@ -170,8 +172,8 @@ def _plan_task(world: World, method: Method) -> Outcome:
     assert not isinstance(start, Outcome)
     stepper = world.stepper(start)
     task: ToGoal | AlongPath
-    if problem.goal is not None:
-        task = ToGoal(problem.goal)
+    if problem.goals:
+        task = ToGoal(problem.goals)
         if method == "paper":
             return task.by_paper(world, stepper)
     else:

@@ -11,7 +11,7 @@ import numpy as np
 
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Kinematics, Robot
-from backhoe_planner.motion import Detour, Problem, Tracking, Trajectory, build_problem, track_goal, track_path
+from backhoe_planner.motion import Detour, Problem, Tracking, Trajectory, build_problem, track_goals, track_path
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
 from backhoe_planner.site import Obstruction, Proximity, Scene
@@ -78,6 +78,11 @@ class Certificate:
         """The parts of the motion that leave the specified path."""
         return self.tracking.detours
 
+    @property
+    def goal(self) -> int | None:
+        """Number of the goal that is reached, from 1, in the order of the scene; None where none is."""
+        return self.tracking.goal or None if self.tracking.done else None
+
 
 def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
     """Prove what holds over a whole motion.
@@ -107,8 +112,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     if path is not None and task is not None:
         tracking = track_path(path, task.tolerance, trajectory, kinematics)
     else:
-        assert problem.goal is not None
-        tracking = track_goal(problem.goal, trajectory, kinematics)
+        tracking = track_goals(problem.goals, trajectory, kinematics)
     tip_speed = tip_speed_use(problem, tracking)
     tightest = clearances[0] if clearances else None
     problems = []

@@ -24,6 +24,7 @@ from .schema.obstacle_shapes import HalfSpace as HalfSpace
 from .schema.quantities import Finite as Finite
 from .schema.survey_files import read_heights as read_heights
 from .schema.survey_files import read_points as read_points
+from .schema.tasks import JointsGoal as JointsGoal
 from .schema.tasks import Pose as Pose
 from .schema.tasks import Waypoint as Waypoint
 from .schema.zone_kinds import SwingSector as SwingSector

@@ -13,7 +13,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import ITERATIONS, Magnification, Push, Reference, paper_gains, paper_step, run_iteration
 from backhoe_planner.machine import Configuration, Kinematics, Robot, TipTarget
 from backhoe_planner.motion import build_problem
-from backhoe_planner.site import Gains, Proximity
+from backhoe_planner.site import Gains, Pose, Proximity
 
 REGION = 0.5
 NO_TERMS = Gains(s_e=0.2)
@@ -173,11 +173,10 @@ def document(start: Vector, goal: list[float], obstacle: list[float]) -> dict[st
 
 def run(robot: Robot, start: Vector, goal: list[float], obstacle: list[float]) -> Matrix:
     problem = build_problem(robot, scene_from_dict(document(start, goal, obstacle)))
-    assert problem.goal is not None
     return run_iteration(
         problem,
         start,
-        problem.goal,
+        problem.goals[0].target,
         proximity=Proximity(problem.robot, problem.obstacles),
         kinematics=Kinematics(problem.robot),
     )
@@ -227,8 +226,9 @@ def test_the_scene_file_is_the_scene_that_is_shown(paper_scene: Path) -> None:
     scene = load_scene(paper_scene)
     assert scene.start is not None
     assert scene.start.joints == {f"joint{k}": angle for k, angle in enumerate(SHOWN.start, start=1)}
-    assert scene.task.goal is not None
-    assert scene.task.goal.position == (*SHOWN.goal, 0.0)
+    (goal,) = scene.task.goals
+    assert isinstance(goal, Pose)
+    assert goal.position == (*SHOWN.goal, 0.0)
 
 
 def test_the_completed_law_verifies_it(planar4: Robot, paper_scene: Path) -> None:

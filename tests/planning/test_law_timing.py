@@ -26,9 +26,8 @@ CAGE = """<robot name="lift">
 
 def by_law(problem: Problem, q: Array) -> tuple[Stepper, Stepper]:
     """A motion at rest at q, and the law's straight for the goal from there."""
-    assert problem.goal is not None
     begun = World(problem, seed=0, work=Work()).stepper(q)
-    attempt = next(iter(approach_goal(begun, problem.goal, (), work=Work())))
+    attempt = next(iter(approach_goal(begun, problem.goals[0], (), work=Work())))
     assert attempt.arrived
     return begun, attempt.stepper
 

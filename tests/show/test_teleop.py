@@ -499,7 +499,7 @@ def test_a_recording_says_that_it_was_driven_and_what_it_leaves_out(
     assert [obstacle.name for obstacle in plan.scene.obstacles] == ["pole"]
     assert plan.scene.obstacles[0].appears_at == pytest.approx(back)
     plan.save(tmp_path / "driven.json")
-    assert problem_to_show(plan).goal is None
+    assert problem_to_show(plan).goals == ()
     assert unrecorded_changes(plan) == tuple(notes)
 
     from backhoe_planner.cli import main
@@ -619,7 +619,7 @@ def test_whatever_is_done_to_the_site_is_in_the_recording_or_in_its_notes(seed: 
 def test_only_a_recording_leaves_something_out(backhoe: Robot) -> None:
     plan = bp.plan(backhoe, bp.scene_from_dict(SITE))
     assert (is_recording(plan), unrecorded_changes(plan)) == (False, ())
-    assert problem_to_show(plan).goal is not None
+    assert problem_to_show(plan).goals
     assert unrecorded_changes(replace(plan, method="teleop")) == ()
     findings = Findings(recording=RecordingNotes(dt=0.001, notes=("1", "a")))
     assert unrecorded_changes(replace(plan, method="teleop", findings=findings)) == ("1", "a")

@@ -22,6 +22,7 @@ from backhoe_planner.machine import load_robot, shipped_folder
 from backhoe_planner.site import (
     Capsule,
     HalfSpace,
+    Pose,
     Scene,
     load_scene,
     obstacle_from_dict,
@@ -146,10 +147,15 @@ def test_start_may_be_left_out_with_a_path() -> None:
     assert scene_from_dict(found).start is None
 
 
+def only_goal(content: dict[str, Any]) -> Pose:
+    (found,) = scene_from_dict(content).task.goals
+    assert isinstance(found, Pose)
+    return found
+
+
 def test_pitch_is_a_number_or_a_range() -> None:
     for given_pitch, expected in ((-1.4, (-1.4, -1.4)), ([-2.2, -1.2], (-2.2, -1.2)), (None, None)):
-        found = scene_from_dict(goal(pitch=given_pitch)).task.goal
-        assert found is not None
+        found = only_goal(goal(pitch=given_pitch))
         assert found.pitch_range == expected
         assert found.rotation is None
 
@@ -161,8 +167,7 @@ def test_rpy_and_quaternion_of_a_quarter_turn_about_z_are_one_rotation() -> None
         {"quaternion": [half, 0, 0, half]},
         {"quaternion": [0.7071, 0, 0, 0.7071]},
     ):
-        found = scene_from_dict(goal(**keys)).task.goal
-        assert found is not None
+        found = only_goal(goal(**keys))
         assert found.rotation is not None
         np.testing.assert_allclose(found.rotation, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
 
@@ -171,10 +176,8 @@ def test_what_was_normalised_once_stays_as_it_is_to_the_last_digit() -> None:
     rng = np.random.default_rng(0)
     for parts in rng.normal(size=(500, 4)).tolist():
         unit = [part / math.hypot(*parts) for part in parts]
-        goal_once = scene_from_dict(goal(quaternion=unit)).task.goal
-        assert goal_once is not None
-        again = scene_from_dict(goal(quaternion=goal_once.quaternion)).task.goal
-        assert again is not None
+        goal_once = only_goal(goal(quaternion=unit))
+        again = only_goal(goal(quaternion=goal_once.quaternion))
         assert again.quaternion == goal_once.quaternion
         once = scene_from_dict(shaped("halfspace", point=[0, 0, 0], normal=parts[:3])).obstacles[0]
         assert isinstance(once, HalfSpace)

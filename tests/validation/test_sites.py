@@ -50,9 +50,9 @@ def test_start_and_goal_are_free_with_a_centimetre_to_spare(machine: str, kind: 
             assert least_margin(problem, q) >= SPARE
             assert np.all(q >= problem.limits.lower)
             assert np.all(q <= problem.limits.upper)
-        if problem.goal is not None:
+        for goal in problem.goals:
             at = bp.Kinematics(problem.robot).at(site.goal_q)
-            assert max(problem.goal.distances(at)) < 1e-9
+            assert max(goal.distances(at)) < 1e-9
             assert problem.start_q is not None
             assert site.start_q is not None
             assert np.array_equal(problem.start_q, site.start_q)

@@ -14,6 +14,7 @@ from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_arr
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
+_NO_TURN = 1e-12  # rad: less has no axis, and is within any tolerance
 _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
 
@@ -26,6 +27,7 @@ class TipTarget:
     position: (3,) [m], world.
     pitch: (low, high) [rad], equal where one angle is asked for; None where it is free.
     rotation: (3, 3) R_world_tip; None where orientation is free.
+    rotation_tolerance: how far the tip may be turned from `rotation` [rad]: errors count from there on.
 
     Raises
     ------
@@ -35,6 +37,7 @@ class TipTarget:
     position: Vector
     pitch: tuple[float, float] | None = None
     rotation: Matrix | None = None
+    rotation_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", as_vector(self.position, 3, key="position"))
@@ -44,6 +47,8 @@ class TipTarget:
             object.__setattr__(self, "pitch", (low, high))
         if self.rotation is not None:
             object.__setattr__(self, "rotation", as_array(self.rotation, 3, 3, key="rotation"))
+        if self.rotation_tolerance != 0.0:
+            as_number(self.rotation_tolerance, key="rotation_tolerance", above=0.0)
 
     def pitch_excess(self, pitch: float) -> float:
         """How far `pitch` lies above (+) or below (-) the asked range [rad]; 0 inside."""
@@ -58,11 +63,11 @@ class TipTarget:
         """(m,) target minus actual at a configuration: position [m], then angles [rad].
 
         Rows: 3 of position; then 1 of pitch (0 inside the asked range) or 3 of the
-        rotation vector, in world axes.
+        rotation vector, in world axes, as far as it is longer than the tolerance.
         """
         rows = [self.position - check_kind(at, Configuration, key="at").tip_position]
         if self.rotation is not None:
-            rows.append(at.tip_rotation @ pin.log3(at.tip_rotation.T @ self.rotation))
+            rows.append(_beyond(self._turn_from(at), self.rotation_tolerance))
         elif self.pitch is not None:
             rows.append(np.array([-self.pitch_excess(at.pitch)]))
         return np.concatenate(rows)
@@ -80,7 +85,10 @@ class TipTarget:
         """(m, n) of `error` at a configuration: to first order, a step dq reduces the error by jacobian @ dq."""
         check_kind(at, Configuration, key="at")
         if self.rotation is not None:
-            return at.jacobian
+            if self.rotation_tolerance == 0.0:
+                return at.jacobian
+            turning = _beyond_jacobian(self._turn_from(at), self.rotation_tolerance) @ at.jacobian[3:]
+            return np.vstack((at.jacobian[:3], turning))
         if self.pitch is not None:
             return np.vstack((at.jacobian[:3], at.pitch_row))
         return at.jacobian[:3]
@@ -89,6 +97,26 @@ class TipTarget:
         """Position error [m] and angle error [rad] at a configuration, both 0 or more."""
         error = self.error(at)
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+
+    def _turn_from(self, at: Configuration) -> Vector:
+        """(3,) rotation vector from the tip's orientation to the asked one, in world axes [rad]."""
+        assert self.rotation is not None
+        return np.asarray(at.tip_rotation @ pin.log3(at.tip_rotation.T @ self.rotation))
+
+
+def _beyond(turn: Vector, tolerance: float) -> Vector:
+    """(3,) what of a rotation vector is longer than `tolerance` [rad]."""
+    angle = float(np.linalg.norm(turn))
+    return turn * max(1.0 - tolerance / angle, 0.0) if angle > 0.0 else turn
+
+
+def _beyond_jacobian(turn: Vector, tolerance: float) -> Matrix:
+    """(3, 3) derivative of `_beyond` with respect to the rotation vector."""
+    angle = float(np.linalg.norm(turn))
+    if angle <= tolerance:
+        return np.zeros((3, 3))
+    axis, part = turn / angle, tolerance / angle
+    return np.asarray((1.0 - part) * np.eye(3) + part * np.outer(axis, axis))
 
 
 def _are_two_numbers(*pitch: float) -> bool:
@@ -104,6 +132,7 @@ class TargetBatch:
     position: (B, 3) [m], world.
     rotation: (B, 3, 3) R_world_tip; the identity where `has_rotation` is false.
     has_rotation: (B,) whether an orientation is asked for.
+    rotation_tolerance: (B,) how far the tip may be turned from it [rad].
     pitch_middle, pitch_half: (B,) middle and half width of the asked range of the pitch [rad].
     has_pitch: (B,) whether a pitch is asked for.
     """
@@ -111,6 +140,7 @@ class TargetBatch:
     position: Array
     rotation: Array
     has_rotation: Flags
+    rotation_tolerance: Array
     pitch_middle: Array
     pitch_half: Array
     has_pitch: Flags
@@ -124,6 +154,7 @@ class TargetBatch:
             position=np.array([target.position for target in targets]).reshape(-1, 3),
             rotation=np.array([np.eye(3) if t.rotation is None else t.rotation for t in targets]).reshape(-1, 3, 3),
             has_rotation=has_rotation,
+            rotation_tolerance=np.array([target.rotation_tolerance for target in targets]),
             pitch_middle=np.array([0.0 if r is None else 0.5 * (r[0] + r[1]) for r in ranges]),
             pitch_half=np.array([0.0 if r is None else 0.5 * (r[1] - r[0]) for r in ranges]),
             # where both are given, the orientation decides, as in `TipTarget`
@@ -147,8 +178,10 @@ class TargetBatch:
         found = np.zeros((len(self), 7))
         found[:, :3] = self.position - at.tip_position
         if self.has_rotation.any():
-            turn = Rotation.from_matrix(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2))
-            found[:, 3:6] = np.where(self.has_rotation[:, None], turn.as_rotvec(), 0.0)
+            turn = self._turns_from(at)
+            angle = np.linalg.norm(turn, axis=1)
+            part = np.maximum(1.0 - self.rotation_tolerance / np.maximum(angle, _NO_TURN), 0.0)
+            found[:, 3:6] = np.where(self.has_rotation[:, None], part[:, None] * turn, 0.0)
         if self.has_pitch.any():
             off = wrap_angle(at.pitch() - self.pitch_middle)
             excess = np.sign(off) * np.maximum(np.abs(off) - self.pitch_half, 0.0)
@@ -160,10 +193,19 @@ class TargetBatch:
         found = np.zeros((len(self), 7, at.q.shape[1]))
         found[:, :3] = at.position_jacobian()
         if self.has_rotation.any():
-            found[:, 3:6] = np.where(self.has_rotation[:, None, None], at.rotation_jacobian(), 0.0)
+            turning = at.rotation_jacobian()
+            tolerant = np.flatnonzero(self.has_rotation & (self.rotation_tolerance > 0.0)).tolist()
+            turns = self._turns_from(at) if tolerant else turning
+            for row in tolerant:
+                turning[row] = _beyond_jacobian(turns[row], self.rotation_tolerance[row]) @ turning[row]
+            found[:, 3:6] = np.where(self.has_rotation[:, None, None], turning, 0.0)
         if self.has_pitch.any():
             found[:, 6] = np.where(self.has_pitch[:, None], at.pitch_rows(), 0.0)
         return found
+
+    def _turns_from(self, at: ConfigurationBatch) -> Array:
+        """(B, 3) rotation vectors from the tip's orientations to the asked ones, in world axes [rad]."""
+        return np.asarray(Rotation.from_matrix(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2)).as_rotvec())
 
 
 def movable_rows(jacobian: Matrix) -> Flags:

@@ -12,6 +12,7 @@ its own z. Only a stretch that is cheaper, clear, and within the limits is taken
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -103,10 +104,7 @@ def _cost(weights: Vector, q: Matrix) -> float:
 
 def strict_targets(targets: TargetBatch) -> TargetBatch:
     """The targets without the pitch ranges: only what must be met exactly."""
-    return TargetBatch(
-        targets.position, targets.rotation, targets.has_rotation, targets.pitch_middle, targets.pitch_half,
-        targets.has_pitch & (targets.pitch_half < 1e-9),
-    )  # fmt: skip
+    return replace(targets, has_pitch=targets.has_pitch & (targets.pitch_half < 1e-9))
 
 
 def _margins(proximity: Proximity, q: Matrix, time: float, floor: Vector | None = None) -> Vector:

@@ -17,7 +17,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import CompletedLaw
 from backhoe_planner.machine import Configuration, JointLimits, TipTarget, movable_rows
-from backhoe_planner.motion import hand_set_gains
+from backhoe_planner.motion import Goal, hand_set_gains
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.site import Nearby, Obstruction
@@ -72,14 +72,16 @@ _Way = tuple[str, Vector | None, Sense | None]
 
 def approach_goal(
     stepper: Stepper,
-    goal: TipTarget,
+    goal: Goal,
     configurations: Sequence[Vector],
     *,
     work: Work,
     all_ways: bool = False,
     null_space: bool = True,
 ) -> Iterator[Attempt]:
-    """Attempts to bring the tip to `goal`, the simplest first; ends once one arrives.
+    """Attempts to end at `goal`, the simplest first; ends once one arrives.
+
+    To a goal that is given by the joints there is one way: straight for them.
 
     Parameters
     ----------
@@ -97,6 +99,8 @@ def approach_goal(
     turns: list[_Way] = [(sense.value, None, sense) for sense in senses]
     straight: _Way = ("straight", None, None)
     ways = [straight, *postures[:_POSTURES_FIRST], *turns, *postures[_POSTURES_FIRST:]]
+    if goal.q is not None:
+        ways = [("straight for the joints", goal.q, None)]
     for number, (name, posture, sense) in enumerate(ways, start=1):
         branch = stepper.branch(attempt=number)
         if posture is None:
@@ -111,9 +115,7 @@ def approach_goal(
 # --- moving the tip ---------------------------------------------------------------
 
 
-def _drive_tip(
-    stepper: Stepper, goal: TipTarget, sense: Sense | None, way: str, work: Work, *, null_space: bool
-) -> Attempt:
+def _drive_tip(stepper: Stepper, goal: Goal, sense: Sense | None, way: str, work: Work, *, null_space: bool) -> Attempt:
     problem = stepper.problem
     law = CompletedLaw(problem.robot, influence=problem.scene.influence, gains=hand_set_gains(problem))
     progress = _Progress()
@@ -122,11 +124,11 @@ def _drive_tip(
     begun = stepper.time
     while stepper.time < begun + _LONGEST and _may_step(work):
         at, nearby = stepper.look()
-        error, J = _task(goal, at)
+        error, J = _task(goal.search_target, at)
         left = float(np.linalg.norm(error))
         if left < _ARRIVED and stepper.stopped():
             # rows that no joint can move at this very posture are not in `left`
-            arrived = max(goal.distances(at)) < _AT_GOAL
+            arrived = max(goal.search_target.distances(at)) < _AT_GOAL
             stepper.stop()
             break
         wished = turning.direction(error, at, nearby, stepper, left)
@@ -281,7 +283,7 @@ def _blocking_normal(nearby: Nearby, stepper: Stepper) -> Vector | None:
 # --- moving the joints --------------------------------------------------------------
 
 
-def _drive_joints(stepper: Stepper, posture: Vector, goal: TipTarget, way: str, work: Work) -> Attempt:
+def _drive_joints(stepper: Stepper, posture: Vector, goal: Goal, way: str, work: Work) -> Attempt:
     problem = stepper.problem
     free_tip = np.zeros((3, problem.robot.n))
     progress = _Progress()
@@ -306,7 +308,7 @@ def _may_step(work: Work) -> bool:
     return work.law_steps >= 0 and not work.brake.is_used_up()
 
 
-def _attempt(stepper: Stepper, goal: TipTarget, arrived: bool, way: str) -> Attempt:
+def _attempt(stepper: Stepper, goal: Goal, arrived: bool, way: str) -> Attempt:
     if not arrived:
         stepper.stop()
     at, nearby = stepper.look()

@@ -152,6 +152,8 @@ class CertificateRecord(Record):
     path: dict[Literal["length", "followed"], Figure] | None = None
     """Its length, and what of it is followed [m]; 0 for a goal."""
     detours: tuple[Detour, ...] = ()
+    goal: int | None = None
+    """Number of the goal that is reached, as they stand in the scene, from 1; none along a path."""
     problems: tuple[str, ...] = ()
 
     @classmethod
@@ -167,6 +169,7 @@ class CertificateRecord(Record):
             tip_error={"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
             path={"length": tracking.path_length, "followed": tracking.followed},
             detours=tracking.detours,
+            goal=certificate.goal,
             problems=certificate.problems,
         )
 

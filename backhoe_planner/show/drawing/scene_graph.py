@@ -20,7 +20,7 @@ import pinocchio as pin
 import trimesh
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import Kinematics, tip_travel_bound
+from backhoe_planner.machine import Kinematics, TipTarget, tip_travel_bound
 from backhoe_planner.motion import Problem
 from backhoe_planner.show.drawing.drawing import (
     PlanAnimation,
@@ -131,7 +131,7 @@ class SceneGraph:
                 outlines.append(drawn.facets.vertices[:, :2])
             elif drawn.bounds[1, 2] < 0.0:
                 lows.append(drawn)
-        points = [self.problem.goal.position] if self.problem.goal is not None else []
+        points = [goal.target.position for goal in self.problem.goals]
         points += [] if self.problem.path is None else list(self.problem.path.points)
         if not outlines:
             return None, bool(lows) or any(point[2] < -_SHALLOW for point in points)
@@ -184,16 +184,19 @@ class SceneGraph:
                 for point in problem.path.points
             ]
             task["path"]["waypoints"].set_object(mesh(facets(trimesh.util.concatenate(marks)), (*PATH, 1.0), lit=False))
-        if problem.goal is not None:
-            goal = problem.goal
-            ball = trimesh.creation.icosphere(subdivisions=3, radius=0.085 * self._scale)
-            ball.apply_translation(goal.position)
-            task["goal"].set_object(mesh(facets(ball), (*GOAL, 1.0)))
-            if goal.rotation is not None:
-                self._draw_triad(task["goal"], goal.rotation, goal.position)
-            elif goal.pitch is not None:
-                fan = _pitch_fan(problem, goal.position, goal.pitch, 0.55 * self._scale)
-                draw(task["goal"]["pitch"], mesh(facets(fan), (*GOAL, 0.4), lit=False), shadow=False)
+        for goal in problem.goals:
+            self._draw_goal(task[goal.name], goal.target)
+
+    def _draw_goal(self, node: Any, goal: TipTarget) -> None:
+        """A ball at the tip's place, with a triad for its orientation or a fan for its pitch."""
+        ball = trimesh.creation.icosphere(subdivisions=3, radius=0.085 * self._scale)
+        ball.apply_translation(goal.position)
+        node.set_object(mesh(facets(ball), (*GOAL, 1.0)))
+        if goal.rotation is not None:
+            self._draw_triad(node, goal.rotation, goal.position)
+        elif goal.pitch is not None:
+            fan = _pitch_fan(self.problem, goal.position, goal.pitch, 0.55 * self._scale)
+            draw(node["pitch"], mesh(facets(fan), (*GOAL, 0.4), lit=False), shadow=False)
 
     def _draw_triad(self, node: Any, rotation: Matrix, position: Vector) -> None:
         length = 0.3 * self._scale
@@ -235,8 +238,7 @@ class SceneGraph:
             seen.append(corners)
             above = np.maximum(corners[:, 2].max(), 0.0) - np.maximum(corners[:, 2].min(), 0.0)
             side += float(corners[:, 1].mean() * above * np.prod(np.sqrt(np.ptp(corners[:, :2], axis=0) + 1e-9)))
-        if self.problem.goal is not None:
-            seen.append(self.problem.goal.position[None, :])
+        seen += [goal.target.position[None, :] for goal in self.problem.goals]
         if self.problem.path is not None:
             seen.append(self.problem.path.points)
         # what is large and tall belongs behind the machine

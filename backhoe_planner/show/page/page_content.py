@@ -70,7 +70,7 @@ def tell_problem(
         lower, upper = (low, high) if bounded else (None, None)
         joints.append({"name": name, "angular": not slides, "lower": lower, "upper": upper})
     of_problem = "along a path" if problem.path is not None else "driven by hand"
-    of_problem = "to a goal" if problem.goal is not None else of_problem
+    of_problem = "to a goal" if problem.goals else of_problem
     content = {
         "title": scene.name or "untitled scene",
         "subtitle": f"{robot.name}, {task or of_problem}",

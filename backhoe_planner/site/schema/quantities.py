@@ -18,6 +18,7 @@ Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan
 NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_nan=False)]
 _SMALLEST = 1e-6  # m: distances are measured to 1e-9 m, and a thinner body is too near to that
 Length = Annotated[float, Field(strict=True, ge=_SMALLEST, le=LARGEST, allow_inf_nan=False)]
+Angle = Annotated[float, Field(strict=True, gt=0.0, lt=math.pi, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 PitchRange = tuple[Finite, Finite]

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Annotated
 
 import numpy as np
-from pydantic import field_validator, model_validator
+from pydantic import Discriminator, Tag, field_validator, model_validator
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.machine import TipTarget
 from backhoe_planner.site.schema.quantities import (
+    Angle,
     Finite,
     PitchRange,
     Positive,
@@ -68,6 +71,41 @@ class Pose(Record):
 
 class Goal(Pose):
     """Where the tip is to arrive."""
+
+    rotation_tolerance: Angle | None = None
+    """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
+
+    @model_validator(mode="after")
+    def _something_to_be_off(self) -> Goal:
+        if self.rotation_tolerance is not None and self.rotation is None:
+            raise ValueError("rotation_tolerance needs rpy or quaternion; a pitch has a range: pitch: [low, high]")
+        return self
+
+
+class JointsGoal(Record):
+    """Where the joints are to arrive."""
+
+    joints: dict[str, Finite]
+    """Position of every joint by name [rad or m]; a joint that turns without limit turns to that very angle."""
+
+
+def _kind_of_goal(found: object) -> str:
+    if isinstance(found, (list, tuple)):
+        return "list"
+    by_joints = "joints" in found if isinstance(found, Mapping) else isinstance(found, JointsGoal)
+    return "JointsGoal" if by_joints else "Goal"
+
+
+# the tags are the names of the records: messages find the allowed keys by them
+AnyGoal = Annotated[
+    Annotated[Goal, Tag("Goal")] | Annotated[JointsGoal, Tag("JointsGoal")], Discriminator(_kind_of_goal)
+]
+_Goals = Annotated[
+    Annotated[Goal, Tag("Goal")]
+    | Annotated[JointsGoal, Tag("JointsGoal")]
+    | Annotated[tuple[AnyGoal, ...], Tag("list")],
+    Discriminator(_kind_of_goal),
+]
 
 
 class Waypoint(Pose):
@@ -128,7 +166,22 @@ def _orientation_kind(pose: Pose) -> str:
 class Task(Record):
     """What is to be done: exactly one of goal, path."""
 
-    goal: Goal | None = None
+    goal: _Goals | None = None
+    """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
     path: PathTask | None = None
 
     _one = exactly_one("goal", "path")
+
+    @field_validator("goal")
+    @classmethod
+    def _at_least_one(cls, goal: object) -> object:
+        if goal == ():
+            raise ValueError("a list of goals holds at least one; found []")
+        return goal
+
+    @property
+    def goals(self) -> tuple[Goal | JointsGoal, ...]:
+        """Every goal, of which any will do; none where a path is given."""
+        if self.goal is None:
+            return ()
+        return self.goal if isinstance(self.goal, tuple) else (self.goal,)

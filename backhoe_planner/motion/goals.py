@@ -1,0 +1,98 @@
+"""Where a motion may end: the tip at a pose, or the joints at a posture.
+
+What a planner needs of a goal is the same for both: how far a configuration is from it
+(`error`, with its Jacobian), and where its posture is fixed (`q`) or a tip's pose is to be
+solved for (`search_target`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
+from backhoe_planner.errors import check_kind
+from backhoe_planner.machine import Configuration, TipTarget
+
+GOAL_TOLERANCE = 1e-3  # m at which a goal is reached; chosen, far below what a machine's control can do
+ANGLE_TOLERANCE = 1e-2  # rad at which an asked angle is reached; chosen, half a degree
+JOINT_TOLERANCE = 1e-3  # rad or m at which an asked joint is reached; chosen, at the end of a 10 m arm a centimetre
+_SEARCHED = 0.9  # part of an asked rotation tolerance that a search uses; chosen, so that rounding never breaks it
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """One end of a motion that will do. Of a problem's goals any will do, and each is one of these.
+
+    Attributes
+    ----------
+    target: the tip's pose as it is asked for; of a goal given by joints its pose there.
+    q: (n,) the only posture that will do [rad or m]; None where the tip's pose is asked for.
+    name: in sentences: ``goal``, or ``goal 2`` where there are several, counted from 1.
+    rotation_tolerance: how far the tip may be turned from the asked orientation [rad]; None
+        where the scene does not say. Then 0.01 rad will do for a motion, and a search is exact.
+
+    Raises
+    ------
+    InputError: one of them is not of its kind.
+    """
+
+    target: TipTarget
+    q: Vector | None = None
+    name: str = "goal"
+    rotation_tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        check_kind(self.target, TipTarget, key="target")
+        check_kind(self.name, str, key="name")
+        if self.q is not None:
+            object.__setattr__(self, "q", as_vector(self.q, max(np.size(self.q), 1), key="q"))
+        if self.rotation_tolerance is not None:
+            as_number(self.rotation_tolerance, key="rotation_tolerance", above=0.0)
+
+    @property
+    def search_target(self) -> TipTarget:
+        """What inverse kinematics is to look for: the pose, with most of its rotation tolerance to be used freely."""
+        if self.q is not None or self.rotation_tolerance is None:
+            return self.target
+        return replace(self.target, rotation_tolerance=_SEARCHED * self.rotation_tolerance)
+
+    def error(self, at: Configuration) -> Vector:
+        """(m,) what is missing at a configuration; all 0 on the goal.
+
+        Rows: of the `search_target` those of `TipTarget.error`, position [m] and angles [rad];
+        of a posture `q` minus the joints (n,) [rad or m].
+        """
+        if self.q is None:
+            return self.search_target.error(at)
+        check_kind(at, Configuration, key="at")
+        return as_vector(self.q, len(at.q), key="q") - at.q
+
+    def jacobian(self, at: Configuration) -> Matrix:
+        """(m, n) of `error`: to first order, a step dq reduces the error by jacobian @ dq."""
+        check_kind(at, Configuration, key="at")
+        return self.search_target.jacobian(at) if self.q is None else np.eye(len(self.q))
+
+    def distances(self, at: Configuration) -> tuple[float, float]:
+        """How far the tip is from its pose [m] and turned from it [rad], both 0 or more, no tolerance deducted."""
+        return self.target.distances(at)
+
+    def shortfall(self, at: Configuration) -> str:
+        """What is missing at the end of a motion, in words; empty where the goal is reached."""
+        robot = check_kind(at, Configuration, key="at").robot
+        if self.q is not None:
+            off = np.abs(at.q - self.q)
+            joint = int(np.argmax(off))
+            if off[joint] <= JOINT_TOLERANCE:
+                return ""
+            much = f"{off[joint]:.3f} m" if robot.prismatic[joint] else f"{np.degrees(off[joint]):.2f} deg"
+            return f"{robot.joint_names[joint]} ends {much} from the {self.name}"
+        position, angle = self.distances(at)
+        allowed = ANGLE_TOLERANCE if self.rotation_tolerance is None else self.rotation_tolerance
+        missing = []
+        if position > GOAL_TOLERANCE:
+            missing.append(f"the tip ends {position:.3f} m from the {self.name}")
+        if angle > allowed:
+            missing.append(f"the bucket ends {np.degrees(angle):.1f} deg from the asked angle")
+        return " and ".join(missing)

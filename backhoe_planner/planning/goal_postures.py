@@ -1,0 +1,75 @@
+"""Postures at which a motion to a goal may end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import Goal
+from backhoe_planner.planning.outcome import Outcome, bad_posture, no_posture
+from backhoe_planner.planning.result.plan_file import Reason
+from backhoe_planner.planning.world import World
+
+_LONG_SEARCH = 8  # times the usual starting points, before a goal is said to be in collision; chosen
+# of several goals, what is said to be wrong is what is least wrong
+_MILDEST: tuple[Reason, ...] = ("goal_in_collision", "outside_limits", "unreachable")
+
+
+@dataclass(frozen=True, eq=False)
+class GoalPostures:
+    """Clear postures on the goals of a problem, at least one; the quickest to get to first.
+
+    Attributes
+    ----------
+    clear: (n,) each [rad or m].
+    goals: of each, the goal that it is on.
+    """
+
+    clear: tuple[Vector, ...]
+    goals: tuple[Goal, ...]
+
+    def by_goal(self) -> list[tuple[Goal, tuple[Vector, ...]]]:
+        """Every goal that has a posture, with its postures; the goal that is quickest to get to first."""
+        return [
+            (goal, tuple(q for q, own in zip(self.clear, self.goals, strict=True) if own is goal))
+            for goal in dict.fromkeys(self.goals)
+        ]
+
+
+def find_goal_postures(world: World, goals: Sequence[Goal], *, near: Vector, time: float) -> GoalPostures | Outcome:
+    """Clear postures on any of `goals`; or why there is none.
+
+    Parameters
+    ----------
+    near: (n,) where the joints stand [rad or m].
+    time: the obstacles stand where they are at this time [s].
+    """
+    found: list[tuple[Vector, Goal]] = []
+    failures: list[Outcome] = []
+    for goal in goals:
+        clear = _postures_on(world, goal, near, time)
+        if isinstance(clear, Outcome):
+            failures.append(clear)
+        else:
+            found += [(q, goal) for q in clear]
+    if not found:
+        mildest = min(failures, key=lambda failure: _MILDEST.index(failure.reason))
+        return Outcome(
+            mildest.trajectory, mildest.reason, "; ".join(failure.message for failure in failures), mildest.findings
+        )
+    rate = world.problem.limits.velocity
+    found.sort(key=lambda one: float(np.max(np.abs(one[0] - near) / rate)))
+    return GoalPostures(tuple(q for q, _ in found), tuple(goal for _, goal in found))
+
+
+def _postures_on(world: World, goal: Goal, near: Vector, time: float) -> tuple[Vector, ...] | Outcome:
+    if goal.q is not None:
+        return bad_posture(world, goal.q, goal.name, time=time) or (goal.q,)
+    count, target = world.work.effort.starting_points, goal.search_target
+    found = world.postures.at(target, near=near, count=count, time=time)
+    if found.best.reached and not found.clear:
+        found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)
+    return no_posture(world, found, target, "goal_in_collision", goal.name) or found.clear

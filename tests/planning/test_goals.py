@@ -1,0 +1,162 @@
+"""Goals by the joints, lists of goals, and orientations that need not be exact."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.motion import build_problem
+
+Data = dict[str, Any]
+
+STRETCHED: Data = {"joints": {"joint1": 0.0, "joint2": 0.0, "joint3": 0.0, "joint4": 0.0}}
+BENT: Data = {"joint1": 0.5, "joint2": 0.4, "joint3": -0.3, "joint4": 0.2}
+READY: Data = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+
+
+def site(goal: Any, *, start: Data = STRETCHED, obstacles: tuple[Data, ...] = (), **keys: Any) -> bp.Scene:
+    content = {"version": 1, "start": start, "task": {"goal": goal}, "clearance": 0.02, "influence": 0.4}
+    return bp.scene_from_dict(content | {"obstacles": list(obstacles)} | keys)
+
+
+def ball(x: float, y: float, radius: float) -> Data:
+    return {"name": "ball", "shape": "sphere", "radius": radius, "position": [x, y, 0.0]}
+
+
+# --- the joints --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_a_goal_by_the_joints_is_reached_with_these_joints(planar4: bp.Robot, method: str) -> None:
+    plan = bp.plan(planar4, site({"joints": BENT}), method=method, effort="quick")
+    assert plan.verified, plan.message
+    np.testing.assert_allclose(plan.trajectory.q[-1], list(BENT.values()), atol=1e-3)
+
+
+def test_the_tips_pose_alone_is_not_a_goal_by_the_joints(planar4: bp.Robot) -> None:
+    """Mirrored at the line from base to tip, an arm of four links ends at the same place."""
+    scene = site({"joints": {"joint1": 0.5, "joint2": -1.0, "joint3": 0.0, "joint4": 0.0}})
+    there = bp.Kinematics(planar4).at(np.array([0.5, -1.0, 0.0, 0.0]))
+    found = bp.solve_inverse_kinematics(
+        planar4, bp.TipTarget(there.tip_position), start=np.array([-1.0, 1.0, 0.3, 0.0])
+    )
+    assert found.reached
+    ends = np.array([[0.0, 0.0, 0.0, 0.0], found.q])
+    certificate = bp.certify(planar4, scene, bp.Trajectory.from_steps(np.array([0.0, 20.0]), ends))
+    assert certificate.goal is None
+    assert any("from the goal" in problem and problem.startswith("joint") for problem in certificate.problems)
+
+
+def test_joints_that_the_goal_does_not_name_are_named(planar4: bp.Robot) -> None:
+    with pytest.raises(bp.SceneError, match=r"task.goal.joints.*joints are missing: joint2, joint4"):
+        build_problem(planar4, site({"joints": {"joint1": 0.0, "joint3": 0.0}}))
+    with pytest.raises(bp.SceneError, match=r"task.goal\[1\].joints.*joint5"):
+        build_problem(planar4, site([{"position": [2, 1, 0]}, {"joints": {**BENT, "joint5": 0.0}}]))
+
+
+def test_a_goal_outside_the_limits_says_which_joint_and_what_is_allowed(backhoe: bp.Robot) -> None:
+    high = float(backhoe.limits.upper[1])
+    goal = {"joints": {"swing": 0.0, "boom": high + 0.2, "stick": -1.6, "bucket": -0.9}}
+    plan = bp.plan(backhoe, site(goal, start=READY), effort="quick")
+    assert plan.reason == "outside_limits"
+    assert f"boom at the goal is {high + 0.2:.4g}" in plan.message
+    assert f"to {high:.4g}" in plan.message
+    assert plan.findings.joints == ("boom",)
+
+
+def test_a_goal_in_an_obstacle_says_what_touches_what(planar4: bp.Robot) -> None:
+    tip = bp.Kinematics(planar4).at(np.array(list(BENT.values()))).tip_position
+    plan = bp.plan(planar4, site({"joints": BENT}, obstacles=(ball(tip[0], tip[1], 0.2),)), effort="quick")
+    assert plan.reason == "goal_in_collision"
+    assert plan.message.startswith("at the goal ")
+    assert "ball" in plan.message
+    assert len(plan.trajectory) == 1
+
+
+def test_a_goal_by_the_joints_behind_an_obstacle_is_reached_round_it(planar4: bp.Robot) -> None:
+    """The stretched arm cannot sweep through a ball beside it."""
+    scene = site({"joints": {**STRETCHED["joints"], "joint1": 1.2}}, obstacles=(ball(2.2, 1.1, 0.3),))
+    plan = bp.plan(planar4, scene)
+    assert plan.verified, plan.message
+    assert plan.trajectory.q[-1] == pytest.approx([1.2, 0.0, 0.0, 0.0], abs=1e-3)
+
+
+# --- several -----------------------------------------------------------------------
+
+
+def test_of_a_list_the_goal_that_can_be_reached_is_taken_and_named(planar4: bp.Robot, tmp_path: Path) -> None:
+    far, near = {"position": [9.0, 0.0, 0.0]}, {"position": [2.0, 1.0, 0.0]}
+    plan = bp.plan(planar4, site([far, near]), effort="quick")
+    assert plan.verified, plan.message
+    assert plan.certificate.goal == 2
+    assert np.linalg.norm(plan.tip_path()[-1] - near["position"]) < 1e-3
+    plan.save(tmp_path / "plan.json")
+    again = bp.load_plan(tmp_path / "plan.json")
+    assert again.verified
+    assert again.certificate.goal == 2
+    assert again.scene.to_dict()["task"] == plan.scene.to_dict()["task"]
+
+
+def test_a_list_mixes_poses_and_joints(planar4: bp.Robot) -> None:
+    inside = ball(2.0, 1.0, 0.2)
+    plan = bp.plan(
+        planar4, site([{"position": [2.0, 1.0, 0.0]}, {"joints": BENT}], obstacles=(inside,)), effort="quick"
+    )
+    assert plan.verified, plan.message
+    assert plan.certificate.goal == 2
+
+
+def test_where_no_goal_will_do_each_is_named_with_its_reason(planar4: bp.Robot) -> None:
+    scene = site([{"position": [9.0, 0.0, 0.0]}, {"position": [2.0, 1.0, 0.0]}], obstacles=(ball(2.0, 1.0, 0.2),))
+    plan = bp.plan(planar4, scene, effort="quick")
+    assert plan.reason == "goal_in_collision"
+    assert "the goal 1 (9.00, 0.00, 0.00) is out of reach" in plan.message
+    assert "at the goal 2" in plan.message
+
+
+def test_the_law_as_printed_knows_one_pose_only(planar4: bp.Robot) -> None:
+    for goal in ({"joints": BENT}, [{"position": [2.0, 1.0, 0.0]}] * 2):
+        with pytest.raises(bp.InputError, match="method"):
+            bp.plan(planar4, site(goal), method="paper")
+
+
+# --- orientations that need not be exact ----------------------------------------------
+
+
+def level(turned: float, **keys: Any) -> Data:
+    """In front of a backhoe that stands at swing 0, the bucket turned about the vertical."""
+    at = bp.Kinematics(bp.load_robot("example:backhoe")).at(np.array([0.0, 0.4, -1.6, -0.9]))
+    yaw = np.array([[math.cos(turned), -math.sin(turned), 0], [math.sin(turned), math.cos(turned), 0], [0, 0, 1]])
+    rotation = yaw @ at.tip_rotation
+    w = 0.5 * math.sqrt(max(1.0 + float(np.trace(rotation)), 1e-12))
+    x, y, z = ((rotation[2, 1] - rotation[1, 2]), (rotation[0, 2] - rotation[2, 0]), (rotation[1, 0] - rotation[0, 1]))
+    quaternion = [w, *(float(part) / (4.0 * w) for part in (x, y, z))]
+    return {"position": at.tip_position.tolist(), "quaternion": quaternion} | keys
+
+
+def test_a_bucket_that_cannot_turn_about_the_vertical_may_be_off_by_the_tolerance(backhoe: bp.Robot) -> None:
+    """At one place a backhoe has one swing: turned by 0.2 rad, the pose is 0.2 rad from anything it can do."""
+    start = {"joints": {"swing": 0.3, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+    exact = bp.plan(backhoe, site(level(0.2), start=start), effort="quick")
+    assert exact.reason == "unreachable"
+    tolerant = bp.plan(backhoe, site(level(0.2, rotation_tolerance=0.25), start=start), effort="quick")
+    assert tolerant.verified, tolerant.message
+    assert 0.2 - 0.025 <= tolerant.certificate.tracking.max_angle_error <= 0.25
+    tight = bp.plan(backhoe, site(level(0.2, rotation_tolerance=0.1), start=start), effort="quick")
+    assert not tight.verified
+
+
+def test_the_certificate_judges_with_the_tolerance_of_the_goal(backhoe: bp.Robot) -> None:
+    q = np.array([[0.0, 0.4, -1.6, -0.9]] * 2)
+    stands = bp.Trajectory.from_steps(np.array([0.0, 1.0]), q)
+    for tolerance, reached in ((0.19, False), (0.21, True)):
+        found = bp.certify(backhoe, site(level(0.2, rotation_tolerance=tolerance), start=READY), stands)
+        assert found.tracking.done == reached
+        assert found.tracking.max_angle_error == pytest.approx(0.2, abs=1e-9)
+    assert not bp.certify(backhoe, site(level(0.2), start=READY), stands).tracking.done
+    assert bp.certify(backhoe, site(level(0.009), start=READY), stands).tracking.done
