@@ -16,7 +16,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits, Robot
-from backhoe_planner.motion import Problem, SmoothWay, Trajectory, drive_of, time_way
+from backhoe_planner.motion import OBJECTIVES, Problem, SmoothWay, Trajectory, drive_of, time_way
 from backhoe_planner.planning import (
     EFFORTS,
     Brake,
@@ -112,6 +112,7 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
         robot=query.robot,
         scene=query.scene,
         limits=query.limits,
+        objective=OBJECTIVES["time"],
         obstacles=query.obstacles,
         start_q=query.q,
         start_target=None,

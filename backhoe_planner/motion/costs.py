@@ -72,7 +72,7 @@ class PathCost:
 
     def __init__(self, problem: Problem, name: str | None = None) -> None:
         robot, scene = problem.robot, problem.scene
-        self.objective = find_objective(scene.objective if name is None else name, robot)
+        self.objective = problem.objective if name is None else find_objective(name, robot)
         self._machine = LoadedMachine(
             Dynamics(robot, payload=scene.payload),
             None if scene.soil is None else SoilReaction(robot, scene.soil),

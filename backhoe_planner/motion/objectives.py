@@ -181,8 +181,17 @@ class Objective(ABC, Generic[Parts]):
         """(...) the cost of each step, in `unit`."""
 
     @abstractmethod
+    def rate(self, v: Array, energy: MotionEnergy) -> Array:
+        """(T,) what each moment costs, in `unit` per second, by full inverse dynamics.
+
+        Parameters
+        ----------
+        v: (T, n) velocities of the joints there [rad/s or m/s].
+        """
+
     def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        """The cost of a finished motion, in `unit`, by full inverse dynamics."""
+        """The cost of a finished motion, in `unit`: the integral of `rate`."""
+        return float(np.trapezoid(self.rate(motion.v, energy), motion.time))
 
     def duration(self, dt: Array, a: Parts, b: Parts, machine: LoadedMachine) -> Array:
         """(...) duration of the steps from a to b [s], of which tip and joints need `dt` (...) [s]."""
@@ -207,8 +216,8 @@ class VelocityNorm(Objective[Nodes]):
     def of_step(self, step: Step[Nodes], machine: LoadedMachine) -> Array:
         return np.asarray(step.squared / step.dt)
 
-    def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        return float(np.trapezoid(np.sum(motion.v * motion.v, axis=1), motion.time))
+    def rate(self, v: Array, energy: MotionEnergy) -> Array:
+        return np.asarray(np.sum(v * v, axis=1))
 
 
 class Kinetic(Objective[_Masses]):
@@ -229,8 +238,8 @@ class Kinetic(Objective[_Masses]):
                 cost += (0.25 * (step.a.M[..., i, j] + step.b.M[..., i, j])) * left * right
         return cost / step.dt
 
-    def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        return float(np.trapezoid(energy.kinetic, motion.time))
+    def rate(self, v: Array, energy: MotionEnergy) -> Array:
+        return np.asarray(energy.kinetic)
 
 
 class _OfTorques(Objective[_Torques]):
@@ -250,8 +259,8 @@ class Effort(_OfTorques):
         ends = np.sum(step.a.after * step.a.after, axis=-1) + np.sum(step.b.before * step.b.before, axis=-1)
         return np.asarray(0.5 * ends * step.dt)
 
-    def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        return float(np.trapezoid(np.sum(energy.torque * energy.torque, axis=1), motion.time))
+    def rate(self, v: Array, energy: MotionEnergy) -> Array:
+        return np.asarray(np.sum(energy.torque * energy.torque, axis=1))
 
 
 class Work(_OfTorques):
@@ -268,8 +277,8 @@ class Work(_OfTorques):
             cost += np.maximum((0.5 * (step.a.after[..., joint] + step.b.before[..., joint])) * change, 0.0)
         return cost
 
-    def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        return float(energy.work[-1])
+    def rate(self, v: Array, energy: MotionEnergy) -> Array:
+        return np.asarray(energy.power)
 
 
 class Hydraulic(Objective[_Forces]):
@@ -305,9 +314,9 @@ class Hydraulic(Objective[_Forces]):
     def overhead(self, step: Step[_Forces], machine: LoadedMachine, per_radian: float) -> Array:
         return np.asarray((_MARGIN_PRESSURE / per_radian) * machine.oil(step.a, step.b))
 
-    def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        assert energy.hydraulic is not None
-        return float(energy.hydraulic[-1])
+    def rate(self, v: Array, energy: MotionEnergy) -> Array:
+        assert energy.hydraulic_power is not None
+        return np.asarray(energy.hydraulic_power)
 
 
 class Time(Objective[_Rods]):
@@ -333,8 +342,8 @@ class Time(Objective[_Rods]):
     def of_step(self, step: Step[_Rods], machine: LoadedMachine) -> Array:
         return step.dt
 
-    def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        return motion.duration
+    def rate(self, v: Array, energy: MotionEnergy) -> Array:
+        return np.ones(len(v))
 
 
 OBJECTIVES: Mapping[str, Objective[Any]] = {

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Kinematics, Robot, TipTarget
 from backhoe_planner.motion.goals import Goal
-from backhoe_planner.motion.objectives import find_objective
+from backhoe_planner.motion.objectives import Objective, find_objective
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import (
     Gains,
@@ -34,6 +35,7 @@ class Problem:
     robot: the machine, with the scene's tip.
     scene: as it was given.
     limits: the machine's limits within the scene.
+    objective: what the motion is to make small.
     obstacles: the site, as convex pieces.
     start_q: (n,) where the joints stand; None where the start is given by the tip, or
         left to the planner.
@@ -45,6 +47,7 @@ class Problem:
     robot: Robot
     scene: Scene
     limits: JointLimits
+    objective: Objective[Any]
     obstacles: tuple[Obstacle, ...]
     start_q: Vector | None
     start_target: TipTarget | None
@@ -83,7 +86,8 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
             key="soil",
             found=robot.name,
         )
-    find_objective(scene.objective, robot, file=scene.file)
+    default = "work" if scene.task.goal is None else "time"
+    objective = find_objective(scene.objective or default, robot, file=scene.file)
     start_q, start_target = _start(robot, scene)
     path = None
     if scene.task.path is not None:
@@ -93,7 +97,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         numbers = _without_repeats(waypoints)
         path = TipPath([waypoints[number - 1] for number in numbers], numbers=numbers)
     return Problem(
-        robot, scene, limits=scaled_limits(robot, scene), obstacles=build_obstacles(scene, robot),
+        robot, scene, limits=scaled_limits(robot, scene), objective=objective, obstacles=build_obstacles(scene, robot),
         start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,
     )  # fmt: skip
 

@@ -99,8 +99,8 @@ class Scene(Record):
     gains: Literal["auto"] | Gains = "auto"
     limits: Limits = Limits()
     tracking: TrackingError | None = None
-    objective: Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"] = "work"
-    """What a plan along a path is to make small."""
+    objective: Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"] | None = None
+    """What a plan is to make small; left out: the time to a goal, the work along a path."""
     payload: NonNegative = 0.0
     """Mass in the bucket [kg]."""
     soil: Soil | None = None

@@ -25,7 +25,7 @@ from pydantic import BeforeValidator, computed_field, model_validator
 from backhoe_planner.arrays import Vector
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.machine import Kinematics, movable_rows
-from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory, trajectory_costs
+from backhoe_planner.motion import Problem, TipPath, Trajectory, trajectory_costs
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import monotone_curve
 from backhoe_planner.planning.paths.local_resolution import has_open_range, resolve_along, sample_stations
@@ -125,7 +125,7 @@ def compare_with_law(problem: Problem, trajectory: Trajectory, certificate: Cert
     # with detours the path itself is blocked; where the tip stands, no place says what to compare
     if not certificate.detours and not stands:
         moved, breaks = _along_by_law(problem, path, motion, begun, kinematics=kinematics)
-    name = problem.scene.objective
+    name = problem.objective.name
     value, whole = (trajectory_costs(problem, way)[name] for way in (motion, trajectory))
     law = None if moved is None else trajectory_costs(problem, moved)[name]
     figures = LawComparison(name=name, value=value, whole=whole, law=law, law_breaks=breaks)
@@ -136,7 +136,7 @@ def _along_by_law(
     problem: Problem, path: TipPath, motion: Trajectory, begun: float, *, kinematics: Kinematics
 ) -> tuple[Trajectory | None, Obstruction | None]:
     """The law's motion beside `motion`, None where it does not get along the path; and what it breaks."""
-    proximity, is_time = Proximity(problem.robot, problem.obstacles), OBJECTIVES[problem.scene.objective].is_time
+    proximity, is_time = Proximity(problem.robot, problem.obstacles), problem.objective.is_time
     law = resolve_along(problem, path, 0.0, motion.q[0], proximity=proximity, kinematics=kinematics, time=begun)
     breaks = law.obstruction
     if breaks is not None:

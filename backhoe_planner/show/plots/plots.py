@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.live import is_recording
-from backhoe_planner.motion import OBJECTIVES, Problem, Trajectory, limit_usage, trajectory_energy
+from backhoe_planner.motion import Problem, Trajectory, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
@@ -219,7 +219,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     right = axes.twinx()
     right.spines[["top", "left"]].set_visible(False)
     right.tick_params(labelsize=8.5, color="0.6")
-    what = "energy" if OBJECTIVES[problem.scene.objective].needs_hydraulics else "work"
+    what = "energy" if problem.objective.needs_hydraulics else "work"
     curves: list[tuple[Vector, Vector, str, Any, str]] = [(time, spent, "#d55e00", (0, (6, 2)), what)]
     title = f"what {'the oil puts' if what == 'energy' else 'the joints put'} in, against {_loads(plan)}"
     compared = None
@@ -248,7 +248,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
 def _spent(problem: Problem, motion: Trajectory) -> tuple[Vector, Vector]:
     """(T,) power [W] and energy [J]: of the joints, or of the oil where the objective is about the oil."""
     energy = trajectory_energy(problem, motion)
-    if OBJECTIVES[problem.scene.objective].needs_hydraulics and energy.hydraulic is not None:
+    if problem.objective.needs_hydraulics and energy.hydraulic is not None:
         assert energy.hydraulic_power is not None
         return energy.hydraulic_power, energy.hydraulic
     return energy.power, energy.work
