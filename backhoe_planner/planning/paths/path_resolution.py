@@ -18,7 +18,7 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import TURN_LEVER, Problem, TipPath
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.paths.path_layers import PathLayers
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.paths.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
@@ -31,9 +31,6 @@ _WIDEST_LAYER = 5.0 * _LAYER  # m, up to this
 _GRID = np.radians(5.0)  # of the free parameter; chosen: refined afterwards
 _SAME = 1e-9  # m of path: nearer layers are at one place
 _FINE = 0.01  # m of path between the samples of a stretch; chosen
-_FINE_TURN = 0.03  # rad or m of a joint between them; chosen
-_BENT = 3.0  # times the step of the straight way that a step between two nodes may be long; chosen
-_JUMP = 0.02  # rad or m that it may be longer still, where the straight way is short; chosen
 _EXTENSION = 0.005  # m to within which a detour is begun late and ended early; chosen: half of `_FINE`
 _NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
 _TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
@@ -230,7 +227,7 @@ class PathResolver:
             own = q[rows].copy()
             own[0], own[-1] = guess[0], guess[-1]
             straight = np.max(np.abs(guess[-1] - guess[0])) / (len(between) - 1)
-            smooth = np.max(np.abs(np.diff(own, axis=0))) <= _BENT * straight + _JUMP
+            smooth = np.max(np.abs(np.diff(own, axis=0))) <= BENT * straight + JUMP
             found.append(Stretch(between, own) if reached[rows].all() and smooth else None)
         return found
 
@@ -242,7 +239,7 @@ class PathResolver:
         found = [np.array([low])]
         for start, end in pairwise(edges.tolist()):
             part = (end - start) / (high - low) if high > low else 1.0
-            count = max(int(np.ceil((end - start) / _FINE)), int(np.ceil(part * turn / _FINE_TURN)), 1)
+            count = max(int(np.ceil((end - start) / _FINE)), int(np.ceil(part * turn / STRAIGHT_STEP)), 1)
             found.append(np.linspace(start, end, count + 1)[1:])
         return np.concatenate(found)
 

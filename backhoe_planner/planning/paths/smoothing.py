@@ -6,8 +6,9 @@ is moved within its null space, q_k + N_k z_k, so that the cost
     sum_k w_k |q_{k+1} - q_k|^2,  w_k = 1 / (arc length from k to k + 1)
 
 falls: Gauss-Newton on z, a banded system, with the tip put back on the path after each
-step. A sample that would come too near to something is held back by a growing price on
-its own z. Only a stretch that is cheaper, clear, and within the limits is taken.
+step. A sample that would come too near to something, or tear away from its neighbour, is
+held back by a growing price on its own z. Only a stretch that is cheaper, clear, whole, and
+within the limits is taken.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from scipy.linalg import solveh_banded
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
-from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.paths.stretch import Stretch, torn
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
@@ -78,6 +79,9 @@ def smooth_stretch(
         moved[held] = q[held]
         bad = ~(reached | held)
         bad |= _margins(proximity, moved, time, floor=floor) < floor
+        apart = torn(moved, stretch.bound)
+        bad[:-1] |= apart & ~held[:-1]
+        bad[1:] |= apart & ~held[1:]
         if not bad.any() and _cost(weights, moved) < cost:
             clear = [path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(moved)]
             bad[:-1] |= ~np.array(clear)
