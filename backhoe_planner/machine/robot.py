@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Matrix, Vector, as_array, as_vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_vector
 from backhoe_planner.errors import InputError, check_kind, check_path
 from backhoe_planner.machine.description.chain_model import chain_model
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
@@ -166,6 +166,18 @@ class Robot:
             np.where(np.isfinite(limits.lower), limits.lower, -np.pi),
             np.where(np.isfinite(limits.upper), limits.upper, np.pi),
         )
+
+    @cached_property
+    def continuous(self) -> Flags:
+        """(n,) which joints turn without end: a turn more or less of them is the same configuration."""
+        return np.isinf(self.limits.lower) & np.isinf(self.limits.upper)
+
+    def reduce_unchecked(self, q: Array, near: Array | None = None) -> Array:
+        """(..., n) positions or changes `q` [rad or m]; continuous joints within half a turn of `near` (0)."""
+        if not self.continuous.any():
+            return q
+        turns = np.round((q if near is None else q - near) / (2.0 * np.pi))
+        return np.asarray(q - 2.0 * np.pi * np.where(self.continuous, turns, 0.0))
 
     @cached_property
     def has_pitch(self) -> bool:

@@ -79,6 +79,7 @@ class PathCost:
             robot.hydraulics,
         )
         self._kinematics = BatchKinematics(robot)
+        self._continuous = np.flatnonzero(robot.continuous)
         self._velocity, self._acceleration = (
             np.where(np.isfinite(limit), limit, _UNLIMITED)
             for limit in (problem.limits.velocity, problem.limits.acceleration)
@@ -108,8 +109,8 @@ class PathCost:
         before, after = self.nodes(a, (None, velocity)), self.nodes(b, (velocity, None))
         cost = self.between(before[:, None], after[None, :], np.asarray(span))
         widest = np.zeros(cost.shape)
-        for joint in range(a.shape[1]):
-            np.maximum(widest, np.abs(b[None, :, joint] - a[:, None, joint]), out=widest)
+        for change in self._changes(a[:, None], b[None, :]):
+            np.maximum(widest, np.abs(change, out=change), out=widest)
         return np.where(widest > WIDEST_STEP, np.inf, cost)
 
     def of_steps(self, stations: Array, q: Array) -> float:
@@ -179,13 +180,20 @@ class PathCost:
 
     def _joint_steps(self, a: Array, b: Array, span: Array) -> tuple[list[Array], Array]:
         """How far each joint goes from a to b (..., n), as n of (...) [rad or m], and (...) the time it takes [s]."""
-        dq = [b[..., joint] - a[..., joint] for joint in range(a.shape[-1])]
+        dq = self._changes(a, b)
         dt = np.zeros(dq[0].shape)
         if np.isfinite(self.speed):
             np.maximum(dt, span / self.speed, out=dt)
         for joint, change in enumerate(dq):
             np.maximum(dt, np.abs(change) / self._velocity[joint], out=dt)
         return dq, dt
+
+    def _changes(self, a: Array, b: Array) -> list[Array]:
+        """The n changes (...) of the joints from a to b (..., n) [rad or m]; continuous ones the shorter way round."""
+        dq = [b[..., joint] - a[..., joint] for joint in range(a.shape[-1])]
+        for joint in self._continuous:
+            dq[joint] -= 2.0 * np.pi * np.round(dq[joint] / (2.0 * np.pi))
+        return dq
 
     def rate_changes(self, before: Array, after: Array) -> Array:
         """(...) cost of the time in which `rates` change from `before` to `after` (n, ...), in rad."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -159,6 +159,7 @@ class _Along:
         stepper = self._stepper
         if stepper is not None and begin is None:
             # before the pieces are made cheaper: that moves no first joints, and may use up the time
+            resolved = self._turned(resolved, stepper.q)
             transit = find_transit(self._world, stepper, [_first(resolved.pieces)])
             if isinstance(transit, str):
                 return self._from_elsewhere(stepper, transit)
@@ -186,7 +187,14 @@ class _Along:
         """(N,) what it costs to begin at each of `nodes` (N, n): the distance of the joints [rad or m]."""
         if self._stepper is None:
             return np.zeros(len(nodes))
-        return np.asarray(np.linalg.norm(nodes - self._stepper.q, axis=1))
+        change = self._world.problem.robot.reduce_unchecked(nodes - self._stepper.q)
+        return np.asarray(np.linalg.norm(change, axis=1))
+
+    def _turned(self, resolved: Resolution, near: Vector) -> Resolution:
+        """The same, with continuous joints turned as a whole so that the path begins within half a turn of `near`."""
+        first = _first(resolved.pieces)
+        turns = self._world.problem.robot.reduce_unchecked(first, near=near) - first
+        return replace(resolved, pieces=tuple(replace(piece, q=piece.q + turns) for piece in resolved.pieces))
 
     def _anywhere(self) -> Vector:
         nodes = self._resolver.first_layer
@@ -194,7 +202,8 @@ class _Along:
 
     def _from_elsewhere(self, stepper: Stepper, failure: str) -> Outcome:
         """The motion from any configuration on the path's beginning that the machine can get to."""
-        transit = find_transit(self._world, stepper, list(self._resolver.first_layer))
+        nodes = self._world.problem.robot.reduce_unchecked(self._resolver.first_layer, near=stepper.q)
+        transit = find_transit(self._world, stepper, list(nodes))
         if isinstance(transit, str):
             message = f"no way was found to the beginning of the path: {failure}"
             return Outcome(stepper.trajectory(), "blocked", message)

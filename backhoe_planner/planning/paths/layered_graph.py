@@ -27,7 +27,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.planning.search.effort import Brake
 
 StepCost = Callable[[Matrix, Matrix, float], Matrix]
@@ -86,6 +86,7 @@ class LayeredGraph:
         costs of the motions, infinite where there is none.
     turning: arc length that a turn counts as [m].
     detours: whether the path may be left.
+    reduce: brings changes of the joints (..., n) to the shorter way round; by default they are as they are.
     brake: checked by every search; by default none.
 
     Attributes
@@ -101,6 +102,7 @@ class LayeredGraph:
         cost: StepCost,
         turning: float,
         detours: bool,
+        reduce: Callable[[Array], Array] = lambda change: change,
         brake: Brake | None = None,
     ) -> None:
         self.stations = np.asarray(stations, dtype=float)
@@ -108,6 +110,7 @@ class LayeredGraph:
         self._cost = cost
         self._turning = turning
         self._detours = detours
+        self._reduce = reduce
         self._brake = brake or Brake()
         self._steps: dict[int, Matrix] = {}
         self._turns: dict[int, Matrix] = {}
@@ -247,7 +250,7 @@ class LayeredGraph:
             if not np.isfinite(least):
                 continue
             price = _LEFT_OUT * (float(self.stations[layer] - self.stations[start]) + _LEAVING)
-            change = np.linalg.norm(nodes[None, :, :] - self.layers[start][:, None, :], axis=2)
+            change = np.linalg.norm(self._reduce(nodes[None, :, :] - self.layers[start][:, None, :]), axis=2)
             total = before[:, None] + price + change
             self.looked_at += total.size
             for a, b in self._forbidden.get((start, layer), ()):
@@ -270,7 +273,7 @@ class LayeredGraph:
                 continue
             before = value if start == layer else values[start]
             skipped = float(self.stations[layer] - self.stations[start]) + _LEAVING
-            change = float(np.linalg.norm(self.layers[layer][b] - self.layers[start][a]))
+            change = float(np.linalg.norm(self._reduce(self.layers[layer][b] - self.layers[start][a])))
             total = before[a] + _LEFT_OUT * skipped + change
             if total < value[b]:
                 value[b] = total

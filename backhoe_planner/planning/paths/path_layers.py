@@ -74,7 +74,7 @@ class PathLayers:
             found = self._on_grid(stations, batch, pitch=redundancy == 1)
         self._brake.check()
         if begin is not None:
-            found[0] = _distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
+            found[0] = self._distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
         self._carry(batch, found, range(1, len(found)), -1)
         self._carry(batch, found, range(len(found) - 2, -1, -1), 1)
         return found
@@ -103,13 +103,13 @@ class PathLayers:
                 continue
             alone = np.ones(len(before), dtype=bool)
             if len(here):
-                alone = cKDTree(here).query(before, p=np.inf)[0] > _FOLLOWED
+                alone = self._tree(here).query(self._in_box(before), p=np.inf)[0] > _FOLLOWED
             if not alone.any():
                 continue
             targets = batch.take(np.full(int(alone.sum()), row))
             q, reached = solve_batch(self._kinematics, targets, before[alone], iterations=10)
             near = np.max(np.abs(q - before[alone]), axis=1) < _CARRIED
-            found[row] = _distinct(np.vstack((here, q[reached & near])))
+            found[row] = self._distinct(np.vstack((here, q[reached & near])))
 
     def _pitch_is_free(self, targets: Sequence[TipTarget]) -> bool:
         return self._robot.has_pitch and all(target.rotation is None for target in targets)
@@ -181,7 +181,7 @@ class PathLayers:
             targets = targets.at_pitch(values)
         q, reached = self._solve_all(targets, guesses)
         q, rows = q[reached], rows[reached]
-        return {row: _distinct(q[rows == row]) for row in np.unique(rows).tolist()}
+        return {row: self._distinct(q[rows == row]) for row in np.unique(rows).tolist()}
 
     # --- one parameter, along the curves of self-motion ---------------------------------
 
@@ -197,14 +197,14 @@ class PathLayers:
         all_q, all_rows = np.vstack([q for q, _ in traces]), np.concatenate([rows for _, rows in traces])
         found = [np.zeros((0, self._robot.n))] * len(stations)
         for row in seeds.tolist():
-            found[row] = _distinct(all_q[all_rows == row], within=0.5 * self._grid)
+            found[row] = self._distinct(all_q[all_rows == row], within=0.5 * self._grid)
         between = np.setdiff1d(np.arange(len(stations)), seeds)
         if len(between):
             beside = [(row, found[int(seed)]) for row in between.tolist() for seed in _beside(seeds, row)]
             rows = np.concatenate([np.full(len(nodes), row) for row, nodes in beside])
             q, reached = self._solve_all(batch.take(rows), np.vstack([nodes for _, nodes in beside]))
             for row in between.tolist():
-                found[row] = _distinct(q[reached & (rows == row)], within=0.5 * self._grid)
+                found[row] = self._distinct(q[reached & (rows == row)], within=0.5 * self._grid)
         return found
 
     def _trace(
@@ -229,7 +229,9 @@ class PathLayers:
             step = self._grid * (sense if number == 0 else 1.0) * np.where(ahead < 0.0, -1.0, 1.0)[:, None] * null
             after, reached = solve_batch(self._kinematics, targets, q + step, iterations=8)
             moved = np.max(np.abs(after - q), axis=1)
-            closed = (number > 2) & (np.max(np.abs(after - begin), axis=1) < 0.7 * self._grid)
+            closed = (number > 2) & (
+                np.max(np.abs(self._robot.reduce_unchecked(after - begin)), axis=1) < 0.7 * self._grid
+            )
             on = reached & (moved > 0.3 * self._grid) & (moved < 3.0 * self._grid) & ~closed
             q, rows, begin, step = after[on], rows[on], begin[on], step[on]
             found.append(q)
@@ -243,7 +245,7 @@ class PathLayers:
         rows = np.repeat(np.arange(len(batch)), len(guesses))
         q, reached = self._solve_all(batch.take(rows), np.tile(guesses, (len(batch), 1)))
         q, reached = q.reshape(len(batch), len(guesses), -1), reached.reshape(len(batch), len(guesses))
-        return [_distinct(q[row][reached[row]]) for row in range(len(batch))]
+        return [self._distinct(q[row][reached[row]]) for row in range(len(batch))]
 
     def _solve_all(self, targets: TargetBatch, guesses: Matrix) -> tuple[Matrix, Mask]:
         """`solve_batch` in portions, between which the brake is checked."""
@@ -255,6 +257,40 @@ class PathLayers:
             ends.append(q)
             reached.append(arrived)
         return np.vstack(ends), np.concatenate(reached)
+
+    # --- nodes that are the same --------------------------------------------------------
+
+    def _distinct(self, q: Matrix, *, within: float = _SAME) -> Matrix:
+        """`q` (N, n) without those that lie `within` [rad or m] of an earlier one, sorted by the first joints.
+
+        Continuous joints come out within half a turn either way.
+        """
+        q = self._robot.reduce_unchecked(q)
+        if len(q) < 2:
+            return q
+        cells = np.round(q / within).astype(np.int64)
+        _, first = np.unique(cells, axis=0, return_index=True)
+        q = q[np.sort(first)]
+        repeated = np.zeros(len(q), dtype=bool)
+        pairs = self._tree(q).query_pairs(within, p=np.inf, output_type="ndarray")
+        repeated[pairs[:, 1]] = True
+        q = q[~repeated]
+        return np.asarray(q[np.lexsort(q.T[::-1])])
+
+    def _tree(self, q: Matrix) -> cKDTree:
+        """The tree of `q` (N, n), in which continuous joints end where they begin; asked with `_in_box`."""
+        continuous = self._robot.continuous
+        return cKDTree(self._in_box(q), boxsize=2.0 * np.pi * continuous if continuous.any() else None)
+
+    def _in_box(self, q: Matrix) -> Matrix:
+        """(N, n) `q`, with continuous joints from 0 to less than a turn."""
+        continuous = self._robot.continuous
+        if not continuous.any():
+            return q
+        q = q.copy()
+        turned = np.mod(q[:, continuous], 2.0 * np.pi)
+        q[:, continuous] = np.where(turned < 2.0 * np.pi, turned, 0.0)  # rounding
+        return q
 
 
 def redundancy_of(robot: Robot, target: TipTarget) -> int:
@@ -289,17 +325,3 @@ def _beside(seeds: NDArray[np.intp], row: int) -> NDArray[np.intp]:
     """The seeds before and after a station that is not a seed."""
     after = int(np.searchsorted(seeds, row))
     return seeds[after - 1 : after + 1]
-
-
-def _distinct(q: Matrix, *, within: float = _SAME) -> Matrix:
-    """`q` (N, n) without those that lie `within` [rad or m] of an earlier one, sorted by the first joints."""
-    if len(q) < 2:
-        return q
-    cells = np.round(q / within).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    q = q[np.sort(first)]
-    repeated = np.zeros(len(q), dtype=bool)
-    pairs = cKDTree(q).query_pairs(within, p=np.inf, output_type="ndarray")
-    repeated[pairs[:, 1]] = True
-    q = q[~repeated]
-    return np.asarray(q[np.lexsort(q.T[::-1])])

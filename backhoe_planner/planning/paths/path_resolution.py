@@ -161,8 +161,9 @@ class PathResolver:
         self._motions, self._ways = {}, {}
         turning = float(self._stations[1] - self._stations[0])
         graph = LayeredGraph(
-            stations, layers, cost=self._cost, turning=turning, detours=detours, brake=self._work.brake
-        )
+            stations, layers, cost=self._cost, turning=turning, detours=detours,
+            reduce=self._problem.robot.reduce_unchecked, brake=self._work.brake,
+        )  # fmt: skip
         for mark in self._path.stations[self._path.standing_waypoints].tolist():
             for start in np.flatnonzero(stations < mark - _SAME).tolist():
                 for end in np.flatnonzero(stations > mark + _SAME).tolist():
@@ -212,7 +213,7 @@ class PathResolver:
             return []
         stations, guesses = [], []
         for edge in edges:
-            a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
+            a, b = self._ends(graph, edge)
             between = self._between(graph.stations[edge.start[0]], graph.stations[edge.end[0]], a, b)
             part = np.linspace(0.0, 1.0, len(between))[:, None]
             stations.append(between)
@@ -230,6 +231,11 @@ class PathResolver:
             smooth = np.max(np.abs(np.diff(own, axis=0))) <= BENT * straight + JUMP
             found.append(Stretch(between, own) if reached[rows].all() and smooth else None)
         return found
+
+    def _ends(self, graph: LayeredGraph, edge: Edge) -> tuple[Vector, Vector]:
+        """(n,), (n,) where an edge begins and ends; a continuous joint goes the shorter way round."""
+        a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
+        return a, self._problem.robot.reduce_unchecked(b, near=a)
 
     def _between(self, low: float, high: float, a: Vector, b: Vector) -> Vector:
         """(K,) arc lengths of the samples of the edge from `low` to `high` [m], every waypoint among them."""
@@ -266,7 +272,7 @@ class PathResolver:
 
     def _leave(self, graph: LayeredGraph, edge: Edge) -> tuple[Stretch, Bypass, Stretch] | None:
         """A detour, with the parts of the path that are followed before and after it; None where none is found."""
-        a, b = (graph.layers[node[0]][node[1]] for node in (edge.start, edge.end))
+        a, b = self._ends(graph, edge)
         low, high = (float(graph.stations[node[0]]) for node in (edge.start, edge.end))
         if low == high or (self._off_path and edge.start[0] == 0):
             obstruction = self._obstruction(a, low)
@@ -338,8 +344,8 @@ class PathResolver:
         for edge in route.edges:
             if edge.kind is EdgeKind.DETOUR:
                 before, detour, after = self._ways[edge]
-                _append(pieces, before)
-                pieces += [detour, after]
+                turns = _append(pieces, before)
+                pieces += [replace(detour, q=detour.q + turns), replace(after, q=after.q + turns)]
             else:
                 motion = self._motions[edge]
                 assert motion is not None
@@ -397,8 +403,11 @@ def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
     return np.asarray(found)
 
 
-def _append(pieces: list[Stretch | Bypass], motion: Stretch) -> None:
-    """Join a motion to the last piece, at whose end it begins."""
+def _append(pieces: list[Stretch | Bypass], motion: Stretch) -> Vector:
+    """Join a motion to the last piece, at whose end it begins; (n,) the turns by which its joints are shifted."""
     last = pieces[-1]
     assert isinstance(last, Stretch)
-    pieces[-1] = Stretch(np.concatenate((last.stations, motion.stations[1:])), np.vstack((last.q, motion.q[1:])))
+    turns = 2.0 * np.pi * np.round((last.q[-1] - motion.q[0]) / (2.0 * np.pi))
+    q = np.vstack((last.q, motion.q[1:] + turns))
+    pieces[-1] = Stretch(np.concatenate((last.stations, motion.stations[1:])), q)
+    return np.asarray(turns)
