@@ -1,7 +1,8 @@
 #!/usr/bin/env python
 """How good motions to a goal are, beside the best known of the same site and a proven bound.
 
-For each group of random sites (validation/sites.py): the part that was verified, cost over
+For each group of random sites (validation/sites.py), or of problems at a table, a shelf and a cage
+(validation/tabletop.py), in all of which a way is known: the part that was verified, cost over
 the best known, processor time, cost over the bound that the plan proves, and how far apart the
 results of several planning seeds are. `below bound` must be 0. What is best known is kept in
 a file; runs with other seeds and more effort make it better.
@@ -9,6 +10,7 @@ a file; runs with other seeds and more effort make it better.
     python scripts/bench_goals.py --sites 10 --best best.json
     python scripts/bench_goals.py --sites 10 --best best.json --effort thorough --planning-seeds 1 2 3
     python scripts/bench_goals.py --sites 10 --best best.json --objective work
+    python scripts/bench_goals.py --sites 67 --problems tabletop
 
 Ctrl-C ends the run and prints what is done. The exit status is 1 where an exception was raised
 or a motion is below a bound, 130 after Ctrl-C, else 0.
@@ -23,6 +25,7 @@ os.environ["OMP_NUM_THREADS"] = "1"  # one site to a core; before numpy is impor
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import backhoe_planner as bp
@@ -30,17 +33,20 @@ from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS
 from validation import goal_runs as runs
+from validation import tabletop
 from validation.obstacles import MACHINES
 from validation.planning_runs import all_keys
-from validation.sites import KINDS
+from validation.sites import KINDS, random_site
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sites", type=int, default=10, help="in each group")
-    parser.add_argument("--machines", nargs="+", choices=MACHINES, default=MACHINES)
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--problems", choices=("sites", "tabletop"), default="sites")
+    parser.add_argument("--machines", nargs="+", choices=MACHINES, default=MACHINES, help="of random sites")
+    parser.add_argument("--kinds", nargs="+", choices=(*KINDS, *tabletop.KINDS), help="all of them by default")
+    parser.add_argument("--by-joints", action="store_true", help="goals of tabletop problems by joints, not by pose")
     parser.add_argument("--seed", type=int, default=0, help="of the sites")
     parser.add_argument("--planning-seeds", nargs="+", type=int, default=[0], metavar="SEED")
     parser.add_argument("--effort", choices=list(EFFORTS), default="normal")
@@ -59,14 +65,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         best = runs.Best.load(options.best) if options.best else best
     except (bp.OutputError, OSError, ValueError, KeyError, TypeError) as error:
         parser.error(str(error))
-    keys = all_keys(options.sites, machines=options.machines, kinds=options.kinds, tasks=["goal"], seed=options.seed)
+    kinds, machines, draw = KINDS, options.machines, random_site
+    if options.problems == "tabletop":
+        kinds, machines = tabletop.KINDS, [tabletop.MACHINE]
+        draw = partial(tabletop.tabletop_problem, by_joints=options.by_joints)
+    chosen = options.kinds or kinds
+    if not set(chosen) <= set(kinds):
+        parser.error(f"--kinds of --problems {options.problems} are {', '.join(kinds)}")
+    keys = all_keys(options.sites, machines=machines, kinds=chosen, tasks=["goal"], seed=options.seed)
     settings = runs.Settings(options.effort, options.objective, tuple(options.planning_seeds))
 
     def progress(done: int) -> None:
         if sys.stderr.isatty():
             print(f"\r{done} of {len(keys)} ", end="", file=sys.stderr, flush=True)
 
-    rows, interrupted = runs.run(keys, settings, jobs=options.jobs, progress=progress)
+    rows, interrupted = runs.run(keys, settings, draw=draw, jobs=options.jobs, progress=progress)
     if interrupted:
         print(f"interrupted: {len(rows)} plans are done")
     if not rows:

@@ -9,7 +9,9 @@ it imports `backhoe_planner` by its doors, and no script.
     obstacles          random obstacles, as entries of a scene file; everything draws them here
     scenes             a scene from a start, obstacles and a task
     habitats           sensible sizes around each machine; the forms of narrow sites
+    free_space         what is proven free between configurations, without the planner
     sites              random sites, each named by machine, kind, task and index
+    tabletop           the Panda at a table, a shelf and a cage of bars, each with a known way
     planar_scenes      random scenes for a planar arm
     printed_laws       the laws as printed and the completed law on planar scenes, counted
     law_runs           each law on the same planar scenes: arrives, touches, jumps

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import pinocchio as pin
+
 import backhoe_planner as bp
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from validation.obstacles import Record
 
 NO_TASK: Record = {"goal": {"position": [4.0, 0.0, 0.0]}}  # of scenes in which nothing is planned; a scene has a task
@@ -20,3 +22,9 @@ def scene_of(
     if start is not None:
         content["start"] = {"joints": dict(zip(robot.joint_names, start.tolist(), strict=True))}
     return bp.scene_from_dict(content)
+
+
+def quaternion(rotation: Matrix) -> list[float]:
+    """[w, x, y, z] of a rotation matrix (3, 3), as a scene file has it."""
+    x, y, z, w = pin.Quaternion(rotation).coeffs().tolist()
+    return [w, x, y, z]

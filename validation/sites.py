@@ -32,10 +32,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-import pinocchio as pin
 from scipy.interpolate import CubicSpline
 
 import backhoe_planner as bp
@@ -43,9 +41,10 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import tip_travel_bound
 from backhoe_planner.motion import TipPath
 from backhoe_planner.site import Waypoint
+from validation.free_space import clear_along, margins, trees_meet
 from validation.habitats import HABITATS, Narrows, banks, draw_narrows, folded_ways
 from validation.obstacles import MACHINES, Record, extent, lump, name_all, pipe, random_fixtures, random_obstacle, shift
-from validation.scenes import NO_TASK, scene_of
+from validation.scenes import NO_TASK, quaternion, scene_of
 
 KINDS = ("open", "cluttered", "narrow")
 TASKS = ("goal", "path")
@@ -145,7 +144,7 @@ class _Draft:
         fixtures = self._keeping(random_fixtures(self.key.machine, self.rng), np.array([start, goal]))
         obstacles = name_all(built + fixtures + loose)
         proximity = self._proximity(obstacles)
-        if min(float(np.min(self._margins(proximity, q))) for q in (start, goal)) < SPARE:
+        if min(float(np.min(margins(proximity, q))) for q in (start, goal)) < SPARE:
             return None
         scene = self._scene(obstacles, {"goal": self._pose(goal)}, start)
         return Site(self.key, scene, form, start, goal, None, False, self._way(proximity, start, goal))
@@ -155,7 +154,7 @@ class _Draft:
         free: list[tuple[Vector, Vector]] = []
         for _ in range(60):
             q = self._random_q()
-            if np.min(self._margins(proximity, q)) <= SPARE:
+            if np.min(margins(proximity, q)) <= SPARE:
                 continue
             tip = self.kinematics.at(q).tip_position
             if not self.habitat.outside(tip, tip):
@@ -175,28 +174,11 @@ class _Draft:
         ways = [np.array([start, goal])]
         ways += [np.array([start, *via, goal]) for via in folded_ways(self.key.machine, start, goal)]
         ways += [np.array([start, self.robot.random_q(self.rng), goal]) for _ in range(6)]
-        if any(self._clear_along(proximity, way, 0.0) for way in ways):
+        if any(clear_along(proximity, way, 0.0) for way in ways):
             return True
-        return self.key.kind == "narrow" and self._trees_meet(proximity, start, goal)
-
-    def _trees_meet(self, proximity: bp.Proximity, start: Vector, goal: Vector) -> bool:
-        """Whether two small random trees, grown from both ends through free space, meet."""
-        trees = [[start], [goal]]
-        for count in range(_GROWTH):
-            here, there = trees[count % 2], trees[1 - count % 2]
-            grown = self._towards(proximity, here, self.robot.random_q(self.rng))
-            here.append(grown)
-            met = self._towards(proximity, there, grown)
-            if np.array_equal(met, grown):
-                return True
-            there.append(met)
-        return False
-
-    def _towards(self, proximity: bp.Proximity, tree: list[Vector], wanted: Vector) -> Vector:
-        """(n,) as far from the nearest of a tree to `wanted` as the straight motion is proven free."""
-        a = min(tree, key=lambda q: float(np.sum(np.square(q - wanted))))
-        part = self._free_part(proximity, a, wanted, 0.0)
-        return wanted if part >= 1.0 else a + 0.95 * part * (wanted - a)
+        return self.key.kind == "narrow" and trees_meet(
+            self.robot, proximity, start, goal, growth=_GROWTH, rng=self.rng
+        )
 
     def _pipes(self, start: Vector, goal: Vector) -> list[Record]:
         """Two to four thin capsules across or beside the straight joint motion."""
@@ -239,10 +221,10 @@ class _Draft:
             return None
         obstacles = name_all(fixtures + loose + on_path)
         proximity = self._proximity(obstacles)
-        if not blocked and not self._clear_along(proximity, motion, SPARE):
+        if not blocked and not clear_along(proximity, motion, SPARE):
             return None
         start = self._path_start(proximity, motion)
-        if start is not None and np.min(self._margins(proximity, start)) < SPARE:
+        if start is not None and np.min(margins(proximity, start)) < SPARE:
             return None
         detour = bool(self.key.machine != "panda" and (blocked or self.rng.random() < 0.5))
         path: Record = {"waypoints": waypoints, "detour": detour}
@@ -262,7 +244,7 @@ class _Draft:
             return None
         for _ in range(100):
             q = self._random_q()
-            if np.min(self._margins(proximity, q)) > SPARE:
+            if np.min(margins(proximity, q)) > SPARE:
                 return q
         return np.array(motion[0])
 
@@ -282,7 +264,7 @@ class _Draft:
             if radial and len(ends) == 1 and tip[2] > -0.3:
                 continue
             near = not ends or 0.4 < float(np.linalg.norm(tip - self.kinematics.at(ends[-1]).tip_position)) < 3.0
-            if near and self.habitat.outside(tip, tip) and np.min(self._margins(proximity, q)) > SPARE:
+            if near and self.habitat.outside(tip, tip) and np.min(margins(proximity, q)) > SPARE:
                 ends.append(q)
             if len(ends) == count:
                 break
@@ -303,7 +285,7 @@ class _Draft:
         if not self.habitat.length[0] <= path.length <= self.habitat.length[1]:
             return None
         motion = self._follow(path, ends[0])
-        if motion is None or not self._clear_along(proximity, motion, SPARE):
+        if motion is None or not clear_along(proximity, motion, SPARE):
             return None
         return waypoints, motion
 
@@ -342,11 +324,11 @@ class _Draft:
         for q in motion:
             at = self.kinematics.at(q)
             tips.append(at.tip_position)
-            waypoints.append({"position": at.tip_position.tolist(), "quaternion": _quaternion(at.tip_rotation)})
+            waypoints.append({"position": at.tip_position.tolist(), "quaternion": quaternion(at.tip_rotation)})
         length = float(np.sum(np.linalg.norm(np.diff(tips, axis=0), axis=1)))
         if not self.habitat.length[0] <= length <= self.habitat.length[1] or np.min(np.array(tips)[:, 2]) < 0.05:
             return None
-        if not self._clear_along(self._proximity([]), motion, SPARE):
+        if not clear_along(self._proximity([]), motion, SPARE):
             return None
         return waypoints, motion
 
@@ -416,33 +398,6 @@ class _Draft:
         scene = self._scene(name_all(list(records)), NO_TASK, self.robot.middle)
         return bp.Proximity(self.robot, bp.build_obstacles(scene, self.robot), self_collision=itself)
 
-    def _margins(self, proximity: bp.Proximity, q: Vector) -> Vector:
-        if not proximity.pairs:
-            return np.array([np.inf])
-        return np.asarray(proximity.distances(q) - proximity.clearance)
-
-    def _clear_along(self, proximity: bp.Proximity, way: Matrix, extra: float) -> bool:
-        """Whether every margin is proven to be at least `extra` on the straight joint motions along `way`.
-
-        Conservative advancement: no distance can shrink faster than the joints move
-        times the reach of the link from them.
-        """
-        if any(self._free_part(proximity, a, b, extra) < 1.0 for a, b in pairwise(way)):
-            return False
-        return bool(np.min(self._margins(proximity, way[-1])) >= extra)
-
-    def _free_part(self, proximity: bp.Proximity, a: Vector, b: Vector, extra: float) -> float:
-        """The part of the straight joint motion from `a` to `b` that is proven to keep `extra`."""
-        rate = proximity.travel @ np.abs(b - a)
-        part = 0.0
-        while part < 1.0:
-            spare = proximity.distances(a + part * (b - a)) - proximity.clearance - extra
-            step = float(np.min(np.where(rate > 1e-12, spare / np.maximum(rate, 1e-12), np.inf), initial=np.inf))
-            if step < 2e-3 and part + step < 1.0:
-                return part
-            part += step
-        return 1.0
-
     # --- the scene -------------------------------------------------------------
 
     def _random_q(self) -> Vector:
@@ -459,14 +414,9 @@ class _Draft:
             low, high = self.rng.uniform(0.1, 0.5, 2) if kind == 1 else (0.0, 0.0)
             pose["pitch"] = [at.pitch - low, at.pitch + high] if kind == 1 else at.pitch
         elif self.key.machine == "panda" and kind:
-            pose["quaternion"] = _quaternion(at.tip_rotation)
+            pose["quaternion"] = quaternion(at.tip_rotation)
         return pose
 
     def _scene(self, obstacles: Sequence[Record], task: Record, start: Vector | None) -> bp.Scene:
         room = {"clearance": self.habitat.clearance, "influence": self.habitat.influence}
         return scene_of(self.robot, obstacles, start=start, task=task, name=str(self.key), **room)
-
-
-def _quaternion(rotation: Matrix) -> list[float]:
-    x, y, z, w = pin.Quaternion(rotation).coeffs().tolist()
-    return [w, x, y, z]
