@@ -87,7 +87,8 @@ def obstacles(draw: st.DrawFn, shape: str) -> Data:
 
 @st.composite
 def path_tasks(draw: st.DrawFn) -> Data:
-    data: Data = draw(record({}, speed=positive, tolerance=positive, detour=st.booleans()))
+    origins = record({"position": vectors}, rpy=st.tuples(st.just(0.0), st.just(0.0), turns).map(list))
+    data: Data = draw(record({}, speed=positive, tolerance=positive, detour=st.booleans(), origin=origins))
     if draw(st.booleans()):
         return {**data, "file": draw(names)}
     points = draw(st.lists(vectors, min_size=2, max_size=5, unique_by=tuple))

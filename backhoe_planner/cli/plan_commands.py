@@ -56,7 +56,7 @@ def plan(
         raise bp.OutputError("is where the plan goes too", file=html, key="--html")
     loaded = bp.load_scene(scene)
     robot = bp.load_robot(urdf, tip=loaded.tip)
-    print_warnings(robot.warnings)
+    print_warnings((*robot.warnings, *loaded.warnings()))
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:
         if viewer is not None:

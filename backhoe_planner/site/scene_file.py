@@ -131,25 +131,35 @@ class Scene(Record):
         return self._file
 
     def waypoints(self) -> tuple[Waypoint, ...]:
-        """The path's waypoints, from the scene or from its path file.
+        """The path's waypoints in the world, from the scene or from its path file.
+
+        Raises
+        ------
+        SceneError: the path file is missing, empty, or malformed; the path's origin puts a waypoint too far away.
+        """
+        path = self.task.path
+        if path is None:
+            return ()
+        waypoints, file = path.waypoints, self.file
+        try:
+            if waypoints is None:
+                assert path.file is not None
+                file = self.folder / path.file
+                waypoints = read_path_file(file).waypoints
+                PathTask.model_validate({"waypoints": waypoints, "origin": path.origin})
+            return waypoints if path.origin is None else tuple(map(path.origin.moved, waypoints))
+        except ValidationError as error:
+            raise SceneError(describe(error.errors()[0]), file=file) from None
+
+    def warnings(self) -> tuple[str, ...]:
+        """What of the files that the scene names is not used, in words.
 
         Raises
         ------
         SceneError: the path file is missing, empty, or malformed.
         """
         path = self.task.path
-        if path is None:
-            return ()
-        if path.waypoints is not None:
-            return path.waypoints
-        assert path.file is not None
-        file = self.folder / path.file
-        waypoints = tuple(read_path_file(file))
-        try:
-            PathTask.model_validate({"waypoints": waypoints})
-        except ValidationError as error:
-            raise SceneError(describe(error.errors()[0]), file=file) from None
-        return waypoints
+        return () if path is None or path.file is None else read_path_file(self.folder / path.file).warnings
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as plain data that `scene_from_dict` reads again."""

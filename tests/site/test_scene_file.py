@@ -499,17 +499,32 @@ def test_path_file_saved_by_a_spreadsheet(tmp_path: Path) -> None:
     assert len(from_path_file(tmp_path, b"\xef\xbb\xbfx,y,z\r\n1,2,3\r\n4,5,6\r\n").waypoints()) == 2
 
 
+def test_other_columns_of_a_path_file_are_passed_over_with_a_word(tmp_path: Path) -> None:
+    """Whatever stands in them: `time` too, since speed and limits time the motion."""
+    found = from_path_file(tmp_path, "time,x,y,z,note,pich\n0,1,2,3,begin,0.1\n,4,5,6,,\n")
+    assert [waypoint.position for waypoint in found.waypoints()] == [(1, 2, 3), (4, 5, 6)]
+    assert [waypoint.pitch for waypoint in found.waypoints()] == [None, None]
+    file = tmp_path / "path.csv"
+    assert found.warnings() == (
+        f"{file}: the column time is not used: the scene's speed and the machine's limits time the motion",
+        f"{file}: the column note is not used; columns that are: x, y, z, pitch, qw, qx, qy, qz",
+        f"{file}: the column pich is not used; columns that are: x, y, z, pitch, qw, qx, qy, qz "
+        "(did you mean 'pitch'?)",
+    )
+
+
+def test_a_path_file_of_known_columns_needs_no_word(tmp_path: Path) -> None:
+    assert from_path_file(tmp_path, "x,y,z\n1,2,3\n4,5,6\n").warnings() == ()
+    assert scene_from_dict(path(*POINTS)).warnings() == ()
+
+
 BAD_PATHS: dict[str, tuple[str | bytes | None, list[str]]] = {
     "missing": (None, ["no such path file"]),
     "empty": ("", ["empty"]),
     "blank": ("\n\n", ["empty"]),
     "header only": ("x,y,z\n", ["at least 2 waypoints", "found 0"]),
     "one row": ("x,y,z\n1,2,3\n", ["at least 2 waypoints", "found 1"]),
-    "no header": ("1,2,3\n4,5,6\n", ["header", "unknown column", "found 1", "x, y, z, pitch"]),
-    "unknown column": (
-        "x,y,z,speed\n1,2,3,4\n4,5,6,7\n",
-        ["header", "unknown column", "found speed", "x, y, z, pitch"],
-    ),
+    "no header": ("1,2,3\n4,5,6\n", ["header", "a column is missing: x, y, z", "found 1,2,3"]),
     "missing column": ("x,y\n1,2\n3,4\n", ["header", "a column is missing", "z"]),
     "column twice": ("x,y,z,z\n1,2,3,4\n4,5,6,7\n", ["header", "twice", "z"]),
     "half a quaternion": ("x,y,z,qw\n1,2,3,1\n4,5,6,1\n", ["header", "a column is missing", "qx, qy, qz"]),
@@ -538,6 +553,61 @@ def test_what_is_wrong_with_a_path_file_is_said_with_its_line(
     assert message.startswith(str(tmp_path / "path.csv"))
     for fragment in said:
         assert any(either in message for either in fragment.split("|")), message
+
+
+# --- a path that is moved as a whole ------------------------------------------
+
+
+def moved(*waypoints: Data, **origin: object) -> Scene:
+    return scene_from_dict(path(*waypoints, origin=origin))
+
+
+def test_a_path_is_moved_and_turned_as_a_whole() -> None:
+    """By a quarter turn to the left, then by [10, 20, 30]: x becomes y, y becomes -x."""
+    waypoints: list[Data] = [{"position": [1, 0, 0], "pitch": -1.2}, {"position": [1, 2, 5]}]
+    found = moved(*waypoints, position=[10.0, 20.0, 30.0], rpy=[0.0, 0.0, math.pi / 2]).waypoints()
+    np.testing.assert_allclose([waypoint.position for waypoint in found], [[10, 21, 30], [8, 21, 35]], atol=1e-12)
+    assert [waypoint.pitch for waypoint in found] == [-1.2, None]
+
+
+def test_full_orientations_turn_with_their_path() -> None:
+    """A roll by a quarter turn: x stays x, y becomes z, z becomes -y; on an orientation from the left."""
+    waypoints: list[Data] = [
+        {"position": [1, 2, 3], "rpy": [0, 0, math.pi / 2]},
+        {"position": [0, 0, 1], "quaternion": [1, 0, 0, 0]},
+    ]
+    first, second = moved(*waypoints, rpy=[math.pi / 2, 0, 0]).waypoints()
+    np.testing.assert_allclose([first.position, second.position], [[1, -3, 2], [0, -1, 0]], atol=1e-12)
+    assert first.rotation is not None
+    assert second.rotation is not None
+    np.testing.assert_allclose(second.rotation, [[1, 0, 0], [0, 0, -1], [0, 1, 0]], atol=1e-12)
+    # columns are the images of x, y, z: to y, -x, z by the waypoint, then to z, -x, -y
+    np.testing.assert_allclose(first.rotation, [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-12)
+
+
+def test_a_path_file_is_moved_too(tmp_path: Path) -> None:
+    (tmp_path / "path.csv").write_text("x,y,z\n1,2,3\n4,5,6\n")
+    task = {"path": {"file": "path.csv", "origin": {"position": [1, 1, 1]}}}
+    found = scene_from_dict(scene(task=task), folder=tmp_path).waypoints()
+    assert [waypoint.position for waypoint in found] == [(2, 3, 4), (5, 6, 7)]
+
+
+def test_a_pitch_is_not_tilted(tmp_path: Path) -> None:
+    """In a file it is said where the file is read."""
+    tilted, said = [0.0, 0.1, 0.4], "a path whose waypoints ask for a pitch may turn about z alone"
+    with pytest.raises(SceneError, match=said) as caught:
+        moved({"position": [1, 0, 0], "pitch": -1.2}, {"position": [1, 2, 5]}, rpy=tilted)
+    assert "task.path" in str(caught.value)
+    (tmp_path / "path.csv").write_text("x,y,z,pitch\n1,2,3,-1\n4,5,6,-1\n")
+    task = {"path": {"file": "path.csv", "origin": {"rpy": tilted}}}
+    with pytest.raises(SceneError, match=said):
+        scene_from_dict(scene(task=task), folder=tmp_path).waypoints()
+    assert len(moved(*POINTS, rpy=tilted).waypoints()) == 2
+
+
+def test_an_origin_says_where_or_how() -> None:
+    with pytest.raises(SceneError, match=r"task\.path\.origin: .*position, rpy or both"):
+        moved(*POINTS)
 
 
 # --- round trip, schema -------------------------------------------------------

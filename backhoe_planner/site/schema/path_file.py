@@ -5,27 +5,43 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from backhoe_planner.errors import SceneError
+from backhoe_planner.errors import SceneError, nearest_name
 from backhoe_planner.files.records import describe
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.site.schema.tasks import Waypoint
 
 _POSITION, _QUATERNION = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 _COLUMNS = (*_POSITION, "pitch", *_QUATERNION)
+_TIME = "time"
 
 
-def read_path_file(path: Path) -> Iterator[Waypoint]:
-    """The waypoints of a CSV with a header.
+@dataclass(frozen=True)
+class PathFile:
+    """What stands in a path file.
+
+    Attributes
+    ----------
+    waypoints: at least two.
+    warnings: which of its columns are not used, in words.
+    """
+
+    waypoints: tuple[Waypoint, ...]
+    warnings: tuple[str, ...]
+
+
+def read_path_file(path: Path) -> PathFile:
+    """The waypoints of a CSV with a header. Columns that mean nothing here may hold anything.
 
     Raises
     ------
-    SceneError: no such file, no header, an unknown or a missing column, a cell that is not a
-        finite number, a row that is no waypoint, fewer than two rows.
+    SceneError: no such file, no header, a missing column, a cell that is not a finite number, a
+        row that is no waypoint, fewer than two rows.
     """
     text = read_text(path, what="path", error=SceneError)
     try:
@@ -33,9 +49,6 @@ def read_path_file(path: Path) -> Iterator[Waypoint]:
     except csv.Error as error:
         raise SceneError(f"cannot be read: {error}", file=path) from error
     (_, header), *rows = [(line, [cell.strip() for cell in row]) for line, row in rows if any(map(str.strip, row))]
-    for column in header:
-        if column not in _COLUMNS:
-            raise SceneError.unknown_name("unknown column", column, names=_COLUMNS, file=path, key="header")
     turned = any(column in header for column in _QUATERNION)
     missing = [column for column in (*_POSITION, *(_QUATERNION if turned else ())) if column not in header]
     if missing:
@@ -45,18 +58,31 @@ def read_path_file(path: Path) -> Iterator[Waypoint]:
         raise SceneError("a column stands twice", file=path, key="header", found=", ".join(twice))
     if len(rows) < 2:
         raise SceneError("a path needs at least 2 waypoints", file=path, found=str(len(rows)))
-    for line, row in rows:
-        if len(row) != len(header):
-            raise SceneError(f"has {len(row)} cells, the header {len(header)}", file=path, key=line)
-        values = {column: _number(cell, path, f"{line}, {column}") for column, cell in zip(header, row, strict=True)}
-        quaternion = tuple(values[key] for key in _QUATERNION) if turned else None
-        position = tuple(values[key] for key in _POSITION)
-        try:
-            yield Waypoint.model_validate(
-                {"position": position, "pitch": values.get("pitch"), "quaternion": quaternion}
-            )
-        except ValidationError as error:
-            raise SceneError(describe(error.errors()[0]), file=path, key=line) from None
+    waypoints = tuple(_waypoint(path, line, header, row) for line, row in rows)
+    return PathFile(waypoints, tuple(_not_used(column, path) for column in header if column not in _COLUMNS))
+
+
+def _waypoint(path: Path, line: str, header: Sequence[str], row: Sequence[str]) -> Waypoint:
+    """The waypoint of one row."""
+    if len(row) != len(header):
+        raise SceneError(f"has {len(row)} cells, the header {len(header)}", file=path, key=line)
+    cells = zip(header, row, strict=True)
+    values = {column: _number(cell, path, f"{line}, {column}") for column, cell in cells if column in _COLUMNS}
+    quaternion = tuple(values[key] for key in _QUATERNION) if _QUATERNION[0] in values else None
+    position = tuple(values[key] for key in _POSITION)
+    try:
+        return Waypoint.model_validate({"position": position, "pitch": values.get("pitch"), "quaternion": quaternion})
+    except ValidationError as error:
+        raise SceneError(describe(error.errors()[0]), file=path, key=line) from None
+
+
+def _not_used(column: str, path: Path) -> str:
+    """That a column is not used, in words."""
+    if column == _TIME:
+        return f"{path}: the column {column} is not used: the scene's speed and the machine's limits time the motion"
+    near = nearest_name(column, _COLUMNS)
+    hint = f" (did you mean {near!r}?)" if near else ""
+    return f"{path}: the column {column} is not used; columns that are: {', '.join(_COLUMNS)}{hint}"
 
 
 def _number(cell: str, path: Path, key: str) -> float:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
+import pinocchio as pin
 from pydantic import Discriminator, Tag, field_validator, model_validator
 
 from backhoe_planner.arrays import Matrix
@@ -23,6 +24,7 @@ from backhoe_planner.site.schema.quantities import (
     unit_quaternion,
 )
 
+_UPRIGHT = 1e-12  # of a cosine: a frame whose z axis leans less stands upright
 _SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
 
 
@@ -123,13 +125,46 @@ class Start(Record):
     _one = exactly_one("joints", "tip")
 
 
+class Origin(Record):
+    """Where the frame stands in which a path is given: turned by `rpy`, then moved by `position`."""
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    """x, y, z of its origin [m], world."""
+    rpy: Vector3 = (0.0, 0.0, 0.0)
+    """Its roll, pitch, yaw about the fixed x, y, z axes [rad]."""
+
+    @model_validator(mode="after")
+    def _some(self) -> Origin:
+        if not self.model_fields_set:
+            raise ValueError("an origin has position, rpy or both; found neither")
+        return self
+
+    @property
+    def is_upright(self) -> bool:
+        """Whether it turns about z alone."""
+        return bool(pin.rpy.rpyToMatrix(*self.rpy)[2, 2] > 1.0 - _UPRIGHT)
+
+    def moved(self, waypoint: Waypoint) -> Waypoint:
+        """The waypoint, given in this frame, in the world."""
+        turn = pin.rpy.rpyToMatrix(*self.rpy)
+        content: dict[str, Any] = {"position": (turn @ waypoint.position + self.position).tolist()}
+        if waypoint.pitch is not None:
+            content["pitch"] = waypoint.pitch
+        if waypoint.rotation is not None:
+            turned = pin.Quaternion(turn @ waypoint.rotation).normalized()
+            content["quaternion"] = [turned.w, turned.x, turned.y, turned.z]
+        return Waypoint.model_validate(content)
+
+
 class PathTask(Record):
     """A path that the tip is to follow, straight from waypoint to waypoint."""
 
     waypoints: tuple[Waypoint, ...] | None = None
     """At least two."""
     file: str | None = None
-    """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz. Relative to the scene file."""
+    """CSV with a header: x,y,z, then pitch or qw,qx,qy,qz; others are passed over. Relative to the scene file."""
+    origin: Origin | None = None
+    """Where the frame stands in which the waypoints are given; the world's by default."""
     speed: Positive | None = None
     """Of the tip [m/s]; left out: as fast as the limits allow."""
     tolerance: Positive = 0.005
@@ -149,6 +184,11 @@ class PathTask(Record):
             kinds = {_orientation_kind(waypoint) for waypoint in self.waypoints} - {"position"}
             if len(kinds) > 1:
                 raise ValueError("one path mixes pitch and full orientation")
+            if "pitch" in kinds and self.origin is not None and not self.origin.is_upright:
+                raise ValueError(
+                    "a path whose waypoints ask for a pitch may turn about z alone; "
+                    f"found origin.rpy {list(self.origin.rpy)}; allowed: [0, 0, yaw]"
+                )
             length = sum(
                 math.dist(a.position, b.position) for a, b in zip(self.waypoints, self.waypoints[1:], strict=False)
             )
