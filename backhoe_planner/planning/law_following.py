@@ -30,6 +30,7 @@ _MOST_DETOURS = 8  # of one path; chosen
 _MOST_REJOINS = 4  # points that are tried for one detour; chosen, each takes up to `_POSTURES` attempts
 _POSTURES = 4  # configurations that are tried at one point; chosen
 _GUESSES, _FEW_GUESSES = 12, 6  # starting points for rejoining, and to say where the path is free; chosen
+_LOOKS = 40  # at most, for where a path that may not be left is free again; chosen to be quick
 _STARTS = 8  # configurations on the beginning of the path that are compared; chosen
 _FREE_STARTS = 3  # of them from which the path is followed where the machine may begin in any; chosen
 _ON_PATH = 1e-6  # m and rad: chosen, where the tip counts as being on the beginning
@@ -134,13 +135,14 @@ class _Follower:
 
     def _free_again(self, stepper: Stepper, left: float) -> float:
         """The first point of the path beyond `left` that the machine can stand on, else its end [m]."""
-        s = left + _RASTER
+        raster = max(_RASTER, (self._path.length - left) / _LOOKS)
+        s = left + raster
         while s < self._path.length:
             self._world.work.brake.check()
             target = self._path.target(s)
             if self._world.postures.at(target, near=stepper.q, count=_FEW_GUESSES, time=stepper.time).clear:
                 return s
-            s += _RASTER
+            s += raster
         return self._path.length
 
     def _ways(self, stepper: Stepper, s: float, postures: Sequence[Vector]) -> Iterator[Stepper]:

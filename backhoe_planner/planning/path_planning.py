@@ -150,10 +150,8 @@ class _Along:
         off_path: whether the tip is off the path there.
         """
         resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
-        if resolved.obstruction is not None:
-            # where detours are not allowed, to say what one would go round
-            around = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
-            resolved = around if around.obstruction is None or self._may_leave else resolved
+        if resolved.obstruction is not None and self._may_leave:
+            resolved = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
         if not resolved.pieces:
             return self._blocked(resolved, at_rest(self._anywhere() if self._stepper is None else self._stepper.q))
         stepper = self._stepper
@@ -166,7 +164,9 @@ class _Along:
             stepper = transit
         elif stepper is not None:
             stepper = stepper.branch(attempt=stepper.attempt)
-        pieces = self._improve(resolved, begin)
+        # of a path that may not be left and is blocked, an answer at once is worth more than a cheaper beginning
+        fails = resolved.obstruction is not None and not self._may_leave
+        pieces = list(resolved.pieces) if fails else self._improve(resolved, begin)
         brake = self._world.work.brake
         message = f"{brake.message}; a cheaper motion was not looked for" if brake.is_used_up() else ""
         stepper = self._world.stepper(_first(pieces)) if stepper is None else stepper
@@ -174,9 +174,6 @@ class _Along:
         if resolved.obstruction is not None:
             return self._blocked(resolved, stepper.trajectory())
         detours = tuple(piece.obstruction for piece in pieces if isinstance(piece, Bypass))
-        if detours and not self._may_leave:
-            failure = blocked_path(stepper.trajectory(), detours[0], self._path, ", and detours are not allowed")
-            return failure.adding(detours=detours)
         return Outcome(
             stepper.trajectory(),
             message=message,

@@ -34,9 +34,10 @@ _FINE = 0.01  # m of path between the samples of a stretch; chosen
 _EXTENSION = 0.005  # m to within which a detour is begun late and ended early; chosen: half of `_FINE`
 _NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
 _TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
-_AS_FAR_PART = 4  # one in so many of the routes is for how far a path can be followed at all; chosen
+_AS_FAR_PART = 4  # one in so many of routes and node pairs is for how far a path can be followed at all; chosen
 _AT_END = 1e-9  # m: rounding of an arc length
 _FEW = 8  # nodes of a layer that are followed back to where the path is free again; chosen to be quick
+_BLAMED = 64  # configurations at one place at most that are asked what is in their way; chosen to be quick
 _AT_LIMIT = 1e-3  # rad or m: chosen, nearer than this a joint stands at its limit
 _IN_THE_WAY = 0.1  # m: chosen, what has less margin is blamed rather than a joint
 
@@ -278,7 +279,8 @@ class PathResolver:
             obstruction = self._obstruction(a, low)
             before, after = Stretch(np.array([low]), a[None, :]), Stretch(np.array([high]), b[None, :])
         else:
-            before, obstruction = self._extend(low, high, a)
+            before, beyond = self._extend(low, high, a)
+            obstruction = self._obstruction(*beyond)
             # never so far that both ends cross
             back, _ = self._extend(high, before.reached, b)
             after = Stretch(back.stations[::-1], back.q[::-1])
@@ -288,11 +290,16 @@ class PathResolver:
             return None
         return before, Bypass(way, replace(obstruction, path_from=left, path_to=back_at)), after
 
-    def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, Obstruction]:
-        """On along the path from `low` towards `high` [m], the shortest step at a time, as far as it is clear."""
+    def _extend(self, low: float, high: float, q: Vector) -> tuple[Stretch, tuple[Vector, float]]:
+        """On along the path from `low` towards `high` [m], the shortest step at a time, as far as it is clear.
+
+        Returns
+        -------
+        The stretch, and where something is in the way beyond its end: (n,) joints and arc length [m].
+        """
         count = max(int(np.ceil(abs(high - low) / _EXTENSION)), 1)
         stations, found = [low], [q]
-        obstruction = None
+        beyond = None
         for s in np.linspace(low, high, count + 1)[1:].tolist():
             targets = TargetBatch.of([self._path.target(s)])
             after, reached = solve_batch(self._kinematics, targets, found[-1][None, :], iterations=12)
@@ -300,11 +307,11 @@ class PathResolver:
             if not reached[0] or not near:
                 break
             if not self._is_clear(np.array([found[-1], after[0]])):
-                obstruction = self._obstruction(after[0], s)
+                beyond = (after[0], s)
                 break
             stations.append(s)
             found.append(after[0])
-        return Stretch(np.array(stations), np.array(found)), obstruction or self._obstruction(found[-1], stations[-1])
+        return Stretch(np.array(stations), np.array(found)), beyond or (found[-1], stations[-1])
 
     def _obstruction(self, q: Vector, station: float) -> Obstruction:
         """What is in the way at `q`, or else of the other configurations at that arc length."""
@@ -316,7 +323,8 @@ class PathResolver:
         if gap[joint] < _AT_LIMIT:
             return Obstruction.joint_limit(self._problem.robot.joint_names[joint])
         layer = min(int(np.searchsorted(self._stations, station + 1e-9)), len(self._all) - 1)
-        others = [self._proximity.tightest(node, time=self._time) for node in self._all[layer]]
+        nodes = self._all[layer][:: max(len(self._all[layer]) // _BLAMED, 1)]
+        others = [self._proximity.tightest(node, time=self._time) for node in nodes]
         blocked = [other for other in others if other is not None and other.margin < 0.0]
         if blocked:
             return max(blocked, key=lambda other: other.margin)
@@ -356,9 +364,12 @@ class PathResolver:
         """The pieces up to where the path is blocked."""
         graph.only_detours(self._ways)
         pieces: tuple[Stretch | Bypass, ...] = ()
-        obstruction = None
+        beyond = (self._problem.robot.middle, 0.0)
         left = 0.0
+        enough = graph.looked_at + self._work.effort.node_pairs // _AS_FAR_PART
         for _ in range(self._work.effort.routes // _AS_FAR_PART):
+            if graph.looked_at > enough:
+                break
             reached = graph.furthest(costs)
             if reached < 0:
                 break
@@ -369,19 +380,15 @@ class PathResolver:
             layer, index = route.nodes[-1]
             low = float(graph.stations[layer])
             high = float(graph.stations[min(layer + 1, len(graph.stations) - 1)])
-            further, obstruction = self._extend(low, high, graph.layers[layer][index])
+            further, beyond = self._extend(low, high, graph.layers[layer][index])
             reached_pieces = list(self._pieces(graph, route))
             _append(reached_pieces, further)
             pieces, left = tuple(reached_pieces), further.reached
             if left > self._path.length - _AT_END:
                 return Resolution(pieces, None, self._routes)
             break
-        again = self._free_again(left)
-        if obstruction is None:
-            obstruction = self._obstruction(self._problem.robot.middle, left)
-        return Resolution(
-            pieces, replace(obstruction, path_from=left, path_to=again), self._routes, not self._has_effort(graph)
-        )
+        obstruction = replace(self._obstruction(*beyond), path_from=left, path_to=self._free_again(left))
+        return Resolution(pieces, obstruction, self._routes, not self._has_effort(graph))
 
 
 def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
