@@ -131,6 +131,7 @@ COUNT = Kind((*NO_NUMBER, NAN, -1, 0.5, "3", True))
 FLAG = Kind((None, "yes", {"a": 1}, OBJECT, [], NAN, 2))
 TEXT = Kind((None, {"a": 1}, OBJECT, [], 3.0, "no such name"))
 PATH = Kind((None, {"a": 1}, OBJECT, [], 3.0, "no/such/file", "a\0b", ""))
+HOLD = ({"no": 0.1}, {"boom": None}, {"boom": "0.1"}, {"boom": NAN}, {"boom": 9.0}, {3: 0.1}, OBJECT, 3.0)
 THING = Kind((None, "text", {"a": 1}, OBJECT, [], 3.0, np.zeros(4)))  # of a class of this package
 
 
@@ -181,7 +182,7 @@ def calls() -> dict[str, Call]:
         # functions
         "load_robot": call(
             bp.load_robot, source=("example:backhoe", PATH), tip=("bucket_tip", optional(TEXT)),
-            hydraulics=(hydraulics().file, optional(PATH)), lists=False,
+            hold=({"boom": 0.1}, only(*HOLD, [], "text")), hydraulics=(hydraulics().file, optional(PATH)), lists=False,
         ),
         "digging_forces": call(bp.digging_forces, robot=(the, THING)),
         "solve_inverse_kinematics": call(
@@ -213,6 +214,7 @@ def calls() -> dict[str, Call]:
         ),
         "Robot.random_q": call(the.random_q, rng=(np.random.default_rng(0), THING), lists=False),
         "Robot.with_tip": call(the.with_tip, tip=("bucket_tip", optional(TEXT)), lists=False),
+        "Robot.with_hold": call(the.with_hold, hold=({"boom": 0.1}, only(*HOLD, None, [], "text")), lists=False),
         "Robot.check_q": call(lambda q: the.check_q(q), q=q4),
         "Kinematics": call(bp.Kinematics, robot=(the, THING), lists=False),
         "Kinematics.at": call(lambda q: bp.Kinematics(the).at(q).J_world, q=q4),

@@ -177,7 +177,7 @@ class MujocoSite:
 
 @lru_cache(maxsize=4)
 def _as_written(robot: bp.Robot) -> tuple[RawMachine, dict[str, Body], Pairs]:
-    machine = read_raw_urdf(robot.urdf.path, find_mesh=robot.urdf.mesh_path)
+    machine = read_raw_urdf(robot.urdf.path, find_mesh=robot.urdf.mesh_path, hold=robot.hold)
     bodies = link_bodies(machine)
     return machine, bodies, find_pairs(machine, bodies, robot.tip)
 

@@ -1,16 +1,18 @@
 """A URDF as it is written: its links with their shapes, its joints, and where they are.
 
 Read from the XML alone, so that it can be held against what the planner made of the file.
-Joints that are not driven stand at 0, or at the limit nearest to it.
+Joints that are not driven stand at 0, or at the limit nearest to it, or where what they copy puts
+them. Held ones are fixed where they are held.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import trimesh
@@ -43,7 +45,7 @@ class RawShape:
 
 @dataclass(frozen=True, eq=False)
 class RawJoint:
-    """One joint; the limits are None where there are none."""
+    """One joint; the limits are None where there are none, `rest` is where it stands while it is not driven."""
 
     name: str
     kind: str
@@ -54,13 +56,13 @@ class RawJoint:
     axis: Vector
     lower: float | None
     upper: float | None
+    rest: float
 
-    @property
-    def rest(self) -> float:
-        """Where it stands while it is not driven [rad or m]."""
-        if self.lower is None or self.upper is None or self.kind == "continuous":
-            return 0.0
-        return min(max(0.0, self.lower), self.upper)
+    def fixed(self) -> RawJoint:
+        """A fixed joint that has its child where this one rests."""
+        turn, slide = self.motion(np.array([self.rest]))
+        rotation, translation = self.rotation @ turn[0], self.translation + self.rotation @ slide[0]
+        return replace(self, kind="fixed", rotation=rotation, translation=translation)
 
     def motion(self, value: Vector) -> Placements:
         """How its child has moved at (T,) values [rad or m], in its own frame."""
@@ -127,19 +129,26 @@ class RawMachine:
         return found
 
 
-def read_raw_urdf(file: Path, *, find_mesh: Callable[[str], Path | None] | None = None) -> RawMachine:
+def read_raw_urdf(
+    file: Path,
+    *,
+    find_mesh: Callable[[str], Path | None] | None = None,
+    hold: Mapping[str, float] = MappingProxyType({}),
+) -> RawMachine:
     """Read a URDF with the shapes of its links.
 
     Parameters
     ----------
     find_mesh: from the name of a mesh to its file; beside the URDF by default.
+    hold: joints that are held, and where [rad or m].
     """
     robot = ET.parse(file).getroot()
     shapes: dict[str, tuple[RawShape, ...]] = {}
     for link in robot.findall("link"):
         collisions = link.findall("collision")
         shapes[link.attrib["name"]] = tuple(_shape(one, file, find_mesh) for one in collisions)
-    joints = [_joint(element) for element in robot.findall("joint")]
+    elements = {element.attrib["name"]: element for element in robot.findall("joint")}
+    joints = [_joint(element, *_rest(elements, name, hold)) for name, element in elements.items()]
     children = {joint.child for joint in joints}
     root = next(name for name in shapes if name not in children)
     ordered: list[RawJoint] = []
@@ -151,15 +160,36 @@ def read_raw_urdf(file: Path, *, find_mesh: Callable[[str], Path | None] | None 
     return RawMachine(root, shapes, tuple(ordered))
 
 
-def _joint(element: ET.Element) -> RawJoint:
+def _rest(elements: Mapping[str, ET.Element], name: str, hold: Mapping[str, float]) -> tuple[float, bool]:
+    """Where a joint rests, and whether it is held there or copies one that is."""
+    element = elements[name]
+    mimic = element.find("mimic")
+    if name in hold:
+        return hold[name], True
+    if mimic is not None:
+        there, held = _rest(elements, mimic.attrib["joint"], hold)
+        return float(mimic.get("multiplier", 1.0)) * there + float(mimic.get("offset", 0.0)), held
+    lower, upper = _bounds(element)
+    if lower is None or upper is None or element.attrib["type"] == "continuous":
+        return 0.0, False
+    return min(max(0.0, lower), upper), False
+
+
+def _bounds(element: ET.Element) -> tuple[float | None, float | None]:
+    """The limits of a joint's position; None where there are none."""
+    limit = element.find("limit")
+    lower, upper = (None if limit is None or key not in limit.attrib else float(limit.attrib[key]) for key in _BOUNDS)
+    return lower, upper
+
+
+def _joint(element: ET.Element, rest: float, held: bool) -> RawJoint:
     rotation, translation = _origin(element)
     ends = [_child(element, key).attrib["link"] for key in ("parent", "child")]
     axis = np.array([1.0, 0.0, 0.0]) if element.find("axis") is None else _numbers(_child(element, "axis"), "xyz")
-    limit = element.find("limit")
-    bounds = [None if limit is None or key not in limit.attrib else float(limit.attrib[key]) for key in _BOUNDS]
     axis = axis / np.linalg.norm(axis)
     name, kind = element.attrib["name"], element.attrib["type"]
-    return RawJoint(name, kind, ends[0], ends[1], rotation, translation, axis, lower=bounds[0], upper=bounds[1])
+    joint = RawJoint(name, kind, ends[0], ends[1], rotation, translation, axis, *_bounds(element), rest)
+    return joint.fixed() if held and kind != "fixed" else joint
 
 
 _BOUNDS = ("lower", "upper")

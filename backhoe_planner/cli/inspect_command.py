@@ -12,22 +12,30 @@ import typer
 from rich.table import Table
 
 import backhoe_planner as bp
-from backhoe_planner import machine, show
+from backhoe_planner import machine, show, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_writable
 
 
 def inspect(
     urdf: Urdf,
-    tip: Annotated[str | None, typer.Option(metavar="LINK", help="The link that is moved.")] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Argument(metavar="[SCENE]", help="A scene file, for its tip, held joints, limits.", show_default=False),
+    ] = None,
+    tip: Annotated[
+        str | None, typer.Option(metavar="LINK", help="The link that is moved; by default the scene's.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the working envelope.")] = None,
 ) -> int:
-    """Show joints, limits, links, which may touch, Denavit-Hartenberg table, working envelope and cylinders."""
+    """Show joints, limits, held joints, links, which may touch, Denavit-Hartenberg table, envelope and cylinders."""
     if plot is not None:
         check_writable(plot)
-    robot = bp.load_robot(urdf, tip=tip)
-    print_warnings(robot.warnings)
-    _print_joints(robot)
+    robot, limits, warnings = _machine(urdf, None if scene is None else bp.load_scene(scene), tip)
+    print_warnings((*robot.warnings, *warnings))
+    _print_joints(robot, limits)
+    _print_held(robot)
+    OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
     _print_self_collision(robot)
     _print_dh_table(robot)
     _print_envelope(robot)
@@ -44,8 +52,36 @@ def schema() -> int:
     return VERIFIED
 
 
-def _print_joints(robot: bp.Robot) -> None:
-    limits = robot.limits
+def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Robot, bp.JointLimits, tuple[str, ...]]:
+    """The machine, its limits, and what is assumed of them, within the scene where there is one."""
+    if scene is None:
+        robot = bp.load_robot(urdf, tip=tip)
+        return robot, robot.limits, site.limit_warnings(robot)
+    if None not in (tip, scene.tip) and tip != scene.tip:
+        raise bp.InputError("is not the scene's tip", key="--tip", found=tip, allowed=scene.tip)
+    robot = site.machine_on_site(site.load_machine(urdf, scene, tip=tip), scene)
+    return robot, site.scaled_limits(robot, scene), site.limit_warnings(robot, scene)
+
+
+def _print_held(robot: bp.Robot) -> None:
+    """The joints that stand still, where, and why."""
+    if not robot.held:
+        return
+    table = Table("joint", "stands at", "why", box=None, pad_edge=False)
+    for joint in robot.held:
+        slides = robot.urdf.joints[joint.name].type == "prismatic"
+        why = {
+            "held": "held by the scene",
+            "copies": f"copies {joint.copies}",
+            "beside": "does not move the tip",
+        }[joint.why]
+        at = f"{joint.position:.4g} m" if slides else f"{DEGREES * joint.position:.1f} deg ({joint.position:.4g} rad)"
+        table.add_row(joint.name, at, why)
+    OUT.print("\njoints that stand still")
+    OUT.print(table)
+
+
+def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
     OUT.print(f"{robot.name}: {robot.n} joints move {robot.tip}; {len(robot.pieces)} collision pieces\n")
     table = Table("joint", "lower", "upper", "rate", "acceleration", "effort", box=None, pad_edge=False)
     for j, name in enumerate(robot.joint_names):
@@ -60,7 +96,6 @@ def _print_joints(robot: bp.Robot) -> None:
             f"{limits.effort[j]:,.0f} {'N' if slides else 'N m'}",
         )
     OUT.print(table)
-    OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
 
 
 def _print_self_collision(robot: bp.Robot) -> None:

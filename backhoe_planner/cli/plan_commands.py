@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 import backhoe_planner as bp
-from backhoe_planner import motion, planning, show
+from backhoe_planner import motion, planning, show, site
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_writable
@@ -55,8 +55,8 @@ def plan(
     if html is not None and html.resolve() == output.resolve():
         raise bp.OutputError("is where the plan goes too", file=html, key="--html")
     loaded = bp.load_scene(scene)
-    robot = bp.load_robot(urdf, tip=loaded.tip)
-    print_warnings((*robot.warnings, *loaded.warnings()))
+    robot = site.load_machine(urdf, loaded)
+    print_warnings((*robot.warnings, *loaded.warnings(), *site.limit_warnings(robot, loaded)))
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:
         if viewer is not None:

@@ -11,7 +11,7 @@ import typer
 from rich.text import Text
 
 import backhoe_planner as bp
-from backhoe_planner import show
+from backhoe_planner import show, site
 from backhoe_planner.cli.terminal import ERR, FAILED, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_writable
 
@@ -45,7 +45,7 @@ def teleop(
     """Drive the machine live from a page in the browser; the scene's task is not used."""
     check_writable(output)
     loaded = bp.load_scene(scene)
-    robot = bp.load_robot(urdf, tip=loaded.tip)
+    robot = site.load_machine(urdf, loaded)
     with show.TeleopStation(
         robot,
         loaded,
@@ -56,7 +56,7 @@ def teleop(
         output=output,
         say=ERR.print,
     ) as station:
-        print_warnings((*robot.warnings, *station.warnings))
+        print_warnings((*robot.warnings, *site.limit_warnings(robot, loaded), *station.warnings))
         ERR.print(f"open {station.url} in a browser to drive (Ctrl-C ends)")
         if station.url_from_elsewhere is not None:
             ERR.print(f"from other computers: {station.url_from_elsewhere}")

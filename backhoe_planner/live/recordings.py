@@ -14,7 +14,7 @@ from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem
 from backhoe_planner.planning import Findings, Plan, RecordingNotes, measure_motion
 from backhoe_planner.proof import certify_problem
-from backhoe_planner.site import Scene, Transgression, scene_from_dict
+from backhoe_planner.site import Scene, Transgression, joints_on_site, scene_from_dict
 
 
 def plan_from_recording(
@@ -40,7 +40,7 @@ def plan_from_recording(
     ------
     SceneError: the obstacles' records are not as in a scene file, or do not fit the machine.
     """
-    robot = robot.with_tip(scene.tip)
+    robot = joints_on_site(robot, scene)
     content = scene.to_dict()
     content["start"] = {"joints": dict(zip(robot.joint_names, trajectory.q[0].tolist(), strict=True))}
     content["task"] = {"goal": {"position": Kinematics(robot).at(trajectory.q[-1]).tip_position.tolist()}}

@@ -35,6 +35,7 @@ from .kinematics.kinematics import wrap_angle as wrap_angle
 from .kinematics.target import TargetBatch as TargetBatch
 from .kinematics.target import TipTarget as TipTarget
 from .kinematics.target import movable_rows as movable_rows
+from .robot import DEFAULT_VELOCITY as DEFAULT_VELOCITY
 from .robot import JointLimits as JointLimits
 from .robot import Robot as Robot
 from .robot import TrackingTube as TrackingTube

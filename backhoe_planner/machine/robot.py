@@ -8,23 +8,34 @@ A robot does not change after loading.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind, check_path
 from backhoe_planner.machine.description.chain_model import chain_model
+from backhoe_planner.machine.description.held_joints import HeldJoint
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
-from backhoe_planner.machine.description.link_shapes import LinkPiece, Visual, link_pieces, visuals_of
+from backhoe_planner.machine.description.link_shapes import (
+    LinkPiece,
+    LinkSolid,
+    Visual,
+    link_pieces,
+    link_solids,
+    visuals_of,
+)
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
 
-_DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none; chosen
+DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none; chosen
 _FULL_RATE_AFTER = 0.5  # s from rest, where neither URDF nor scene gives an acceleration; chosen
+_PARALLEL = 1e-6  # sine of the angle between axes that count as parallel: rounding of a URDF's numbers
 _SEEDS_OF_AXIS = 8  # postures in which the last axis is looked at: one that leaves the level does so in nearly all
 _SEEDS_OF_REACH = 64  # postures among which the furthest reach is sought; only its sign counts
 
@@ -82,10 +93,13 @@ class Robot:
     urdf: the checked URDF from which it was built.
     tip: the link that is moved.
     tip_frame: its frame index in `model`.
-    joint_names: the n joints from the machine outward.
+    joint_names: the n joints that move it, from the machine outward.
+    hold: the joints that are held as it was asked for, and where [rad or m].
+    held: these and all others that do not move, and where they stand.
     limits: of these joints.
     model: Pinocchio's model of them (nq = nv = n). Not to be written on.
-    pieces: the collision shape of every link.
+    solids: the collision shape of every link, wherever the link is.
+    pieces: the same in the frames of the joints of `model`.
     visuals: what to draw.
     warnings: what the URDF does not say about its shape, in words.
     hydraulics: cylinders and pump, where the machine has a description of them.
@@ -97,8 +111,11 @@ class Robot:
     tip: str
     tip_frame: int
     joint_names: tuple[str, ...]
+    hold: Mapping[str, float]
+    held: tuple[HeldJoint, ...]
     limits: JointLimits
     model: pin.Model
+    solids: tuple[LinkSolid, ...]
     pieces: tuple[LinkPiece, ...]
     visuals: tuple[Visual, ...]
     warnings: tuple[str, ...] = ()
@@ -137,6 +154,36 @@ class Robot:
     def joint_axes(self) -> Matrix:
         """(n, 3) unit axis of each joint in its own frame."""
         return np.array([axis_of(self.urdf.joints[name]) for name in self.joint_names])
+
+    @cached_property
+    def without_velocity(self) -> tuple[str, ...]:
+        """Joints that move and to which the URDF gives no velocity limit, or 0: `DEFAULT_VELOCITY` is assumed."""
+        return tuple(name for name in self.joint_names if not getattr(self.urdf.joints[name].limit, "velocity", None))
+
+    @cached_property
+    def without_effort(self) -> tuple[str, ...]:
+        """Joints that move and whose torque or force nothing limits, neither the URDF nor a cylinder."""
+        driven = () if self.hydraulics is None else self.hydraulics.joint_of.tolist()
+        return tuple(
+            name
+            for j, name in enumerate(self.joint_names)
+            if j not in driven and not getattr(self.urdf.joints[name].limit, "effort", None)
+        )
+
+    @cached_property
+    def soft_limits(self) -> dict[str, tuple[float, float]]:
+        """The URDF's soft limits (``<safety_controller>``) of joints that move, where they are narrower [rad or m]."""
+        found = {}
+        for name in self.joint_names:
+            joint = self.urdf.joints[name]
+            soft = joint.safety_controller
+            if soft is None or joint.type == "continuous":
+                continue
+            low = joint.limit.lower if soft.soft_lower_limit is None else max(soft.soft_lower_limit, joint.limit.lower)
+            high = joint.limit.upper if soft.soft_upper_limit is None else min(soft.soft_upper_limit, joint.limit.upper)
+            if low < high and (low, high) != (joint.limit.lower, joint.limit.upper):
+                found[name] = (float(low), float(high))
+        return found
 
     @cached_property
     def support(self) -> Matrix:
@@ -212,6 +259,30 @@ class Robot:
                 furthest, sense = abs(reach), float(np.sign(reach))
         return sense
 
+    @cached_property
+    def pitch_pin(self) -> Vector | None:
+        """(3,) the pin from which `Configuration.pitch` is measured, in the frame of the last joint that moves [m].
+
+        None where that is the last joint itself. It is not where hinges parallel to it are held
+        between it and the tip: then it is the outermost of these, as of a bucket that is held.
+        """
+        hinges = {joint.name for joint in self.held if self.urdf.joints[joint.name].type != "prismatic"}
+        for joint in reversed(self.urdf.chain(self.tip)):
+            if joint.name == self.joint_names[-1]:
+                return None
+            if joint.name not in hinges:
+                continue
+            placement = self.model.frames[self.model.getFrameId(joint.name, pin.FrameType.FIXED_JOINT)].placement
+            if np.linalg.norm(np.cross(placement.rotation @ axis_of(joint), self.joint_axes[-1])) < _PARALLEL:
+                return np.array(placement.translation)
+        return None
+
+    @cached_property
+    def first_held_at(self) -> float | None:
+        """Where the first joint between the root and the tip is held [rad or m]; None where it moves."""
+        first = next(joint.name for joint in self.urdf.chain(self.tip) if joint.type != "fixed")
+        return next((joint.position for joint in self.held if joint.name == first), None)
+
     def random_q(self, rng: np.random.Generator) -> Vector:
         """(n,) joint positions drawn evenly within the limits; for continuous joints, half a turn either way."""
         return np.asarray(check_kind(rng, np.random.Generator, key="rng").uniform(*self._finite_range))
@@ -220,7 +291,25 @@ class Robot:
         """The same machine with another link as its tip; itself if `tip` is None or the same."""
         if tip is None or check_kind(tip, str, key="tip") == self.tip:
             return self
-        return _build(self.urdf, tip, None if self.hydraulics is None else self.hydraulics.file)
+        return self._rebuilt(tip, self.hold)
+
+    def with_hold(self, hold: Mapping[str, float]) -> Robot:
+        """The same machine with these joints held, and no others that could move the tip; itself if they are the same.
+
+        Parameters
+        ----------
+        hold: any joints of the URDF by name, and where they stand [rad or m].
+
+        Raises
+        ------
+        InputError: see `held_joints`, or no joint is left that moves the tip.
+        """
+        hold = _checked_hold(hold)
+        return self if hold == self.hold else self._rebuilt(self.tip, hold)
+
+    def _rebuilt(self, tip: str, hold: Mapping[str, float]) -> Robot:
+        hydraulics = None if self.hydraulics is None else self.hydraulics.file
+        return _build(self.urdf, tip, hydraulics, solids=self.solids, warnings=self.warnings, hold=hold)
 
     def check_q(self, q: object, *, what: str = "q") -> Vector:
         """(n,) a copy of `q`, checked.
@@ -238,7 +327,11 @@ class Robot:
 
 
 def load_robot(
-    source: str | os.PathLike[str], *, tip: str | None = None, hydraulics: str | os.PathLike[str] | None = None
+    source: str | os.PathLike[str],
+    *,
+    tip: str | None = None,
+    hold: Mapping[str, float] | None = None,
+    hydraulics: str | os.PathLike[str] | None = None,
 ) -> Robot:
     """Load a machine from a URDF, and its hydraulic description where it has one.
 
@@ -246,12 +339,16 @@ def load_robot(
     ----------
     source: a path, or ``example:NAME``.
     tip: the link to be moved; by default ``bucket_tip``, else the only leaf link.
+    hold: joints by name, and where they stand [rad or m]. A scene holds its own instead
+        (`hold` in the scene file); this is for a machine that cannot be loaded otherwise, because
+        a joint copies one that would move.
     hydraulics: the description of cylinders and pump; by default ``NAME.hydraulics.yaml``
         beside ``NAME.urdf``, if there is such a file.
 
     Raises
     ------
     RobotError: see `read_urdf`, `read_hydraulics` and `chain_model`.
+    InputError: see `with_hold`.
 
     Examples
     --------
@@ -265,22 +362,42 @@ def load_robot(
     description = (
         check_path(hydraulics, key="hydraulics") if hydraulics is not None else beside if beside.is_file() else None
     )
-    return _build(urdf, tip, description)
+    solids, warnings = link_solids(urdf)
+    return _build(
+        urdf, tip, description, solids=solids, warnings=warnings, hold=_checked_hold({} if hold is None else hold)
+    )
 
 
-def _build(urdf: Urdf, tip: str | None, hydraulics: Path | None) -> Robot:
-    tip, model = chain_model(urdf, tip)
+def _checked_hold(hold: Mapping[str, float]) -> Mapping[str, float]:
+    """A copy that cannot be written on, of numbers only."""
+    given = check_kind(hold, Mapping, key="hold")  # type: ignore[type-abstract]
+    return MappingProxyType({name: as_number(position, key=f"hold.{name}") for name, position in given.items()})
+
+
+def _build(
+    urdf: Urdf,
+    tip: str | None,
+    hydraulics: Path | None,
+    *,
+    solids: tuple[LinkSolid, ...],
+    warnings: tuple[str, ...],
+    hold: Mapping[str, float],
+) -> Robot:
+    chain = chain_model(urdf, tip, hold)
+    model = chain.model
     joint_names = tuple(str(name) for name in model.names[1:])
-    pieces, warnings = link_pieces(urdf, model)
     return Robot(
         name=str(urdf.robot.name),
         urdf=urdf,
-        tip=tip,
-        tip_frame=int(model.getFrameId(tip, pin.FrameType.BODY)),
+        tip=chain.tip,
+        tip_frame=int(model.getFrameId(chain.tip, pin.FrameType.BODY)),
         joint_names=joint_names,
+        hold=hold,
+        held=chain.held,
         limits=_limits(urdf, model),
         model=model,
-        pieces=pieces,
+        solids=solids,
+        pieces=link_pieces(solids, model),
         visuals=visuals_of(urdf, model),
         warnings=warnings,
         hydraulics=None if hydraulics is None else read_hydraulics(hydraulics, urdf, joint_names),
@@ -293,7 +410,7 @@ def _limits(urdf: Urdf, model: pin.Model) -> JointLimits:
         joint = urdf.joints[name]
         limit = joint.limit
         ends = (-np.inf, np.inf) if joint.type == "continuous" else (limit.lower, limit.upper)
-        rate = limit.velocity if limit is not None and limit.velocity else _DEFAULT_VELOCITY
+        rate = limit.velocity if limit is not None and limit.velocity else DEFAULT_VELOCITY
         effort = limit.effort if limit is not None and limit.effort else np.inf
         rows.append((*ends, rate, urdf.acceleration.get(name, rate / _FULL_RATE_AFTER), effort))
     return JointLimits(*np.array(rows, dtype=float).T.copy())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from backhoe_planner.site import (
     Waypoint,
     build_obstacles,
     check_joint_names,
+    joint_positions,
     machine_on_site,
     scaled_limits,
 )
@@ -76,7 +77,6 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
             file=robot.urdf.path,
             key="link",
         )
-    check_joint_names(robot, scene, scene.limits.acceleration, key="limits.acceleration")
     if scene.gains != "auto":
         check_joint_names(robot, scene, scene.gains.s_k, key="gains.s_k")
     if scene.soil is not None and not robot.has_pitch:
@@ -132,7 +132,7 @@ def _start(robot: Robot, scene: Scene) -> tuple[Vector | None, TipTarget | None]
     if scene.start.tip is not None:
         return None, _target(robot, scene, scene.start.tip, "start.tip")
     assert scene.start.joints is not None
-    return _posture(robot, scene, scene.start.joints, "start.joints"), None
+    return joint_positions(robot, scene, scene.start.joints, key="start.joints"), None
 
 
 def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
@@ -143,21 +143,12 @@ def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
         key = f"task.goal[{index}]" if listed else "task.goal"
         name = f"goal {index + 1}" if len(scene.task.goals) > 1 else "goal"
         if isinstance(spec, JointsGoal):
-            q = _posture(robot, scene, spec.joints, f"{key}.joints")
+            q = joint_positions(robot, scene, spec.joints, key=f"{key}.joints")
             at = Kinematics(robot).at(q)
             found.append(Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name=name))
         else:
             found.append(Goal(_target(robot, scene, spec, key), name=name, rotation_tolerance=spec.rotation_tolerance))
     return tuple(found)
-
-
-def _posture(robot: Robot, scene: Scene, joints: Mapping[str, float], key: str) -> Vector:
-    """(n,) positions of all joints, given by name [rad or m]; SceneError where one is unknown or missing."""
-    check_joint_names(robot, scene, joints, key=key)
-    missing = [name for name in robot.joint_names if name not in joints]
-    if missing:
-        raise SceneError(f"joints are missing: {', '.join(missing)}", file=scene.file, key=key)
-    return robot.check_q([joints[name] for name in robot.joint_names], what=key)
 
 
 def _target(robot: Robot, scene: Scene, pose: Pose, key: str) -> TipTarget:

@@ -1,7 +1,12 @@
 from .clearance_screen import ClearanceScreen as ClearanceScreen
-from .limits import check_joint_names as check_joint_names
+from .joint_names import check_joint_names as check_joint_names
+from .joint_names import joint_positions as joint_positions
+from .limits import joints_on_site as joints_on_site
+from .limits import limit_warnings as limit_warnings
+from .limits import load_machine as load_machine
 from .limits import machine_on_site as machine_on_site
 from .limits import scaled_limits as scaled_limits
+from .limits import swing_sectors as swing_sectors
 from .obstacles import Obstacle as Obstacle
 from .obstacles import build_obstacle as build_obstacle
 from .obstacles import build_obstacles as build_obstacles
@@ -27,7 +32,6 @@ from .schema.survey_files import read_points as read_points
 from .schema.tasks import JointsGoal as JointsGoal
 from .schema.tasks import Pose as Pose
 from .schema.tasks import Waypoint as Waypoint
-from .schema.zone_kinds import SwingSector as SwingSector
 from .schema.zone_kinds import Wall as Wall
 from .soil import LIP as LIP
 from .soil import SoilReaction as SoilReaction

@@ -1,64 +1,92 @@
-"""The machine's limits within one scene."""
+"""The machine within one scene: which of its joints move, and within which limits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+import os
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.errors import SceneError, check_kind
-from backhoe_planner.machine import JointLimits, Robot, TrackingTube
+from backhoe_planner.errors import InputError, RobotError, SceneError, check_kind
+from backhoe_planner.machine import DEFAULT_VELOCITY, JointLimits, Robot, TrackingTube, load_robot
+from backhoe_planner.site.joint_names import check_joint_names
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema.zone_kinds import SwingSector
 
 
 def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
-    """The machine's limits after the scene's velocity scale, accelerations and swing sectors.
+    """The machine's limits after the scene's own, its velocity scale and swing sectors.
+
+    Parameters
+    ----------
+    robot: the machine, with the scene's held joints.
 
     Raises
     ------
-    SceneError: a swing sector leaves the first joint no room, or the first joint slides.
+    SceneError: the scene's limits name a joint that does not move, or allow more than the URDF's; a
+        swing sector leaves the first joint no room, or the first joint slides or is held outside of it.
     """
-    own = robot.limits
-    given = scene.limits.acceleration
-    pairs = zip(robot.joint_names, own.acceleration.tolist(), strict=True)
-    acceleration = np.array([given.get(name, value) for name, value in pairs])
-    lower, upper = own.lower.copy(), own.upper.copy()
-    for index, zone in enumerate(scene.zones):
-        if not isinstance(zone, SwingSector):
-            continue
-        key = f"zones[{index}] ({zone.name})"
+    own, given = robot.limits, scene.limits
+    lower, upper = _ranges(robot, scene)
+    for key, zone in swing_sectors(robot, scene).items():
         name = robot.joint_names[0]
         if robot.prismatic[0]:
             raise SceneError("the first joint does not swing, it slides", file=scene.file, key=key, found=name)
         stop = zone.stop + float(_joint_errors(robot, scene)[0])
-        lower[0], upper[0] = max(lower[0], zone.start + stop), min(upper[0], zone.end - stop)
+        least, most = lower[0], upper[0]
+        lower[0], upper[0] = max(least, zone.start + stop), min(most, zone.end - stop)
         if not lower[0] < upper[0]:
             raise SceneError(
                 "leaves the first joint no room",
                 file=scene.file,
                 key=key,
                 found=f"{zone.start:g} to {zone.end:g}, each kept off by {stop:g}",
-                allowed=f"{name} moves from {own.lower[0]:g} to {own.upper[0]:g}",
+                allowed=f"{name} moves from {least:g} to {most:g}",
             )
-    velocity = own.velocity * scene.limits.velocity_scale
-    return replace(own, lower=lower, upper=upper, velocity=velocity, acceleration=acceleration)
+    velocity = _at_most(robot, scene, "velocity", own.velocity)
+    acceleration = own.acceleration.copy()
+    check_joint_names(robot, scene, given.acceleration, key="limits.acceleration")
+    for j, name in enumerate(robot.joint_names):
+        if name in given.acceleration:
+            acceleration[j] = given.acceleration[name]
+        elif name in given.velocity and name not in robot.urdf.acceleration:
+            acceleration[j] *= velocity[j] / own.velocity[j]  # full rate in as long as before
+    return JointLimits(
+        lower=lower,
+        upper=upper,
+        velocity=velocity * given.velocity_scale,
+        acceleration=acceleration,
+        effort=_at_most(robot, scene, "effort", own.effort),
+    )
 
 
-def machine_on_site(robot: Robot, scene: Scene) -> Robot:
-    """The machine as a scene has it: its tip, its first joint within the swing sectors, its tracking error.
+def joints_on_site(robot: Robot, scene: Scene) -> Robot:
+    """The machine with the scene's tip and held joints.
 
     Raises
     ------
     RobotError: the scene's tip is not a link of the machine.
-    SceneError: see `scaled_limits`; or the tracking error names a joint that the machine does not have.
+    SceneError: the scene holds a joint that cannot be held there.
     """
     check_kind(robot, Robot, key="robot")
     check_kind(scene, Scene, key="scene")
-    robot = robot.with_tip(scene.tip)
-    if any(isinstance(zone, SwingSector) for zone in scene.zones):
+    with _errors_of(scene):
+        return robot.with_tip(scene.tip).with_hold(scene.hold)
+
+
+def machine_on_site(robot: Robot, scene: Scene) -> Robot:
+    """The machine as a scene has it: its tip, its held joints, where the others may be, its tracking error.
+
+    Raises
+    ------
+    RobotError: see `joints_on_site`.
+    SceneError: see `joints_on_site` and `scaled_limits`; or the tracking error names a joint that does not move.
+    """
+    robot = joints_on_site(robot, scene)
+    if scene.limits.position or swing_sectors(robot, scene):
         limits = scaled_limits(robot, scene)
         robot = replace(robot, limits=replace(robot.limits, lower=limits.lower, upper=limits.upper))
     if scene.tracking is None:
@@ -67,17 +95,122 @@ def machine_on_site(robot: Robot, scene: Scene) -> Robot:
     return replace(robot, tube=TrackingTube(_joint_errors(robot, scene), tip))
 
 
-def check_joint_names(robot: Robot, scene: Scene, names: Iterable[str], *, key: str) -> None:
-    """Check names of joints that a scene has at `key`.
+def load_machine(source: str | os.PathLike[str], scene: Scene, *, tip: str | None = None) -> Robot:
+    """The machine of a URDF with the scene's tip, or `tip` where it gives none, and the scene's held joints.
 
     Raises
     ------
-    SceneError: one of `names` is none of the machine's joints.
+    RobotError: see `load_robot`.
+    SceneError: the scene holds a joint that cannot be held there.
     """
-    for name in names:
-        if name not in robot.joint_names:
-            problem = "the machine has no such joint"
-            raise SceneError.unknown_name(problem, name, names=robot.joint_names, file=scene.file, key=key)
+    with _errors_of(scene):
+        return load_robot(source, tip=tip if scene.tip is None else scene.tip, hold=scene.hold)
+
+
+@contextlib.contextmanager
+def _errors_of(scene: Scene) -> Iterator[None]:
+    """What is wrong with the held joints is wrong in the scene, and is said so."""
+    try:
+        yield
+    except RobotError:
+        raise
+    except InputError as error:
+        raise SceneError(
+            error.problem, file=scene.file, key=error.key, found=error.found, allowed=error.allowed, hint=error.hint
+        ) from None
+
+
+def swing_sectors(robot: Robot, scene: Scene) -> dict[str, SwingSector]:
+    """The swing sectors that limit the first of the machine's joints, by their keys; none where it is held.
+
+    Raises
+    ------
+    SceneError: it is held outside of one.
+    """
+    sectors = {
+        f"zones[{index}] ({zone.name})": zone for index, zone in enumerate(scene.zones) if isinstance(zone, SwingSector)
+    }
+    held = robot.first_held_at
+    if held is None:
+        return sectors
+    for key, zone in sectors.items():
+        if not zone.start + zone.stop <= held <= zone.end - zone.stop:
+            raise SceneError(
+                "the first joint is held outside of it",
+                file=scene.file,
+                key=key,
+                found=held,
+                allowed=f"{zone.start + zone.stop:g} to {zone.end - zone.stop:g}",
+            )
+    return {}
+
+
+def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
+    """What of its joints' limits neither the machine's URDF nor the scene says, and what is assumed, in words."""
+    velocity, effort, position = (
+        (scene.limits.velocity, scene.limits.effort, scene.limits.position) if scene is not None else ({}, {}, {})
+    )
+    found = []
+    if names := [name for name in robot.without_velocity if name not in velocity]:
+        found.append(
+            f"the URDF gives no velocity limit, or 0, for {', '.join(names)}: {DEFAULT_VELOCITY:g} rad/s is assumed, "
+            f"{DEFAULT_VELOCITY:g} m/s for slides; the scene can give it (limits: {{velocity: {{{names[0]}: ...}}}})"
+        )
+    if names := [name for name in robot.without_effort if name not in effort]:
+        found.append(
+            f"the URDF gives no effort limit, or 0, for {', '.join(names)}: torque or force is not limited; "
+            f"the scene can give it (limits: {{effort: {{{names[0]}: ...}}}})"
+        )
+    if soft := {name: ends for name, ends in robot.soft_limits.items() if name not in position}:
+        ranges = ", ".join(f"{name}: [{low:g}, {high:g}]" for name, (low, high) in soft.items())
+        found.append(
+            "the URDF's soft limits (safety_controller) are not used, only its limits; "
+            f"the scene can narrow them (limits: {{position: {{{ranges}}}}})"
+        )
+    return tuple(found)
+
+
+def _ranges(robot: Robot, scene: Scene) -> tuple[Vector, Vector]:
+    """(n,), (n,) where the joints may be, by the scene's own limits [rad or m]."""
+    given = scene.limits.position
+    check_joint_names(robot, scene, given, key="limits.position")
+    lower, upper = robot.limits.lower.copy(), robot.limits.upper.copy()
+    for j, name in enumerate(robot.joint_names):
+        if name not in given:
+            continue
+        joint = robot.urdf.joints[name]
+        if joint.type != "continuous" and not joint.limit.lower <= given[name][0] < given[name][1] <= joint.limit.upper:
+            raise SceneError(
+                "is wider than the URDF's range",
+                file=scene.file,
+                key=f"limits.position.{name}",
+                found=list(given[name]),
+                allowed=f"within {joint.limit.lower:.8g} to {joint.limit.upper:.8g}",
+            )
+        lower[j], upper[j] = given[name]
+    return lower, upper
+
+
+def _at_most(robot: Robot, scene: Scene, key: str, own: Vector) -> Vector:
+    """(n,) limits that the scene gives at `key`, else the machine's `own`."""
+    given = getattr(scene.limits, key)
+    check_joint_names(robot, scene, given, key=f"limits.{key}")
+    found = own.copy()
+    for j, name in enumerate(robot.joint_names):
+        if name not in given:
+            continue
+        limit = robot.urdf.joints[name].limit
+        most = getattr(limit, key) if limit is not None else None
+        if most and given[name] > most:
+            raise SceneError(
+                "is more than the URDF allows",
+                file=scene.file,
+                key=f"limits.{key}.{name}",
+                found=given[name],
+                allowed=f"at most {most:.8g}",
+            )
+        found[j] = given[name]
+    return found
 
 
 def _joint_errors(robot: Robot, scene: Scene) -> Vector:

@@ -18,6 +18,7 @@ from backhoe_planner.errors import InputError, SceneError, check_kind, check_pat
 from backhoe_planner.files.records import Record, describe, explain
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import shipped_folder
+from backhoe_planner.site.schema.joint_limits import Limits
 from backhoe_planner.site.schema.names import check_name
 from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
 from backhoe_planner.site.schema.path_file import read_path_file
@@ -35,15 +36,6 @@ class Gains(Record):
     """Of the obstacle term."""
     s_k: dict[str, NonNegative] = Field(default_factory=dict)
     """Of the directionality term, by joint name."""
-
-
-class Limits(Record):
-    """What of the machine's limits is to be used."""
-
-    velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
-    """Part of each joint's rate that may be used."""
-    acceleration: dict[str, Positive] = Field(default_factory=dict)
-    """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
 
 
 class TrackingError(Record):
@@ -86,6 +78,8 @@ class Scene(Record):
     name: str = ""
     tip: str | None = None
     """The link that is moved; bucket_tip, else the only leaf frame."""
+    hold: dict[str, Finite] = Field(default_factory=dict)
+    """Joints of any part of the machine by name, and where they stand [rad or m]: the planner does not move them."""
     start: Start | None = None
     """Where the machine stands; left out with a path: the planner chooses."""
     task: Task

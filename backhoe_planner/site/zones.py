@@ -16,12 +16,13 @@ from typing import Literal, Protocol
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector, as_array, as_number
-from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
+from backhoe_planner.site.limits import joints_on_site, swing_sectors
 from backhoe_planner.site.obstacles import build_obstacles
 from backhoe_planner.site.proximity import Proximity
 from backhoe_planner.site.scene_file import Scene
-from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
+from backhoe_planner.site.schema.zone_kinds import ZoneSpec
 
 Level = Literal["warn", "slow", "stop"]
 
@@ -112,11 +113,10 @@ class ZoneLog:
     """
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
-        check_kind(robot, Robot, key="robot")
-        self._robot = robot.with_tip(check_kind(scene, Scene, key="scene").tip)
+        self._robot = robot = joints_on_site(robot, scene)
         self._solids = tuple(obstacle for obstacle in build_obstacles(scene, robot) if obstacle.zone is not None)
         self._proximity = Proximity(self._robot, self._solids, self_collision=False)
-        self._sectors = tuple(zone for zone in scene.zones if isinstance(zone, SwingSector))
+        self._sectors = tuple(swing_sectors(robot, scene).values())
         self._zones: dict[str, ZoneSpec] = {zone.name: zone for zone in scene.zones}
         room = [0.0 if o.zone is None else o.zone.warn_distance - o.zone.stop for o in self._solids]
         self._warn = np.array(room)[self._proximity.owner] if len(self._proximity.pairs) else np.zeros(0)
@@ -213,12 +213,12 @@ def zone_log(robot: Robot, scene: Scene, trajectory: Motion) -> tuple[Transgress
     SceneError: a zone does not fit the machine.
     InputError: the motion has another number of joints.
     """
-    check_kind(robot, Robot, key="robot")
+    robot = joints_on_site(robot, scene)
     time = as_array(getattr(trajectory, "time", None), None, key="trajectory.time")
     q = as_array(getattr(trajectory, "q", None), len(time), robot.n, key="trajectory.q")
     if not len(time) or (np.diff(time) < 0.0).any():
         raise InputError("are not moments in their order", key="trajectory.time", found=reprlib.repr(time.tolist()))
-    if not check_kind(scene, Scene, key="scene").zones:
+    if not scene.zones:
         return ()
     log = ZoneLog(robot, scene)
     count = min(max(int(np.ceil((time[-1] - time[0]) / _SAMPLED_EVERY)), 0), _MOST_MOMENTS) + 1

@@ -77,7 +77,6 @@ BROKEN = {
     "no limit": (robot_xml(hinge(inside='<axis xyz="0 0 1"/>')), ["joint 'hinge'", "<limit>", "lower, upper"]),
     "no limit on a slide": (robot_xml(hinge("prismatic", "")), ["joint 'hinge'", "<limit>"]),
     "limit without lower": (limit('upper="1" effort="1" velocity="1"'), ["joint 'hinge'", "lower and upper"]),
-    "limit without effort and rate": (limit('lower="-1" upper="1"'), ["joint 'hinge'", "no velocity and no effort"]),
     "lower equals upper": (limit('lower="1" upper="1"'), ["joint 'hinge'", "lower limit is not below upper"]),
     "lower above upper": (limit('lower="2" upper="1"'), ["joint 'hinge'", "lower 2.0, upper 1.0"]),
     "NaN limit": (limit('lower="nan" upper="1"'), ["joint 'hinge' > limit @lower", "not a finite number", "'nan'"]),

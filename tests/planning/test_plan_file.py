@@ -344,3 +344,33 @@ def test_an_unknown_ending(solved: bp.Plan, tmp_path: Path, name: str) -> None:
     with pytest.raises(bp.OutputError, match=r"\.csv, \.npz, \.yaml"):
         export_plan(solved, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_with_held_joints_is_read_with_them(planar4: bp.Robot, tmp_path: Path) -> None:
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "hold": {"joint2": 0.3},
+            "start": {"joints": {"joint1": 0.0, "joint3": 0.3, "joint4": 0.3}},
+            "task": {"goal": {"position": [2.2, 2.4, 0.0]}},
+            "limits": {"velocity": {"joint1": 0.4}, "position": {"joint4": [-1.0, 1.0]}},
+        }
+    )
+    plan = bp.plan(planar4, scene, effort="quick")
+    assert plan.verified, plan.message
+    plan.save(tmp_path / "plan.json")
+    read = bp.load_plan(tmp_path / "plan.json")
+    assert read.verified
+    assert read.robot.joint_names == ("joint1", "joint3", "joint4")
+    assert read.robot.hold == {"joint2": 0.3}
+    np.testing.assert_array_equal(read.tip_path(), plan.tip_path())
+    assert np.max(np.abs(read.trajectory.v[:, 0])) <= 0.4 + 1e-9
+    content = json.loads((tmp_path / "plan.json").read_text())
+    content["scene"]["hold"] = {"joint3": 0.3}
+    (tmp_path / "other.json").write_text(json.dumps(content))
+    with pytest.raises(bp.PlanFileError, match=r"robot.joints: .*found .*joint1.*allowed: joint1, joint2, joint4"):
+        bp.load_plan(tmp_path / "other.json")
+    content["scene"]["hold"] = {"joint7": 0.3}
+    (tmp_path / "other.json").write_text(json.dumps(content))
+    with pytest.raises(bp.PlanFileError, match=r"scene: hold: .*no such joint; found joint7"):
+        bp.load_plan(tmp_path / "other.json")

@@ -48,11 +48,12 @@ from backhoe_planner.site import (
     Obstacle,
     Obstruction,
     Scene,
-    SwingSector,
     build_obstacles,
+    joint_positions,
     machine_on_site,
     pace,
     scaled_limits,
+    swing_sectors,
 )
 
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
@@ -135,8 +136,8 @@ class Servo:
         self._filter = VelocityFilter(self._check, self._recovery)
         self._sectors = [
             (zone.start + zone.stop, zone.end - zone.stop, zone.slow_distance - zone.stop)
-            for zone in scene.zones
-            if isinstance(zone, SwingSector) and zone.slow_distance > zone.stop
+            for zone in swing_sectors(robot, scene).values()
+            if zone.slow_distance > zone.stop
         ]
         self._site = Surroundings(robot, scene, self._separation)
         self._update_moving()
@@ -448,8 +449,4 @@ def _start(robot: Robot, scene: Scene) -> Vector:
         if not found.reached:
             raise InputError("the machine cannot stand there", key="start.tip", found=pose.position)
         return found.q
-    joints = scene.start.joints or {}
-    missing = [name for name in robot.joint_names if name not in joints]
-    if missing:
-        raise InputError(f"joints are missing: {', '.join(missing)}", key="start.joints")
-    return robot.check_q([joints[name] for name in robot.joint_names], what="start.joints")
+    return joint_positions(robot, scene, scene.start.joints or {}, key="start.joints")

@@ -66,8 +66,8 @@ class Envelope:
 
 
 def working_envelope(robot: Robot) -> Envelope | None:
-    """The envelope, or None for a machine that does not work in an upright plane."""
-    if not robot.has_pitch:
+    """The envelope; None for a machine that does not work in an upright plane, or whose swing or bucket is held."""
+    if not robot.has_pitch or _ends_held(robot):
         return None
     plane = _Plane(robot)
     loading = plane.loading()
@@ -82,6 +82,11 @@ def working_envelope(robot: Robot) -> Envelope | None:
         bucket_rotation=float(limits.upper[-1] - limits.lower[-1]),
         swing_arc=float(limits.upper[0] - limits.lower[0]) if plane.swings else None,
     )
+
+
+def _ends_held(robot: Robot) -> bool:
+    """Whether the swing or the bucket is held."""
+    return robot.first_held_at is not None or robot.pitch_pin is not None
 
 
 def reachable_points(robot: Robot, *, count: int = 20_000, seed: int = 0) -> Matrix:
@@ -179,9 +184,12 @@ class DiggingForces:
 
 
 def digging_forces(robot: Robot) -> DiggingForces | None:
-    """The digging forces; None without cylinders on the last two joints, without a pitch, or with the tip on a pin."""
+    """The digging forces; None without cylinders on the last two joints or a pitch, or with the tip on a pin.
+
+    Neither are there any where the swing or the bucket is held.
+    """
     check_kind(robot, Robot, key="robot")
-    if robot.hydraulics is None or robot.n < 2 or not robot.has_pitch:
+    if robot.hydraulics is None or robot.n < 2 or not robot.has_pitch or _ends_held(robot):
         return None
     if {robot.n - 2, robot.n - 1} - set(robot.hydraulics.joint_of.tolist()):
         return None

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +42,22 @@ class LinkPiece:
     piece: Piece
 
 
+@dataclass(frozen=True, eq=False)
+class LinkSolid:
+    """A convex solid of a link, wherever the link is.
+
+    Attributes
+    ----------
+    link: the URDF link to which it belongs.
+    T_link_solid: its place on the link.
+    piece_at: the piece at a placement T_body_solid.
+    """
+
+    link: str
+    T_link_solid: pin.SE3
+    piece_at: Callable[[pin.SE3], Piece]
+
+
 @dataclass(frozen=True)
 class Visual:
     """A shape to draw.
@@ -72,14 +91,14 @@ def _mesh_scale(mesh: yourdfpy.Mesh) -> Vector:
     return np.full(3, 1.0 if mesh.scale is None else mesh.scale, dtype=float)
 
 
-def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[tuple[LinkPiece, ...], tuple[str, ...]]:
-    """Convex pieces that contain the collision shape of every link, placed in the frames of the model's joints.
+def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
+    """Convex solids that contain the collision shape of every link; this decomposes meshes, which takes long.
 
     Where no link of the URDF has a collision shape, what it draws is taken as its shape.
 
     Returns
     -------
-    The pieces; and in words, where a link has a visual and no shape.
+    The solids; and in words, where a link has a visual and no shape.
 
     Raises
     ------
@@ -93,16 +112,12 @@ def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[tuple[LinkPiece, ...], tu
         shapes = link.visuals if drawn else link.collisions
         if link.visuals and not shapes:
             bare.append(link.name)
-        if not shapes:
-            continue
-        joint, T_joint_link = _body(model, link.name)
-        pieces: list[Piece] = []
         for shape in shapes:
             try:
-                pieces += _pieces_of(urdf, shape.geometry, T_joint_link * se3(shape.origin))
+                solids = _solids_of(urdf, shape.geometry)
             except InputError as error:
                 raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > {kind}") from error
-        found += [LinkPiece(f"{link.name}/{k}", link.name, joint, piece) for k, piece in enumerate(pieces)]
+            found += [LinkSolid(link.name, se3(shape.origin), solid) for solid in solids]
     warnings = []
     if drawn and found:
         warnings.append("no link has a <collision>: what is drawn of the links is taken as their shape")
@@ -111,20 +126,32 @@ def link_pieces(urdf: Urdf, model: pin.Model) -> tuple[tuple[LinkPiece, ...], tu
     return tuple(found), tuple(warnings)
 
 
-def _pieces_of(urdf: Urdf, geometry: yourdfpy.Geometry, placement: pin.SE3) -> list[Piece]:
+def link_pieces(solids: Iterable[LinkSolid], model: pin.Model) -> tuple[LinkPiece, ...]:
+    """The solids as collision pieces, placed in the frames of the model's joints."""
+    found: list[LinkPiece] = []
+    numbers: Counter[str] = Counter()
+    for solid in solids:
+        joint, T_joint_link = _body(model, solid.link)
+        name = f"{solid.link}/{numbers[solid.link]}"
+        found.append(LinkPiece(name, solid.link, joint, solid.piece_at(T_joint_link * solid.T_link_solid)))
+        numbers[solid.link] += 1
+    return tuple(found)
+
+
+def _solids_of(urdf: Urdf, geometry: yourdfpy.Geometry) -> list[Callable[[pin.SE3], Piece]]:
     if geometry.box is not None:
-        return [box(geometry.box.size, placement)]
+        return [partial(box, geometry.box.size)]
     if geometry.sphere is not None:
-        return [sphere(geometry.sphere.radius, placement)]
+        return [partial(sphere, geometry.sphere.radius)]
     if geometry.cylinder is not None:
-        return [cylinder(geometry.cylinder.radius, geometry.cylinder.length, placement)]
+        return [partial(cylinder, geometry.cylinder.radius, geometry.cylinder.length)]
     path = urdf.mesh_path(geometry.mesh.filename)
     if path is None:
         raise InputError("mesh file not found", found=geometry.mesh.filename)
     mesh = load_mesh(path)
     mesh.apply_scale(_mesh_scale(geometry.mesh))
     cover = convex_cover(mesh, pieces=_PIECES_PER_LINK_MESH, excess=_LINK_HULL_EXCESS)
-    return [convex(points, placement) for points in cover]
+    return [partial(convex, points) for points in cover]
 
 
 def visuals_of(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:

@@ -55,7 +55,7 @@ class Urdf:
     ----------
     source: as the user gave it, a path or ``example:NAME``.
     path: the file itself.
-    xml: its text, with comments stripped.
+    xml: its text, with comments stripped; a velocity or effort that a `<limit>` does not give is 0.
     sha256: of the file's bytes.
     robot: yourdfpy's records of links and joints.
     acceleration: `<limit acceleration>` by joint name [rad/s^2 or m/s^2], where given.
@@ -160,6 +160,7 @@ def read_urdf(source: str | os.PathLike[str]) -> Urdf:
     root = _parse_xml(data, path)
     _check_numbers(root, path)
     _check_complete(root, path)
+    _fill_limits(root)
     parsed = _parse_robot(root, path)
     _check_tree(parsed.robot, path)
     for joint in parsed.robot.joints:
@@ -339,6 +340,14 @@ def _need(element: etree._Element, attributes: tuple[str, ...], path: Path) -> N
             raise RobotError(f"has no {attribute}", file=path, key=_element_key(element))
 
 
+def _fill_limits(root: etree._Element) -> None:
+    """Write 0, which says nothing, for velocity and effort where a limit has none: yourdfpy asks for them."""
+    for limit in root.findall("joint/limit"):
+        for attribute in ("velocity", "effort"):
+            if limit.get(attribute) is None:
+                limit.set(attribute, "0")
+
+
 def _parse_robot(root: etree._Element, path: Path) -> yourdfpy.URDF:
     for element in root:
         if element.tag not in ("link", "joint"):
@@ -411,9 +420,6 @@ def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
         if limit.lower >= limit.upper:
             found = f"lower {limit.lower}, upper {limit.upper}"
             raise RobotError("lower limit is not below upper", file=path, key=key, found=found)
-    if limit is not None and (limit.velocity is None or limit.effort is None):
-        missing = [name for name in ("velocity", "effort") if getattr(limit, name) is None]
-        raise RobotError(f"the <limit> has no {' and no '.join(missing)}", file=path, key=key)
 
 
 def _acceleration_limits(root: etree._Element) -> dict[str, float]:

@@ -63,7 +63,7 @@ class Configuration:
     def pitch(self) -> float:
         """Angle of the line bucket pin to tip above the horizontal [rad], up positive.
 
-        Measured in the plane across the last joint's axis; for the backhoe it equals
+        Measured in the plane across the last joint's axis, see also `Robot.pitch_pin`; for the backhoe it equals
         boom + stick + bucket, up to whole turns.
 
         Raises
@@ -79,6 +79,9 @@ class Configuration:
             )
         axis = self.robot.pitch_sense * self.J_world[3:, -1]
         line = self.tip_position - self.points[-2]
+        if self.robot.pitch_pin is not None:
+            R_last_tip = self.robot.model.frames[self.robot.tip_frame].placement.rotation
+            line -= self.tip_rotation @ R_last_tip.T @ self.robot.pitch_pin
         # horizontal direction in the plane: z x axis
         forward = line[1] * axis[0] - line[0] * axis[1]
         return float(np.arctan2(line[2], forward))
@@ -135,6 +138,7 @@ class ConfigurationBatch:
     rotations: (B, n, 3, 3) R_world_joint of the frames that turn with the joints.
     prismatic: (n,) which joints slide.
     pitch_sense: see `Robot.pitch_sense`; 0 where pitch is not defined.
+    pitch_pin: see `Robot.pitch_pin`.
     """
 
     q: Array
@@ -145,6 +149,7 @@ class ConfigurationBatch:
     rotations: Array
     prismatic: Flags
     pitch_sense: float
+    pitch_pin: Vector | None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -165,6 +170,8 @@ class ConfigurationBatch:
         """(B,) angle of the line bucket pin to tip above the horizontal [rad]; see `Configuration.pitch`."""
         axis = self.pitch_sense * self.axes[:, -1]
         line = self.tip_position - self.origins[:, -1]
+        if self.pitch_pin is not None:
+            line -= self.rotations[:, -1] @ self.pitch_pin
         forward = line[:, 1] * axis[:, 0] - line[:, 0] * axis[:, 1]
         return np.asarray(np.arctan2(line[:, 2], forward))
 
@@ -223,4 +230,5 @@ class BatchKinematics:
             rotations=rotations,
             prismatic=self.robot.prismatic,
             pitch_sense=self._sense,
+            pitch_pin=self.robot.pitch_pin,
         )

@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.errors import InputError, PlanFileError, RobotError, check_path
+from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_path
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, load_robot, shipped_folder
+from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, shipped_folder
 from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
 from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import Metrics
@@ -31,7 +31,7 @@ from backhoe_planner.planning.result.plan_file import (
     read_plan_file,
 )
 from backhoe_planner.proof import Certificate, certify_problem
-from backhoe_planner.site import Scene, scene_from_dict
+from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
 
@@ -147,7 +147,11 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
     file = check_path(path, key="path")
     urdf = None if urdf is None else check_path(urdf, key="urdf")
     record = read_plan_file(file)
-    robot = load_robot(_locate(record.robot.urdf, file) if urdf is None else urdf, tip=record.robot.tip)
+    try:
+        scene = scene_from_dict(record.scene, folder=file.parent / record.scene_folder)
+        robot = load_machine(_locate(record.robot.urdf, file) if urdf is None else urdf, scene, tip=record.robot.tip)
+    except SceneError as error:
+        raise PlanFileError(str(error), file=file, key="scene") from None
     if robot.urdf.sha256 != record.robot.sha256:
         raise RobotError(
             "the URDF is not the one with which the plan was made",
@@ -158,16 +162,12 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
         )
     if record.robot.joints != robot.joint_names:
         raise PlanFileError(
-            "are not those of the URDF",
+            "are not those that move the tip",
             file=file,
             key="robot.joints",
             found=list(record.robot.joints),
             allowed=", ".join(robot.joint_names),
         )
-    try:
-        scene = scene_from_dict(record.scene, folder=file.parent / record.scene_folder)
-    except InputError as error:
-        raise PlanFileError(str(error), file=file, key="scene") from None
     problem = build_problem(robot, scene)
     trajectory = record.trajectory.trajectory(robot.n, file=file)
     certificate = certify_problem(problem, trajectory)

@@ -33,7 +33,7 @@ from backhoe_planner.show.drawing.timeline import CriticalPoint
 from backhoe_planner.show.teleop.changes import Change, ChangeKind, describe_changes
 from backhoe_planner.show.teleop.live_site import LiveSite
 from backhoe_planner.show.teleop.messages import Message, Sticks, Stop, Tip
-from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog, zone_log
+from backhoe_planner.site import Level, Obstacle, Scene, ZoneLog, joints_on_site, scaled_limits, zone_log
 
 Phase = Literal["idle", "arming", "on", "ending"]
 Wish = Tip | Sticks | Stop
@@ -146,7 +146,8 @@ class Session:
             )  # fmt: skip
         self._lock = threading.Lock()
         feedback = Feedback(dt, largest=LARGEST_FORCE)
-        self._drive = Drive(robot.with_tip(scene.tip), payload=scene.payload)
+        on_site = joints_on_site(robot, scene)
+        self._drive = Drive(on_site, effort=scaled_limits(on_site, scene).effort, payload=scene.payload)
         self._servo = Servo(robot, scene, dt, watchdog=watchdog, feedback=feedback, load=self._load)
         self.robot, self.scene, self.dt = self._servo.robot, scene, dt
         self._site = LiveSite(self._servo)

@@ -1,0 +1,34 @@
+"""The part of the scene file that limits the machine's joints."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+from backhoe_planner.files.records import Record
+from backhoe_planner.site.schema.quantities import Finite, Positive
+
+
+def _in_order(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] >= ends[1]:
+        raise ValueError(f"low is not below high: {list(ends)} (a joint that is to stand still is one of `hold`)")
+    return ends
+
+
+PositionRange = Annotated[tuple[Finite, Finite], AfterValidator(_in_order)]
+
+
+class Limits(Record):
+    """What of the machine's limits is to be used, and what its URDF does not say."""
+
+    velocity_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
+    """Part of each joint's rate that may be used."""
+    acceleration: dict[str, Positive] = Field(default_factory=dict)
+    """By joint name [rad/s^2 or m/s^2]; else the URDF's, else full rate in 0.5 s."""
+    velocity: dict[str, Positive] = Field(default_factory=dict)
+    """By joint name [rad/s or m/s]: at most the URDF's, or any where that gives none; else the URDF's, else 1."""
+    effort: dict[str, Positive] = Field(default_factory=dict)
+    """By joint name [N m or N]: at most the URDF's, or any where that gives none; else the URDF's, else no limit."""
+    position: dict[str, PositionRange] = Field(default_factory=dict)
+    """[low, high] by joint name, within the URDF's limits [rad or m]."""
