@@ -1,7 +1,10 @@
 """The certificate against the least distances of random machines on random motions.
 
 A comparison is a machine, a site and a motion; it is refuted where a body comes nearer than was
-proven, or where two touch though the certificate calls the motion safe.
+proven, or where two touch though the certificate calls the motion safe. Links that the planner
+does not compare may touch only by construction (validation/link_pairs.py): nearly wherever their
+joint stands, or in nearly all postures; or, of the two links of a joint, near its axis. How often
+such contact was found is counted.
 """
 
 from __future__ import annotations
@@ -19,12 +22,11 @@ from joblib import Parallel, delayed
 import backhoe_planner as bp
 from backhoe_planner.machine import self_pairs
 from validation.dense_sweep import Least, Sweep
-from validation.link_pairs import PIN_PLAY, LinkPair, touch_share
+from validation.link_pairs import BY_CONSTRUCTION, PIN_PLAY, LinkPair, touch_share
 from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
 
 _ROUNDING = 1e-6  # m below what is proven that a distance may be found
 _KEPT = 1.2e-4  # m below its clearance that a motion still counts as keeping it, and rounding
-_BY_CONSTRUCTION = 0.85  # part of a joint's range in which its two links touch, as where one slides in the other
 _UNREPORTED = 10.0  # m beyond its clearance from which on the certificate does not name an obstacle
 
 
@@ -45,6 +47,8 @@ class Comparison:
     ----------
     below: how far each proven bound lies below the dense distance, as a part of it.
     safe: whether the certificate calls the motion safe.
+    by_construction: pairs of links that were not compared and touched in a motion called safe, as they do in
+        nearly all postures.
     left_out: pairs of links with several joints between them that touch in every posture, and were not compared.
     seconds: of the processor.
     error: what was raised, if anything.
@@ -54,6 +58,7 @@ class Comparison:
     refutations: tuple[Refutation, ...] = ()
     below: tuple[float, ...] = ()
     safe: bool = False
+    by_construction: int = 0
     left_out: int = 0
     seconds: float = 0.0
     error: str = ""
@@ -89,11 +94,17 @@ def compare(attack: Attack, certificate: bp.Certificate) -> Comparison:
     """Hold a certificate against the least distances that are found by looking."""
     machine, motion = attack.machine, attack.trajectory
     sweep = machine.sweep(motion.time, motion.q)
-    claims = _against_obstacles(attack, certificate, sweep) + _against_itself(attack, certificate, sweep)
+    own, excused = _against_itself(attack, certificate, sweep)
+    claims = _against_obstacles(attack, certificate, sweep) + own
     refuted = [refutation for claim in claims for refutation in claim.refutations(attack.seed, safe=certificate.safe)]
     below = [claim.below for claim in claims if claim.comparable]
     return Comparison(
-        attack.seed, tuple(refuted), tuple(below), certificate.safe, left_out=len(machine.pairs.touching_afar)
+        attack.seed,
+        tuple(refuted),
+        tuple(below),
+        certificate.safe,
+        by_construction=excused,
+        left_out=len(machine.pairs.touching_afar),
     )
 
 
@@ -148,9 +159,20 @@ def _against_obstacles(attack: Attack, certificate: bp.Certificate, sweep: Sweep
     return claims
 
 
-def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -> list[_Claim]:
-    """One claim for every cause for which links may come nearer to each other than proven."""
+def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -> tuple[list[_Claim], int]:
+    """One claim for every cause for which links may come nearer to each other than proven.
+
+    With how many pairs of links touch by construction though the motion is called safe.
+    """
     machine = attack.machine
+
+    def excused(found: Least | None) -> bool:
+        """Whether links that are not compared touch, and do so by construction."""
+        if found is None or found.distance > 0.0 or not certificate.safe:
+            return False
+        share = touch_share(machine.raw, machine.bodies, "tip", (found.link, found.other))
+        return share >= BY_CONSTRUCTION
+
     robot = machine.robot
     kept = self_pairs(robot)
     looked_at = {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in kept.kept}
@@ -158,28 +180,33 @@ def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -
     entry = next((entry for entry in certificate.clearances if entry.kind == "machine"), None)
     groups: dict[str, list[LinkPair]] = {}
     claims: list[_Claim] = []
+    touching = 0
     for pair, furthest in machine.pairs.counted.items():
         if frozenset(pair) not in looked_at and furthest < PIN_PLAY:
             continue  # by construction
         joint = machine.raw.joint_above.get(pair[0])
         if frozenset(pair) not in looked_at and joint is not None and joint.parent == pair[1] and joint.kind != "fixed":
             folded = sweep.inside_beyond(*pair, joint)
-            if folded is not None and (
-                touch_share(machine.raw, machine.bodies, "tip", *pair, joint.name) < _BY_CONSTRUCTION
-            ):
+            if excused(folded):
+                touching += 1
+            elif folded is not None:
                 claims.append(_Claim(0.0, folded, 0.0, "the two links of a joint, far from it", False))
             continue
         groups.setdefault(_cause(machine, pair, looked_at), []).append(pair)
     for cause, pairs in groups.items():
         found = sweep.between(pairs)
+        known = cause == COMPARED
+        while not known and found is not None and excused(found):
+            touching += 1
+            pairs.remove((found.link, found.other))
+            found = sweep.between(pairs)
         if found is None:
             continue
-        known = cause == COMPARED
         # what cannot meet, or touches by construction, is not in the least distance that is reported
         proven = (_UNREPORTED if entry is None else entry.distance) if known else 0.0
         same = entry is not None and {entry.link, entry.obstacle} == {found.link, found.other}
         claims.append(_Claim(proven, found, 0.0, cause, known and same))
-    return claims
+    return claims, touching
 
 
 COMPARED = "links nearer to each other than proven"
@@ -210,6 +237,7 @@ class Summary:
     refuted: int
     causes: dict[str, int]
     below: tuple[float, float]
+    by_construction: int
     left_out: int
     seconds: float
 
@@ -227,6 +255,7 @@ def summarise(comparisons: Sequence[Comparison]) -> Summary:
         refuted=sum(bool(one.refutations) for one in comparisons),
         causes=dict(causes.most_common()),
         below=(median, high),
+        by_construction=sum(one.by_construction for one in comparisons),
         left_out=sum(one.left_out for one in comparisons),
         seconds=sum(one.seconds for one in comparisons),
     )

@@ -20,8 +20,20 @@ def link(name: str, *boxes: str) -> str:
     return f'<link name="{name}">{shapes}</link>'
 
 
-def joint(name: str, parent: str, child: str, *, at: str = "0 0 0", axis: str = "0 0 1", kind: str = "revolute") -> str:
-    ends = '<limit lower="-3.1" upper="3.1" effort="100" velocity="1"/>' if kind == "revolute" else ""
+def joint(
+    name: str,
+    parent: str,
+    child: str,
+    *,
+    at: str = "0 0 0",
+    axis: str = "0 0 1",
+    kind: str = "revolute",
+    either_way: float = 3.1,
+) -> str:
+    """A joint; a hinge turns so far either way [rad]."""
+    ends = (
+        f'<limit lower="{-either_way}" upper="{either_way}" effort="100" velocity="1"/>' if kind == "revolute" else ""
+    )
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="{at}"/><axis xyz="{axis}"/>{ends}</joint>'
@@ -137,8 +149,14 @@ def test_what_its_makers_joined_is_left_out(name: str, tip: str | None) -> None:
         assert robot.pieces[a].joint - robot.pieces[b].joint > 1
 
 
-def test_links_that_touch_at_their_own_pin_when_they_bend_are_left_out(tmp_path: Path) -> None:
-    """Two rods 4 cm thick end 2 cm before the pin between them: apart when stretched, touching at a right angle."""
+@pytest.mark.parametrize(("either_way", "left_out"), [(2.5, ["touch at elbow"]), (3.1, [])])
+def test_links_that_touch_at_their_own_pin_when_they_bend_are_left_out(
+    either_way: float, left_out: list[str], tmp_path: Path
+) -> None:
+    """Two rods 4 cm thick end 2 cm before the pin between them: apart when stretched, touching at a right angle.
+
+    Bent by 2.5 rad, their inner edges cross 0.02 tan(1.25) m from the pin, 6 cm. By 3.1 rad they lie in each other.
+    """
     rod = "0.96 0.04 0.04 | 0.5 0 0"
     robot = machine(
         tmp_path,
@@ -146,11 +164,11 @@ def test_links_that_touch_at_their_own_pin_when_they_bend_are_left_out(tmp_path:
         link("upper", rod),
         joint("shoulder", "base", "upper"),
         link("lower", rod),
-        joint("elbow", "upper", "lower", at="1 0 0"),
+        joint("elbow", "upper", "lower", at="1 0 0", either_way=either_way),
         tip="lower",
     )
-    assert self_pairs(robot).kept == ()
-    assert [pair.why for pair in self_pairs(robot).left_out] == ["touch at elbow"]
+    assert bool(self_pairs(robot).kept) == (not left_out)
+    assert [pair.why for pair in self_pairs(robot).left_out] == left_out
 
 
 def swept_post(folder: Path, *, post_at: str, limits: tuple[float, float], hub: bool = False) -> Robot:
@@ -201,3 +219,46 @@ def test_a_post_on_a_hub_that_others_always_touch_counts(tmp_path: Path) -> None
     names = {(robot.pieces[a].name, robot.pieces[b].name) for a, b in self_pairs(robot).kept}
     assert ("arm/1", "base/1") in names
     assert ("arm/0", "base/0") not in names
+
+
+def tilted_plates(folder: Path, slope: float) -> Robot:
+    """A bar that turns on a bar of its base, both 1 m long and 0.1 m wide from 0.05 m off the axis on.
+
+    The lower side of the upper one lies 50 mm below the top of the lower one on the axis, and rises by `slope`.
+    """
+    tilt = np.arctan(slope)
+    middle = np.array([0.55, 0.0, -0.05 + 0.55 * slope]) + 0.05 * np.array([-np.sin(tilt), 0.0, np.cos(tilt)])
+    upper = (
+        f'<link name="upper"><collision><origin xyz="{middle[0]} 0 {middle[2]}" rpy="0 {-tilt} 0"/>'
+        '<geometry><box size="1 0.1 0.1"/></geometry></collision></link>'
+    )
+    lower = link("lower", "1 0.1 0.1 | 0.55 0 -0.05")
+    return machine(folder, lower, upper, joint("turn", "lower", "upper"), tip="upper")
+
+
+def test_an_overlap_that_reaches_far_from_the_pin_counts_wherever_it_is_deepest(tmp_path: Path) -> None:
+    """Deepest at the pin, 48 mm, it is still 5 mm deep at 1 m: the bars lie in each other all along."""
+    robot = tilted_plates(tmp_path, 0.045)
+    assert kept_links(robot) == {frozenset(("upper", "lower"))}
+
+
+def test_an_overlap_that_ends_near_the_pin_is_left_out(tmp_path: Path) -> None:
+    """The same, but the upper bar is out of the lower one 0.2 m from the axis."""
+    robot = tilted_plates(tmp_path, 0.25)
+    assert self_pairs(robot).kept == ()
+    assert [pair.why for pair in self_pairs(robot).left_out] == ["touch at turn"]
+
+
+def test_a_turntable_that_overlaps_its_bed_all_around_is_left_out(tmp_path: Path) -> None:
+    """The bed is of two halves, each of which is touched over half the turn, 0.1 to 0.4 m from the axis.
+
+    The overlap is 10 mm deep at 0.1 m and 1 mm at 0.4 m.
+    """
+    table = (
+        '<link name="table"><collision><origin xyz="0.25 0 0.0445" rpy="0 -0.03 0"/>'
+        '<geometry><box size="0.3 0.2 0.1"/></geometry></collision></link>'
+    )
+    bed = link("bed", "0.5 1 0.1 | 0.25 0 -0.05", "0.5 1 0.1 | -0.25 0 -0.05")
+    robot = machine(tmp_path, bed, table, joint("turn", "bed", "table"), tip="table")
+    assert self_pairs(robot).kept == ()
+    assert [pair.why for pair in self_pairs(robot).left_out] == ["touch at turn"]

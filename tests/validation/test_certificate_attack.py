@@ -13,7 +13,7 @@ import backhoe_planner as bp
 from validation.certificate_attack import attack_seeds, compare, summarise
 from validation.convex_gaps import Part, ball, block, drum, gap, rod
 from validation.dense_sweep import link_bodies
-from validation.link_pairs import find_pairs
+from validation.link_pairs import find_pairs, touch_share
 from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
 from validation.random_machines import write_random_machine
 from validation.raw_obstacles import RawObstacle, read_obstacle
@@ -190,3 +190,41 @@ def test_an_arm_swept_through_a_cab_on_its_own_base_refutes_a_certificate_that_c
     assert "arm touches cab" in refutation.what
     assert "called safe" in refutation.what
     assert bool(compare(attack, honest).refutations) == honest.safe
+
+
+def sliding_bar(folder: Path, length: float) -> Attacked:
+    """A bar that a slide takes along x from 0 to 1 m, and a block of the base at x = 0: they touch up to length / 2."""
+    (folder / "slide.urdf").write_text(f"""<robot name="slide">
+  <link name="base"/><link name="tip"/><link name="carriage"/>
+  <link name="bar"><collision><geometry><box size="{length} 0.1 0.1"/></geometry></collision></link>
+  <link name="block"><collision><origin xyz="-0.1 0 0"/><geometry><box size="0.2 0.2 0.2"/></geometry>
+    </collision></link>
+  <joint name="slide" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="1" velocity="2" effort="1e6"/></joint>
+  <joint name="bar_fixed" type="fixed"><parent link="carriage"/><child link="bar"/></joint>
+  <joint name="block_fixed" type="fixed"><parent link="base"/><child link="block"/></joint>
+  <joint name="hand" type="fixed"><origin xyz="1 0 0"/><parent link="carriage"/><child link="tip"/></joint>
+</robot>""")
+    raw = read_raw_urdf(folder / "slide.urdf")
+    bodies = link_bodies(raw)
+    return Attacked(bp.load_robot(folder / "slide.urdf", tip="tip"), raw, bodies, find_pairs(raw, bodies, "tip"))
+
+
+@pytest.mark.parametrize(("length", "share"), [(1.89, 95), (0.81, 41)])
+def test_how_much_of_a_range_two_links_touch_is_what_was_built(length: float, share: int, tmp_path: Path) -> None:
+    """At 101 places 10 mm apart, the first at 0."""
+    machine = sliding_bar(tmp_path, length)
+    assert touch_share(machine.raw, machine.bodies, "tip", ("bar", "block")) == pytest.approx(share / 101, abs=1e-12)
+
+
+def test_links_that_touch_over_most_of_the_range_are_counted_apart(tmp_path: Path) -> None:
+    machine = sliding_bar(tmp_path, 1.89)
+    task = {"goal": {"position": [1.8, 0, 0]}}
+    scene = bp.scene_from_dict({"version": 1, "start": {"joints": {"slide": 0.5}}, "task": task})
+    motion = bp.Trajectory.from_steps(np.array([0.0, 10.0]), np.array([[0.5], [0.8]]))
+    certificate = bp.certify(machine.robot, scene, motion)
+    assert certificate.safe
+    found = compare(Attack(0, machine, scene, (), motion), certificate)
+    assert found.refutations == ()
+    assert found.by_construction == 1
+    assert summarise([found, found]).by_construction == 2
