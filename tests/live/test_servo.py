@@ -109,7 +109,7 @@ def test_no_point_bends_more_than_said(backhoe: Robot) -> None:
         separation.normal[pairs] = rng.normal(size=3)
         separation.normal[pairs] /= np.linalg.norm(separation.normal[pairs[0]])
         separation.offset[pairs] = 0.0
-        gaps = separation.gaps(pairs, at, 3)
+        gaps = separation.gaps(pairs, at, 3).all
         off = np.abs(gaps[:, 1] - 0.5 * (gaps[:, 0] + gaps[:, 2])).max(axis=1)
         bound = (separation.travel @ bend_weights(delta, separation.turning))[separation.classes[pairs]] / 8.0
         assert np.all(off <= bound + 1e-12)
@@ -142,9 +142,9 @@ def test_gaps_are_coals_distance_where_measured_and_never_more_elsewhere(any_rob
     for _ in range(12):
         q = any_robot.random_q(rng)
         at.place(0, q)
-        before = separation.gaps(everything, at, 1)[:, 0].min(axis=1)
+        before = separation.gaps(everything, at, 1).all[:, 0].min(axis=1)
         found = np.array([separation.renew(pair, at, 0) for pair in everything.tolist()])
-        after = separation.gaps(everything, at, 1)[:, 0].min(axis=1)
+        after = separation.gaps(everything, at, 1).all[:, 0].min(axis=1)
         np.testing.assert_allclose(after, found, atol=2e-6)
         assert np.all(before <= found + 2e-6)
         np.testing.assert_allclose(np.sort(found), np.sort(proximity.distances(q)), atol=2e-6)
@@ -165,15 +165,15 @@ def test_rows_against_central_differences(any_robot: Robot) -> None:
     at.place(0, q)
     for pair in pairs.tolist():
         separation.renew(pair, at, 0)
-    corner = separation.gaps(pairs, at, 1)[:, 0].argmin(axis=1)
+    corner = separation.gaps(pairs, at, 1).all[:, 0].argmin(axis=1)
     rows = separation.rows(pairs, np.zeros(len(pairs), dtype=np.intp), corner, at)
     for joint in range(any_robot.n):
         step = np.zeros(any_robot.n)
         step[joint] = 1e-6
         aside.place(0, q + step)
-        ahead = separation.gaps(pairs, aside, 1)[:, 0][pairs, corner]
+        ahead = separation.gaps(pairs, aside, 1).all[:, 0][pairs, corner]
         aside.place(0, q - step)
-        behind = separation.gaps(pairs, aside, 1)[:, 0][pairs, corner]
+        behind = separation.gaps(pairs, aside, 1).all[:, 0][pairs, corner]
         np.testing.assert_allclose(rows[:, joint], -(ahead - behind) / 2e-6, atol=1e-7)
 
 

@@ -19,6 +19,7 @@ import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.live.braking.gaps import Gaps
 from backhoe_planner.machine import Robot, bend_weights
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
@@ -49,8 +50,8 @@ class PathClearance(NamedTuple):
     clear: whether every pair keeps the required distance.
     stands_clear: whether every pair whose obstacle stands still keeps it.
     bound: (K,) proven distance over the whole path [m].
-    gaps: (K, S, V) from every corner of the links to the planes, at each of S samples [m]; working memory,
-        of the path that was checked last.
+    gaps: from every corner of the links to the planes, at the samples of the path; working memory of the
+        path that was checked last.
     closely: (K,) which pairs were measured at several places of the path.
 
     Of a path that is not the first of its step, `gaps` and `closely` are of the pairs whose obstacle stands still.
@@ -60,7 +61,7 @@ class PathClearance(NamedTuple):
     clear: bool
     stands_clear: bool
     bound: Vector
-    gaps: Array
+    gaps: Gaps
     closely: Flags
 
 

@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Vector
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
+from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
-from backhoe_planner.live.braking.separation import FAR, Memory, Separation, least_of_each
+from backhoe_planner.live.braking.separation import FAR, Separation
 from backhoe_planner.site import pace
 
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
@@ -30,15 +31,12 @@ class Near(NamedTuple):
     Attributes
     ----------
     pairs: (K,) their indices.
-    gaps: (K, V) from every corner of the link to the pair's plane [m]; working memory.
-    nearest, least: (K,) the column of the least of these, and the least [m].
+    gaps: from every corner of the link to the pair's plane, at one sample; working memory.
     distance, margin: (K,) proven lower bounds of the distance, and of distance minus clearance [m].
     """
 
     pairs: Indices
-    gaps: Matrix
-    nearest: Indices
-    least: Vector
+    gaps: Gaps
     distance: Vector
     margin: Vector
 
@@ -164,13 +162,12 @@ class PairBounds:
         lower = self._distance + self._distance_at - odometer
         pairs = (lower < self._within).nonzero()[0]
         if len(pairs) == 0:
-            return Near(pairs, np.zeros((0, 1)), pairs, np.zeros(0), np.zeros(0), np.zeros(0))
-        gaps = separation.gaps(pairs, at, 1, memory=self._memory)[:, 0]
-        nearest, least = least_of_each(gaps)
-        distance = np.maximum(least, lower.take(pairs))
+            return Near(pairs, NO_GAPS, np.zeros(0), np.zeros(0))
+        gaps = separation.gaps(pairs, at, 1, memory=self._memory)
+        distance = np.maximum(gaps.least[:, 0], lower.take(pairs))
         self._distance[pairs] = distance
         self._distance_at[pairs] = odometer.take(pairs)
-        return Near(pairs, gaps, nearest, least, distance, distance - separation.clearance.take(pairs))
+        return Near(pairs, gaps, distance, distance - separation.clearance.take(pairs))
 
     def pace(self, near: Near) -> float:
         """The part of the wished speed that the slow distances of zones leave."""

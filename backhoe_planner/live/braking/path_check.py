@@ -19,12 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import BindingSolution, Kind, Rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance, Placements
+from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import BRAKING, TOLERANCE, JointBounds
 from backhoe_planner.live.braking.pair_bounds import Awake, PairBounds
-from backhoe_planner.live.braking.separation import Memory, Separation, least_of_each
+from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.live.braking.step_work import CLOSER_LOOK, MOST_DISTANCES, StepWork
 
 MOST_CANDIDATES = 24  # rows of one kind, among which those that bind are sought; chosen
@@ -153,7 +154,7 @@ class PathCheck:
         path: BrakingPath,
         drift_time: float,
         bound: Vector,
-        gaps: Array,
+        gaps: Gaps,
         closely: Flags,
     ) -> None:
         """Measure pairs whose bound falls short with one plane each, then what stands with several.
@@ -171,8 +172,9 @@ class PathCheck:
             return
         until = separation.measured + left
         for row in again.tolist():
-            separation.renew(int(pairs[row]), at, int(gaps[row].min(axis=1).argmin()))
-        better, gaps[again] = separation.least_on(pairs[again], path, at, drift_time)
+            separation.renew(int(pairs[row]), at, int(gaps.least[row].argmin()))
+        better, anew = separation.least_on(pairs[again], path, at, drift_time)
+        gaps.put(again, anew)
         bound[again] = np.maximum(bound[again], better)
         for row in again[(better < required[again] - TOLERANCE) & stands[again]].tolist():
             if separation.measured + CLOSER_LOOK > until:
@@ -180,7 +182,7 @@ class PathCheck:
             bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, at, 0.0))
             closely[row] = True
         if closely.any():
-            gaps[closely] = separation.gaps(pairs[closely], at, path.parts + 1)
+            gaps.put(closely.nonzero()[0], separation.gaps(pairs[closely], at, path.parts + 1))
         self.bounds.renew_soon(pairs[again])
 
     def rows(self, awake: Awake, path: BrakingPath, found: PathClearance, *, firm: bool = False) -> tuple[Rows, ...]:
@@ -199,19 +201,22 @@ class PathCheck:
         wanted = self.bounds.required[pairs] + BUFFER
         needed = path.off_chord(separation.travel).take(classes) + wanted
         within = needed + 2.0 * budget.take(classes)
-        corners_each = found.gaps.shape[2]
-        # of every pair, without the first sample: where the machine is, it is at any velocity
-        gaps = found.gaps.reshape(len(pairs), -1)[:, corners_each:]
+        # where the machine is, the first sample, it is at any velocity
+        all_gaps, nearest, least, _ = found.gaps
+        gaps, corners_each = all_gaps[:, 1:], all_gaps.shape[2]
+        tight = least[:, 1:].argmin(axis=1)
         if found.closely.any():
-            gaps = gaps.copy()
             within[found.closely & (found.bound >= within - needed + wanted)] = -np.inf
             # a pair that was measured closely keeps one plane, which is right where the pair is tightest
+            gaps = gaps.copy()
             for row in found.closely.nonzero()[0].tolist():
-                of_samples = gaps[row].reshape(path.parts, corners_each)
-                tight = int(of_samples.min(axis=1).argmax())
-                of_samples[:tight], of_samples[tight + 1 :] = np.inf, np.inf
-        nearest, least = least_of_each(gaps)
-        binding = Candidates(gaps, within, nearest, least - needed, (least < within).nonzero()[0])
+                tight[row] = least[row, 1:].argmax()
+                gaps[row, np.arange(path.parts) != tight[row]] = np.inf
+        each = np.arange(len(pairs))
+        room = least[each, tight + 1] - needed
+        within[room >= within - needed] = -np.inf
+        columns = corners_each * tight + nearest[each, tight + 1]
+        binding = Candidates(gaps.reshape(len(pairs), -1), within, columns, room, (within > -np.inf).nonzero()[0])
         if len(binding.pairs) == 0:
             return (Rows.none("braking", len(path.v)),)
         chosen = binding.all_of(MOST_CANDIDATES)
@@ -224,9 +229,9 @@ class PathCheck:
         samples += 1
         part = samples / path.parts
         G = separation.rows(pairs[k], samples, corners, self.at) @ path.D / path.look
-        h = (gaps[k, columns] - needed[k]) / (part * path.look) + G @ path.v
+        h = (binding.gaps[k, columns] - needed[k]) / (part * path.look) + G @ path.v
         # never ask for more than the start itself is short of
-        short = np.maximum(wanted[k] - found.gaps[k, 0, corners], 0.0)
+        short = np.maximum(wanted[k] - found.gaps.all[k, 0, corners], 0.0)
         h = np.maximum(h, -2.0 * short)
         if not firm:
             return (Rows("braking", G, h),)
@@ -244,10 +249,10 @@ class Candidates(NamedTuple):
     Attributes
     ----------
     gaps: (K, M) of every corner [m].
-    within: (K,) gaps below this count [m].
+    within: (K,) gaps below this count [m]; -inf for other pairs.
     nearest: (K,) the column of the least gap.
     room: (K,) what is left of a pair's least gap, in the measure by which pairs are compared.
-    pairs: rows of the pairs of which a corner counts.
+    pairs: rows of the pairs that are looked at, each with a corner that counts.
     """
 
     gaps: Matrix
@@ -258,14 +263,17 @@ class Candidates(NamedTuple):
 
     def among(self, those: Flags) -> Candidates:
         """The same without the pairs for which `those` (K,) is false."""
-        return self._replace(pairs=self.pairs[those[self.pairs]])
+        return Candidates(self.gaps, self.within, self.nearest, self.room, self.pairs[those[self.pairs]])
 
     def all_of(self, most: int) -> tuple[Indices, Indices] | None:
         """Pair and column of every corner that counts; None where there are more than `most`."""
         if len(self.pairs) > most:
             return None
-        k, columns = np.nonzero(self.gaps[self.pairs] < self.within[self.pairs][:, None])
-        return (self.pairs[k], columns) if len(k) <= most else None
+        counts = self.gaps < self.within[:, None]
+        if np.count_nonzero(counts) > most:
+            return None
+        k, columns = counts.nonzero()
+        return k, columns
 
     def tightest(self, most: int) -> tuple[Indices, Indices]:
         """Pair and column of the corners with the least gaps of every pair, at most `most` of all pairs together.
@@ -286,4 +294,4 @@ class Candidates(NamedTuple):
         return pairs[k[real]], columns[real]
 
 
-_NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), np.zeros((0, 0, 0)), np.zeros(0, dtype=np.bool_))
+_NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), NO_GAPS, np.zeros(0, dtype=np.bool_))

@@ -14,12 +14,11 @@ for a plane that moves with the link, and the corners of the obstacle.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
+from backhoe_planner.live.braking.gaps import Gaps, Memory
 from backhoe_planner.machine import Robot, bend_weights, self_pairs, tracking_room, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
@@ -49,26 +48,6 @@ class _Stand:
         if self._placed[0] != shift:
             self._placed = (shift, shapes.transform(self._R, self._t + self.shift))
         return self._placed[1]
-
-
-class Memory:
-    """Room for an array that is written anew in every step and changes its size."""
-
-    def __init__(self) -> None:
-        self._numbers = np.zeros(0)
-
-    def array(self, shape: tuple[int, ...]) -> Array:
-        """The room as an array of this shape; what it held before is lost."""
-        count = math.prod(shape)
-        if count > len(self._numbers):
-            self._numbers = np.zeros(2 * count)
-        return self._numbers[:count].reshape(shape)
-
-
-def least_of_each(gaps: Matrix) -> tuple[Indices, Vector]:
-    """(K,), (K,) the column of the least number in each row of gaps (K, M), and that number."""
-    columns = gaps.argmin(axis=1)  # several times faster than the minimum itself
-    return columns, gaps[np.arange(len(gaps)), columns]
 
 
 class Separation:
@@ -246,7 +225,7 @@ class Separation:
 
     def least_gaps(self, pairs: Indices, at: Placements, sample: int) -> Vector:
         """(K,) lower bounds of the distances at one sample, by the planes alone [m]."""
-        return np.asarray(self.gaps(pairs, at, slice(sample, sample + 1))[:, 0].min(axis=1))
+        return np.asarray(self.gaps(pairs, at, slice(sample, sample + 1)).least[:, 0])
 
     def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
         self.normal[pair] = n
@@ -263,18 +242,19 @@ class Separation:
         *,
         drift_time: float = 0.0,
         memory: Memory | None = None,
-    ) -> Array:
-        """(K, samples, V) gaps from every corner of the links to the planes of `pairs` [m].
+    ) -> Gaps:
+        """The gaps from every corner of the links to the planes of `pairs` (K,).
 
         Parameters
         ----------
         samples: rows of the placements, the first so many or a slice.
         drift_time: how long the planes of what comes nearer move on, from the first sample to the last [s].
-        memory: where the gaps are written to; a new array where there is none.
+        memory: to which they are written; new arrays where there is none.
         """
         T = at.T[samples if isinstance(samples, slice) else slice(samples)]
         n = self.normal.take(pairs, axis=0)[:, None, :]
-        offset = self.offset.take(pairs) - self._fat.take(self.piece.take(pairs))
+        pieces = self.piece.take(pairs)
+        offset = self.offset.take(pairs) - self._fat.take(pieces)
         other = self.other.take(pairs) if self.some_relative else pairs[:0]
         if np.count_nonzero(other):
             frames = T.take(other, axis=1)
@@ -285,26 +265,28 @@ class Separation:
             drift = np.minimum(self.drift.take(pairs), 0.0)
             if np.count_nonzero(drift):
                 offset = offset + (drift_time / (len(T) - 1) * np.arange(len(T)))[:, None] * drift
-        # the planes as seen from the links: -n R, and the offset less n t, to be taken with the 1 behind each corner
+        # the planes as seen from the links: -n R, and the offset less n t, which the 1 below each corner takes
         local = np.matmul(n, T.take(self.joint.take(pairs), axis=1))[:, :, 0]
         np.negative(local, out=local)
         local[..., 3] += offset
-        columns = self._columns4[self.piece.take(pairs)]
-        shape = (len(pairs), len(T), columns.shape[2])
-        out = None if memory is None else memory.array(shape)
-        return np.asarray(np.matmul(local.transpose(1, 0, 2), columns, out=out))
+        columns, gaps = (Memory() if memory is None else memory).arrays(len(pairs), len(T), self._columns4.shape[2])
+        self._columns4.take(pieces, axis=0, out=columns, mode="clip")
+        np.matmul(local.transpose(1, 0, 2), columns, out=gaps)
+        nearest = gaps.argmin(axis=2)  # several times faster than the minimum itself
+        first = gaps.shape[2] * np.arange(nearest.size)
+        return Gaps(gaps, nearest, gaps.reshape(-1).take(first.reshape(nearest.shape) + nearest), columns)
 
     def least_on(
         self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float, *, memory: Memory | None = None
-    ) -> tuple[Vector, Array]:
-        """(K,) proven lower bound of the distance over the whole path, and all gaps (K, samples, V).
+    ) -> tuple[Vector, Gaps]:
+        """(K,) proven lower bound of the distance over the whole path, and the gaps at its samples.
 
         Between the samples a corner leaves its chord by no more than `BrakingPath.off_chord`.
         `drift_time` [s] is how long the obstacles move on along the path; 0 where none moves.
         """
         gaps = self.gaps(pairs, at, path.parts + 1, drift_time=drift_time, memory=memory)
         off = path.off_chord(self.travel).take(self.classes.take(pairs))
-        return least_of_each(gaps.reshape(len(pairs), -1))[1] - off, gaps
+        return gaps.least.min(axis=1) - off, gaps
 
     def proven_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
         """(K,) the same bound, with a closer look where it is below the clearance [m]."""
@@ -367,16 +349,16 @@ class Separation:
         """(R, n) how fast the gaps of these corners fall with the joints [m/rad]."""
         return self._rows_of(pairs, samples, self._corners4[self.piece[pairs], corners], at)
 
-    def nearest_rows(self, pairs: Indices, gaps: Matrix, least: Vector, at: Placements) -> Matrix:
+    def nearest_rows(self, pairs: Indices, gaps: Gaps, at: Placements) -> Matrix:
         """(K, n) how fast the distance falls at the first sample, at the nearest point of each pair [m/rad].
 
-        The point is blended from the corners by their `gaps` (K, V) and the `least` (K,) of these [m]:
-        corners that are almost as near have a part in it, so that it does not jump from edge to edge
-        where a flat end passes a wall.
+        The point is blended from the corners by their `gaps` there: corners that are almost as near have
+        a part in it, so that it does not jump from edge to edge where a flat end passes a wall.
         """
-        part = np.maximum((least + _BLENDED)[:, None] - gaps, 0.0)
+        part = (gaps.least[:, :1] + _BLENDED) - gaps.all[:, 0]
+        np.maximum(part, 0.0, out=part)
         part *= part
-        points = np.einsum("kv,kcv->kc", part, self._columns4[self.piece.take(pairs)])
+        points = np.einsum("kv,kcv->kc", part, gaps.columns)
         points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
         return self._rows_of(pairs, 0, points, at)
 

@@ -251,15 +251,17 @@ class VelocityFilter:
         chosen = ((drift < 0.0) | too_close).nonzero()[0]
         if len(chosen) == 0:
             return self._nothing_comes
-        within = np.maximum(near.least, clearance) + _AS_NEAR
+        least, gaps = near.gaps.least[:, 0], near.gaps.all[:, 0]
+        within = np.full(len(near.pairs), -np.inf)
+        within[chosen] = np.maximum(least[chosen], clearance[chosen]) + _AS_NEAR
         # by the time that is left until the clearance is cut
-        room = (near.least - clearance) / np.maximum(-drift, _SLOW)
-        binding = Candidates(near.gaps, within, near.nearest, room, chosen)
+        room = (least - clearance) / np.maximum(-drift, _SLOW)
+        binding = Candidates(gaps, within, near.gaps.nearest[:, 0], room, chosen)
         k, corners = binding.all_of(MOST_CANDIDATES) or binding.tightest(MOST_CANDIDATES)
         G = separation.rows(near.pairs[k], 0, corners, self._at)
         comes = drift[k]
         moves = comes < 0.0
-        margin = near.gaps[k, corners] - clearance[k] - np.where(moves, 2.0 * BUFFER, 0.0)
+        margin = gaps[k, corners] - clearance[k] - np.where(moves, 2.0 * BUFFER, 0.0)
         authority = 0.5 * np.abs(G) @ self._acceleration
         allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)

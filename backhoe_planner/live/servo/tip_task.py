@@ -122,7 +122,7 @@ class TipTask:
         """The rows that the law takes: one for each near pair, at its nearest point."""
         if near.margin.min(initial=np.inf) >= self.law.influence:
             return _NOBODY
-        gradient = -self._separation.nearest_rows(near.pairs, near.gaps, near.least, self._at)
+        gradient = -self._separation.nearest_rows(near.pairs, near.gaps, self._at)
         return CriticalRows(near.margin, gradient, self._separation.drift.take(near.pairs))
 
     def _around(self, tip: Vector) -> Vector:
