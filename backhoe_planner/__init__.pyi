@@ -36,6 +36,7 @@ from .machine import load_robot as load_robot
 from .machine import solve_inverse_kinematics as solve_inverse_kinematics
 from .motion import Detour as Detour
 from .motion import Goal as Goal
+from .motion import Keep as Keep
 from .motion import Moments as Moments
 from .motion import Problem as Problem
 from .motion import TipPath as TipPath
@@ -56,6 +57,7 @@ from .planning import Slower as Slower
 from .planning import load_plan as load_plan
 from .planning import plan as plan
 from .proof import Certificate as Certificate
+from .proof import KeepUse as KeepUse
 from .proof import LimitUse as LimitUse
 from .proof import certify as certify
 from .site import Nearby as Nearby

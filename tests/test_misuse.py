@@ -84,6 +84,16 @@ def nearby() -> bp.Nearby:
 
 
 @cache
+def keep() -> bp.Keep:
+    content = scene().to_dict()
+    found = bp.build_problem(
+        robot(), bp.scene_from_dict(content | {"task": content["task"] | {"keep": {"above": -9.0}}})
+    )
+    assert found.keep is not None
+    return found.keep
+
+
+@cache
 def hydraulics() -> bp.Hydraulics:
     found = robot().hydraulics
     assert found is not None
@@ -227,6 +237,18 @@ def calls() -> dict[str, Call]:
             lambda **keys: bp.Goal(**keys).error(at()), target=(target, THING), q=(Q, optional(vector(4))),
             name=("goal", only(None, {"a": 1}, OBJECT, [], 3.0)), rotation_tolerance=(0.1, optional(POSITIVE)),
         ),
+        "Keep": call(
+            lambda **keys: len(bp.Keep(**keys).conditions), robot=(the, THING), conditions=(keep().conditions, THING),
+            lists=False,
+        ),
+        "Keep.margins": call(keep().margins, q=q4),
+        "Keep.gradients": call(keep().gradients, q=q4),
+        "Keep.holds": call(keep().holds, q=q4),
+        "Keep.broken": call(keep().broken, q=q4),
+        "Keep.segment_holds": call(keep().segment_holds, q_a=q4, q_b=q4),
+        "Keep.motion_holds": call(keep().motion_holds, q=(stepped, Kind(SAMPLES.bad[:-2]))),
+        "Keep.corner_holds": call(keep().corner_holds, q_a=q4, corner=q4, q_b=q4, sagitta=q4),
+        "Keep.narrowed": call(keep().narrowed, target=(target, THING), lists=False),
         "Goal.error": call(bp.Goal(target).error, at=(at(), THING)),
         "Goal.jacobian": call(bp.Goal(target, q=Q).jacobian, at=(at(), THING)),
         "Goal.distances": call(bp.Goal(target).distances, at=(at(), THING)),
@@ -388,7 +410,7 @@ def recording() -> bp.Plan:
 # what only holds values, made by this package; their methods are above
 RESULTS = {
     "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
-    "Hydraulics", "InverseKinematics", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
+    "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
     "Obstruction", "Piece", "Plan", "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "Step",
     "TaskInverse", "Tracking", "Transgression", "Wish",
 }  # fmt: skip

@@ -65,10 +65,18 @@ def _print_goal(found: bp.Plan) -> None:
         OUT.print(f"goal          {number} of {len(goals)} is reached")
 
 
+def _print_keep(found: bp.Plan) -> None:
+    """What is left of every condition that is to be kept; nothing where there is none."""
+    for use in found.certificate.keep:
+        figures = f"{DEGREES * use.margin:+.2f} deg" if use.unit == "rad" else f"{use.margin:+.3f} m"
+        OUT.print(f"keep          {use.name} within what is allowed by {figures} at least (at {use.time:.2f} s)")
+
+
 def _print_motion(found: bp.Plan) -> None:
     metrics, tracking = found.metrics, found.certificate.tracking
     angle = f", {DEGREES * tracking.max_angle_error:.2f} deg" if _asks_angle(found) else ""
     _print_goal(found)
+    _print_keep(found)
     OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{angle} at most")
     for detour in metrics.detours:
         OUT.print(
@@ -118,6 +126,7 @@ def print_certificate(plan: bp.Plan) -> None:
     if not live.is_recording(plan):
         _print_tracking_error(plan)
         _print_goal(plan)
+        _print_keep(plan)
         OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
     speed = certificate.tip_speed
     if speed is not None:

@@ -1,7 +1,10 @@
+from .conditions import Condition as Condition
 from .costs import PathCost as PathCost
 from .costs import trajectory_costs as trajectory_costs
 from .costs import trajectory_energy as trajectory_energy
 from .goals import Goal as Goal
+from .keep import KEPT_TO as KEPT_TO
+from .keep import Keep as Keep
 from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import Nodes as Nodes
 from .orientation import angle_bounds as angle_bounds

@@ -9,7 +9,9 @@ from typing import Any
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Kinematics, Robot, TipTarget
+from backhoe_planner.motion.conditions import Condition, HeightBound, PitchBand, RotationCone
 from backhoe_planner.motion.goals import Goal
+from backhoe_planner.motion.keep import Keep
 from backhoe_planner.motion.objectives import Objective, find_objective
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import (
@@ -43,6 +45,7 @@ class Problem:
     start_target: the tip's pose at the start, where that is how it is given.
     goals: where the motion may end, any of them; none where a path is followed.
     path: what the tip is to follow, or None.
+    keep: what is to hold along the whole motion, or None.
     """
 
     robot: Robot
@@ -54,6 +57,7 @@ class Problem:
     start_target: TipTarget | None
     goals: tuple[Goal, ...]
     path: TipPath | None
+    keep: Keep | None = None
 
     @property
     def is_dynamic(self) -> bool:
@@ -99,6 +103,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
     return Problem(
         robot, scene, limits=scaled_limits(robot, scene), objective=objective, obstacles=build_obstacles(scene, robot),
         start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,
+        keep=_keep(robot, scene),
     )  # fmt: skip
 
 
@@ -151,13 +156,37 @@ def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
     return tuple(found)
 
 
+def _keep(robot: Robot, scene: Scene) -> Keep | None:
+    """What is to hold along the whole motion."""
+    asked = scene.task.keep
+    if asked is None:
+        return None
+    conditions: list[Condition] = []
+    if asked.pitch is not None:
+        _check_pitch(robot, scene, "task.keep.pitch", "above, below, rotation")
+        conditions.append(PitchBand(robot, *asked.pitch))
+    if asked.above is not None:
+        conditions.append(HeightBound(robot, asked.above, 1.0))
+    if asked.below is not None:
+        conditions.append(HeightBound(robot, asked.below, -1.0))
+    if asked.rotation is not None:
+        conditions.append(RotationCone(robot, asked.rotation.rotation, asked.rotation.tolerance))
+    return Keep(robot, conditions)
+
+
 def _target(robot: Robot, scene: Scene, pose: Pose, key: str) -> TipTarget:
     target = pose.target
-    if target.pitch is not None and not robot.has_pitch:
+    if target.pitch is not None:
+        _check_pitch(robot, scene, f"{key}.pitch", "rpy, quaternion, or the position alone")
+    return target
+
+
+def _check_pitch(robot: Robot, scene: Scene, key: str, allowed: str) -> None:
+    """SceneError where pitch is not defined for the machine."""
+    if not robot.has_pitch:
         raise SceneError(
             "pitch is not defined for this arm: the axis of its last joint does not stay horizontal",
             file=scene.file,
-            key=f"{key}.pitch",
-            allowed="rpy, quaternion, or the position alone",
+            key=key,
+            allowed=allowed,
         )
-    return target

@@ -36,23 +36,26 @@ class ToGoal:
             return found
         straight = self._straight(world, stepper, [goal for goal, _ in found.by_goal()])
         try:
-            if straight.arrived:
+            if straight.arrived and world.keeps(straight.stepper.trajectory()):
                 return _faster_way(world, stepper, straight, found)
             transit = find_transit(world, stepper, found.clear)
         except OutOfTime as ended:
-            if straight.arrived:
+            if straight.arrived and world.keeps(straight.stepper.trajectory()):
                 motion, findings = straight.stepper.trajectory(), Findings(way=straight.way)
                 return Outcome(motion, message=f"{ended}; a faster motion was not looked for", findings=findings)
             return describe_attempts([straight], world.work.brake)
         if isinstance(transit, Stepper):
             return Outcome(transit.trajectory(), findings=Findings(way="sampled"))
         outcome = self._attempts(world, stepper, found)
+        if not outcome.reason and not world.keeps(outcome.trajectory):
+            outcome = replace(outcome, reason="blocked", message="the law arrives, but does not keep what is asked for")
         return replace(outcome, message=f"{outcome.message}; {transit}") if outcome.reason else outcome
 
     def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
         """By the law straight to a goal, from a motion that need not be at rest; None where it does not arrive."""
         attempt = self._straight(world, stepper, self.goals)
-        return Outcome(attempt.stepper.trajectory(), findings=Findings(way=attempt.way)) if attempt.arrived else None
+        motion = attempt.stepper.trajectory()
+        return Outcome(motion, findings=Findings(way=attempt.way)) if attempt.arrived and world.keeps(motion) else None
 
     def by_law(self, world: World, stepper: Stepper) -> Outcome:
         """From rest by the completed law alone."""
@@ -70,19 +73,37 @@ class ToGoal:
         attempts = []
         for goal in goals:
             attempts.append(next(approach_goal(stepper, goal, (), work=world.work)))
-            if attempts[-1].arrived:
+            if attempts[-1].arrived and world.keeps(attempts[-1].stepper.trajectory()):
                 return attempts[-1]
         return min(attempts, key=lambda attempt: attempt.distance)
 
     def _attempts(self, world: World, stepper: Stepper, found: GoalPostures) -> Outcome:
-        """All ways of the law, to one goal after the other until one arrives."""
+        """All ways of the law, to one goal after the other until one arrives and keeps what is asked for.
+
+        Where none of those that arrive keeps it, the first of them.
+        """
         attempts: list[Attempt] = []
+        arrived: Attempt | None = None
         for goal, postures in found.by_goal():
-            attempts += approach_goal(stepper, goal, postures[:_MOST_POSTURES], work=world.work)
-            if attempts[-1].arrived:
-                arrived = speed_up(stepper, attempts[-1].stepper)
-                return Outcome(arrived.trajectory(), findings=Findings(attempts=len(attempts), way=attempts[-1].way))
+            ways = approach_goal(
+                stepper, goal, postures[:_MOST_POSTURES], work=world.work, all_ways=world.problem.keep is not None
+            )
+            for attempt in ways:
+                attempts.append(attempt)
+                if attempt.arrived and world.keeps(attempt.stepper.trajectory()):
+                    return _sped_up(world, stepper, attempt, len(attempts))
+                arrived = arrived or (attempt if attempt.arrived else None)
+        if arrived is not None:
+            return _sped_up(world, stepper, arrived, len(attempts))
         return describe_attempts(attempts, world.work.brake)
+
+
+def _sped_up(world: World, stepper: Stepper, attempt: Attempt, attempts: int) -> Outcome:
+    """An attempt that arrived, as fast as the limits allow."""
+    own = attempt.stepper.trajectory()
+    faster = speed_up(stepper, attempt.stepper).trajectory()
+    motion = own if world.keeps(own) and not world.keeps(faster) else faster
+    return Outcome(motion, findings=Findings(attempts=attempts, way=attempt.way))
 
 
 def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: GoalPostures) -> Outcome:
@@ -93,7 +114,7 @@ def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: GoalPo
     way = straight.stepper.trajectory()
     least = shortest_time(way.q[way.time >= stepper.time - 1e-9], limits)
     if joints is None or joints.duration - stepper.time > least:
-        motion = speed_up(stepper, straight.stepper).trajectory()
+        motion = _sped_up(world, stepper, straight, 1).trajectory
         # the law runs the joints at rates that all of them together may not have
         if joints is None or joints.duration >= retime(motion, limits, drive=drive).duration:
             return Outcome(motion, findings=Findings(way=straight.way))

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import TipTarget
 from backhoe_planner.motion import Goal
-from backhoe_planner.planning.outcome import Outcome, bad_posture, no_posture
+from backhoe_planner.planning.outcome import Outcome, bad_posture, no_posture, rest_at_start
 from backhoe_planner.planning.result.plan_file import Reason
 from backhoe_planner.planning.world import World
 
 _LONG_SEARCH = 8  # times the usual starting points, before a goal is said to be in collision; chosen
 # of several goals, what is said to be wrong is what is least wrong
-_MILDEST: tuple[Reason, ...] = ("goal_in_collision", "outside_limits", "unreachable")
+_MILDEST: tuple[Reason, ...] = ("goal_breaks_keep", "goal_in_collision", "outside_limits", "unreachable")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,29 @@ def find_goal_postures(world: World, goals: Sequence[Goal], *, near: Vector, tim
 def _postures_on(world: World, goal: Goal, near: Vector, time: float) -> tuple[Vector, ...] | Outcome:
     if goal.q is not None:
         return bad_posture(world, goal.q, goal.name, time=time) or (goal.q,)
-    count, target = world.work.effort.starting_points, goal.search_target
+    keep, target = world.problem.keep, goal.search_target
+    if keep is None:
+        return _on_target(world, target, goal, near, time)
+    narrowed = keep.narrowed(target)
+    within = None if narrowed is None else _on_target(world, narrowed, goal, near, time)
+    kept = tuple(q for q in within if keep.holds(q)) if isinstance(within, tuple) else ()
+    if kept:
+        return kept
+    # which of the two is at fault: the goal itself, or what is to be kept there
+    free = _on_target(world, target, goal, near, time)
+    if isinstance(free, Outcome):
+        return free
+    kept = tuple(q for q in free if keep.holds(q))
+    if kept:
+        return kept
+    if isinstance(within, Outcome) and within.reason == "goal_in_collision":
+        return within
+    nearest = max(free, key=lambda q: float(np.min(keep.margins(q))))
+    return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", f"at the {goal.name} {keep.broken(nearest)}")
+
+
+def _on_target(world: World, target: TipTarget, goal: Goal, near: Vector, time: float) -> tuple[Vector, ...] | Outcome:
+    count = world.work.effort.starting_points
     found = world.postures.at(target, near=near, count=count, time=time)
     if found.best.reached and not found.clear:
         found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)

@@ -101,7 +101,8 @@ class _OverTime:
         for outcome in self._motions(stepper, known, still):
             if outcome.reason == "budget":
                 return outcome
-            if not outcome.reason and _is_clear(known.proximity, outcome.trajectory, stepper.time):
+            clear = not outcome.reason and _is_clear(known.proximity, outcome.trajectory, stepper.time)
+            if clear and known.keeps(outcome.trajectory):
                 return outcome
             first = first or outcome
         assert first is not None

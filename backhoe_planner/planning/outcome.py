@@ -83,7 +83,7 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     time: the obstacles stand where they are at this time [s].
     """
     starts = what == "start"
-    stays = at_rest(q) if starts else _at_start(world, q)
+    stays = at_rest(q) if starts else rest_at_start(world, q)
     limits, names = world.problem.limits, world.problem.robot.joint_names
     outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
@@ -98,6 +98,9 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
         message = f"at the {what} {contact.describe()}"
         reason: Reason = "start_in_collision" if starts else "goal_in_collision"
         return Outcome(stays, reason, message, Findings(obstruction=contact))
+    keep = world.problem.keep
+    if keep is not None and not keep.holds(q):
+        return Outcome(stays, "start_breaks_keep" if starts else "goal_breaks_keep", f"at the {what} {keep.broken(q)}")
     return None
 
 
@@ -116,7 +119,7 @@ def no_posture(world: World, found: PostureResult, target: TipTarget, reason: Re
         return out_of_reach(world, found.best, target, what)
     contact = found.contact
     message = f"no configuration for the {what} is free" if contact is None else f"at the {what} {contact.describe()}"
-    return Outcome(_at_start(world, found.best.q), reason, message, Findings(obstruction=contact))
+    return Outcome(rest_at_start(world, found.best.q), reason, message, Findings(obstruction=contact))
 
 
 def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what: str) -> Outcome:
@@ -141,9 +144,9 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     pose = NearestPose(
         q=tuple(best.q), position=tuple(tip), position_error=best.position_error, angle_error=best.angle_error
     )
-    return Outcome(_at_start(world, best.q), "unreachable", message, Findings(nearest=pose, joints=at_limit))
+    return Outcome(rest_at_start(world, best.q), "unreachable", message, Findings(nearest=pose, joints=at_limit))
 
 
-def _at_start(world: World, q: Vector) -> Trajectory:
-    """At rest at the scene's start; where the scene gives no joints for it, at `q` (n,)."""
+def rest_at_start(world: World, q: Vector) -> Trajectory:
+    """Rest at the scene's start; where the scene gives no joints for it, at `q` (n,)."""
     return at_rest(q if world.problem.start_q is None else world.problem.start_q)

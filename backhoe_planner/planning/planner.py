@@ -198,8 +198,14 @@ def _start(world: World) -> Vector | Outcome:
     if problem.start_q is not None:
         return problem.start_q
     assert problem.start_target is not None
-    found = world.postures.at(problem.start_target, count=_LONG_SEARCH * world.work.effort.starting_points)
-    return no_posture(world, found, problem.start_target, "start_in_collision", "start") or found.clear[0]
+    count, keep = _LONG_SEARCH * world.work.effort.starting_points, problem.keep
+    found = world.postures.at(problem.start_target, count=count)
+    failure = no_posture(world, found, problem.start_target, "start_in_collision", "start")
+    if failure is not None or keep is None:
+        return failure or found.clear[0]
+    narrowed = keep.narrowed(problem.start_target)
+    kept = () if narrowed is None else world.postures.at(narrowed, count=count).clear
+    return next((q for q in (*kept, *found.clear) if keep.holds(q)), found.clear[0])
 
 
 def _begin(world: World) -> Vector:

@@ -69,7 +69,7 @@ def find_detour(
         bounded = np.isfinite(tube)
         check = MotionCheck(
             world.problem, world.proximity, [start, end], spare=_SPARES[1], time=time, brake=work.brake,
-            keep=_near(world, path, low, high, tube + 0.5 * (high - low)) if bounded else None,
+            near=_near(world, path, low, high, tube + 0.5 * (high - low)) if bounded else None,
         )  # fmt: skip
         most = work.effort.motions_per_search // (_TUBE_PART if bounded else _FREE_PART)
         found: list[JointPath] = []
@@ -103,10 +103,10 @@ def _near(world: World, path: TipPath, low: float, high: float, reach: float) ->
     steps = np.diff(corners, axis=0)
     squares = np.maximum(np.einsum("ki,ki->k", steps, steps), 1e-18)
 
-    def keep(q: Vector) -> bool:
+    def near(q: Vector) -> bool:
         off = world.kinematics.at(q).tip_position - corners[:-1]
         part = np.clip(np.einsum("ki,ki->k", off, steps) / squares, 0.0, 1.0)
         off -= part[:, None] * steps
         return bool(np.min(np.einsum("ki,ki->k", off, off)) <= reach * reach)
 
-    return keep
+    return near

@@ -9,7 +9,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import Problem, TipPath
+from backhoe_planner.motion import Problem, TipPath, Trajectory
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
@@ -48,6 +48,11 @@ class World:
     def stepper(self, q: Vector) -> Stepper:
         """A motion that begins at `q` (n,), at rest."""
         return Stepper(self.problem, q, proximity=self.proximity, kinematics=self.kinematics, watch=self._watch)
+
+    def keeps(self, motion: Trajectory) -> bool:
+        """Whether a motion is proven to keep what the problem asks for; true where that is nothing."""
+        keep = self.problem.keep
+        return keep is None or keep.motion_holds(motion.q)
 
     def follow_law(self, path: TipPath, s: float, q: Vector, *, time: float) -> Stretch:
         """As far as the local law goes along `path` from arc length `s` [m], with the joints at `q` (n,).

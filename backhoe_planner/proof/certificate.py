@@ -13,6 +13,7 @@ from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import Detour, Problem, Tracking, Trajectory, build_problem, track_goals, track_path
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
+from backhoe_planner.proof.keeping import KeepUse, keep_uses
 from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
 from backhoe_planner.site import Obstruction, Proximity, Scene
 
@@ -36,6 +37,7 @@ class Certificate:
         a hydraulic description.
     tracking: how the tip keeps to its task.
     tip_speed: use of the asked speed; None where none is asked for.
+    keep: what is left of every condition that is to be kept along the motion; empty where there is none.
     problems: everything that is not as it must be, in words; empty where verified.
     """
 
@@ -48,6 +50,7 @@ class Certificate:
     tracking: Tracking
     tip_speed: LimitUse | None
     problems: tuple[str, ...]
+    keep: tuple[KeepUse, ...] = ()
 
     @property
     def min_clearance(self) -> Obstruction | None:
@@ -114,6 +117,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     else:
         tracking = track_goals(problem.goals, trajectory, kinematics)
     tip_speed = tip_speed_use(problem, tracking)
+    keep = keep_uses(problem, trajectory)
     tightest = clearances[0] if clearances else None
     problems = []
     if tightest is not None and tightest.margin < -KEPT_WITHIN:
@@ -123,10 +127,11 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
         )
     problems += [use.describe() for use in (position, velocity, acceleration) if not use.kept]
     problems += _task_problems(problem, trajectory, tracking, kinematics)
+    problems += [use.words for use in keep if not use.kept]
     problems += [use.describe() for use in (effort, hydraulics, tip_speed) if use is not None and not use.kept]
     return Certificate(
         clearances, position=position, velocity=velocity, acceleration=acceleration, effort=effort,
-        hydraulics=hydraulics, tracking=tracking, tip_speed=tip_speed, problems=tuple(problems),
+        hydraulics=hydraulics, tracking=tracking, tip_speed=tip_speed, problems=tuple(problems), keep=keep,
     )  # fmt: skip
 
 

@@ -48,10 +48,10 @@ def find_way(
     effort: Effort = EFFORTS["normal"],
     spare: float,
     time: float = 0.0,
-    keep: Callable[[Vector], bool] | None = None,
+    near: Callable[[Vector], bool] | None = None,
 ) -> JointPath | None:
     ends = [np.array(q, dtype=float) for q in (start, *goals)]
-    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, keep=keep, brake=brake)
+    check = MotionCheck(problem, proximity, ends, spare=spare, time=time, near=near, brake=brake)
     return sample_path(check, ends[0], ends[1:], seed=seed, work=Work(effort, brake))
 
 
@@ -140,7 +140,7 @@ def test_a_further_condition_is_kept(planar4: Robot) -> None:
     def folded(q: Vector) -> bool:
         return bool(q[1] <= 0.05)
 
-    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, keep=folded)
+    way = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, near=folded)
     assert way is not None
     assert np.max(way.q[:, 1]) <= 0.05
     free = find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0)
@@ -170,7 +170,7 @@ def cut_off(q: Vector) -> bool:
 
 def test_a_search_ends_after_the_motions_that_it_may_look_at(planar4: Robot) -> None:
     problem, proximity = across_bar(planar4)
-    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, keep=cut_off)
+    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.0, near=cut_off)
     work = Work(replace(EFFORTS["normal"], motions_per_search=300, motions=500))
     assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work) is None
     assert 195 <= work.motions <= 200  # a tree may look at a motion or two more before OMPL asks whether to end
@@ -188,7 +188,7 @@ def test_the_brake_ends_a_search(planar4: Robot) -> None:
     brake = Brake(0.05)
     endless = replace(EFFORTS["normal"], motions_per_search=10**9, motions=10**9)
     with pytest.raises(OutOfTime):
-        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, brake=brake, effort=endless, spare=0.0, keep=cut_off)
+        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, brake=brake, effort=endless, spare=0.0, near=cut_off)
 
 
 def test_an_exception_of_the_condition_comes_through(planar4: Robot) -> None:
@@ -203,7 +203,7 @@ def test_an_exception_of_the_condition_comes_through(planar4: Robot) -> None:
         return bool(abs(q[0] - 0.7) > 0.1)
 
     with pytest.raises(ZeroDivisionError, match="of the condition"):
-        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, keep=broken)
+        find_way(problem, proximity, STRETCHED, [TURNED], seed=0, spare=0.0, near=broken)
     assert asked == 501
 
 
@@ -245,7 +245,7 @@ def run(mode):
     if mode in ("interrupt", "caught"):  # it could go on for hours
         effort = replace(effort, motions_per_search=10**9, motions=10**9)
     keep = None if mode == "find" else cut_off
-    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01, keep=keep)
+    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.01, near=keep)
     if mode == "interrupt":
         threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
     way = sample_path(check, STRETCHED, [TURNED], seed=3, work=Work(effort))

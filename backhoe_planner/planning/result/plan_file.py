@@ -24,7 +24,16 @@ from backhoe_planner.site import Finite, Obstruction
 
 Method = Literal["auto", "reactive", "optimal", "paper", "teleop"]
 Reason = Literal[
-    "", "unreachable", "start_in_collision", "goal_in_collision", "outside_limits", "blocked", "not_done", "budget"
+    "",
+    "unreachable",
+    "start_in_collision",
+    "goal_in_collision",
+    "start_breaks_keep",
+    "goal_breaks_keep",
+    "outside_limits",
+    "blocked",
+    "not_done",
+    "budget",
 ]
 LimitName = Literal["position", "velocity", "acceleration", "effort", "hydraulics", "tip_speed"]
 
@@ -141,6 +150,19 @@ class UseRecord(Record):
     """The last two in older files, of the tip's speed [m/s]."""
 
 
+class KeepRecord(Record):
+    """What is left of a condition that is to be kept, where least is left; see `KeepUse`."""
+
+    name: str
+    margin: Figure
+    """Proven over the whole motion; negative where it is not kept [unit]."""
+    value: Figure
+    """There [unit]."""
+    time: Figure
+    """[s]"""
+    unit: str
+
+
 class CertificateRecord(Record):
     """What was proven when the plan was written."""
 
@@ -152,6 +174,8 @@ class CertificateRecord(Record):
     path: dict[Literal["length", "followed"], Figure] | None = None
     """Its length, and what of it is followed [m]; 0 for a goal."""
     detours: tuple[Detour, ...] = ()
+    keep: tuple[KeepRecord, ...] = ()
+    """What is left of every condition that is to be kept."""
     goal: int | None = None
     """Number of the goal that is reached, as they stand in the scene, from 1; none along a path."""
     problems: tuple[str, ...] = ()
@@ -169,6 +193,10 @@ class CertificateRecord(Record):
             tip_error={"max": tracking.max_error, "mean": tracking.mean_error, "max_angle": tracking.max_angle_error},
             path={"length": tracking.path_length, "followed": tracking.followed},
             detours=tracking.detours,
+            keep=tuple(
+                KeepRecord(name=use.name, margin=use.margin, value=use.value, time=use.time, unit=use.unit)
+                for use in certificate.keep
+            ),
             goal=certificate.goal,
             problems=certificate.problems,
         )

@@ -10,6 +10,8 @@ Beyond each clearance a spare distance is kept. An end of the way that has less 
 that may be left and reached: for the pairs concerned the spare is half of what they
 have at that end, and grows with the distance from it (by `_SLOPE`, so the bound B counts
 1 + `_SLOPE` times).
+
+What the problem is to keep along the motion is proven as well (`motion.keep`).
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ _MOST_HALVINGS = 250  # of one motion; chosen: one that is still undecided then 
 _REMEMBERED = 20_000  # configurations; chosen to bound the memory, above what one search visits
 _ANCHORS = 100  # configurations with every pair measured, from which others are bounded; chosen, as each is compared
 _ANCHOR_FROM = 0.4  # chosen: where this part of the pairs was measured anyway, the rest is measured for an anchor
-_KEEP_EVERY = 0.02  # s of the slowest joint between two looks at `keep`: the period of a motion's samples
+_NEAR_EVERY = 0.02  # s of the slowest joint between two looks at `near`: the period of a motion's samples
 
 
 @dataclass(slots=True, eq=False)
@@ -57,13 +59,13 @@ class MotionCheck:
     ends: (n,) configurations at which a way may begin or end [rad or m].
     spare: kept beyond every clearance [m]; between bodies of the machine at most 2 mm.
     time: the obstacles stand where they are at this time [s].
-    keep: a further condition on configurations. It is not proven but sampled along a
+    near: a further condition on configurations. It is not proven but sampled along a
         motion, every 0.02 s of the slowest joint.
     brake: checked at every question; by default none.
 
     Attributes
     ----------
-    ends_clear: whether each end keeps its clearances, the limits and `keep`.
+    ends_clear: whether each end keeps its clearances, the limits, `near` and what the problem is to keep.
     measured: how many configurations were measured.
     """
 
@@ -75,7 +77,7 @@ class MotionCheck:
         *,
         spare: float,
         time: float = 0.0,
-        keep: Condition | None = None,
+        near: Condition | None = None,
         brake: Brake | None = None,
     ) -> None:
         self.problem = problem
@@ -83,7 +85,8 @@ class MotionCheck:
         self.rate = problem.limits.velocity
         self.measured = 0
         self._time = time
-        self._keep = keep
+        self._near = near
+        self._keep = problem.keep
         self._brake = brake or Brake()
         self._pairs = np.flatnonzero(proximity.appears_at <= time)
         self._spare = np.where(proximity.owner[self._pairs] < 0, min(spare, _SELF_SPARE), spare)
@@ -111,6 +114,8 @@ class MotionCheck:
         dq = q_b - q_a
         if not self._within_limits(q_b) or not self._within_limits(q_a):
             return False
+        if self._keep is not None and not self._keep.segment_holds(q_a, q_b):
+            return False
         return self._is_clear(q_a, q_b, lambda t: q_a + t * dq, np.abs(dq), self._nothing)
 
     def corner_is_clear(self, q_a: Vector, corner: Vector, q_b: Vector, *, sagitta: Vector) -> bool:
@@ -125,6 +130,8 @@ class MotionCheck:
         ------
         OutOfTime: the brake has ended it.
         """
+        if self._keep is not None and not self._keep.corner_holds(q_a, corner, q_b, sagitta=sagitta):
+            return False
         first, second = corner - q_a, q_b - corner
         turn = second - first
 
@@ -149,7 +156,7 @@ class MotionCheck:
         more: (P,) further distance that each pair must keep [m].
         """
         self._brake.check()
-        if self._keep is not None and not self._keeps(point, rate):
+        if self._near is not None and not self._stays_near(point, rate):
             return False
         if not len(self._pairs):
             return True
@@ -206,10 +213,10 @@ class MotionCheck:
                 parts.append((middle, b, rows[right], margin[right], margin_b[right]))
         return True
 
-    def _keeps(self, point: Callable[[float], Vector], rate: Vector) -> bool:
-        assert self._keep is not None
-        steps = int(np.ceil(float(np.max(rate / self.rate)) / _KEEP_EVERY)) + 1
-        return all(self._keep(point(part)) for part in _places(steps))
+    def _stays_near(self, point: Callable[[float], Vector], rate: Vector) -> bool:
+        assert self._near is not None
+        steps = int(np.ceil(float(np.max(rate / self.rate)) / _NEAR_EVERY)) + 1
+        return all(self._near(point(part)) for part in _places(steps))
 
     # --- what is known -----------------------------------------------------------
 
@@ -275,7 +282,9 @@ class MotionCheck:
         return np.asarray(margin - spare)
 
     def _add_end(self, q: Vector) -> bool:
-        if not self._within_limits(q) or (self._keep is not None and not self._keep(q)):
+        if not self._within_limits(q) or (self._near is not None and not self._near(q)):
+            return False
+        if self._keep is not None and not self._keep.holds(q):
             return False
         if not len(self._pairs):
             return True

@@ -21,6 +21,7 @@ from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
+_LEAST_BAND = 1e-9  # rad: OMPL takes no empty range; far below what a kept pitch may be missed by
 _MOST_OF_BOX = 0.4  # part of the box's diagonal that such a motion may be at most: chosen, so that trees branch
 
 
@@ -80,7 +81,10 @@ def sample_path(
         (index for index in range(len(goals)) if check.ends_clear[index + 1]),
         key=lambda index: float(np.max(np.abs(goals[index] - start) / check.rate)),
     )
+    band = None if check.problem.keep is None else check.problem.keep.band
     open_goals = [goals[index] for index in order]
+    if band is not None:  # a whole turn of the pitch from the start: within the band there is no way
+        open_goals = [goal for goal in open_goals if abs(float(band.row @ (goal - start))) < np.pi]
     for goal in open_goals:
         if check.segment_is_clear(start, goal):
             return JointPath(np.array([start, goal]))
@@ -95,7 +99,7 @@ _OMPL = threading.Lock()
 
 
 class _Search:
-    """One run of RRTConnect, in joint times (positions over velocity limits).
+    """One run of RRTConnect, in the coordinates of a `_Chart`.
 
     No exception passes through OMPL: the first one makes it stop, and is raised again
     afterwards. Nothing that OMPL owns is kept here, or it would never be freed.
@@ -106,6 +110,7 @@ class _Search:
         self._work = work
         self._until = max(work.motions - most_motions, 0)  # motions left at which the search ends
         self._rate = check.rate
+        self._chart = _Chart(check)
         self._raised: BaseException | None = None
 
     def run(self, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
@@ -128,6 +133,7 @@ class _Search:
 
         util.RNG.setSeed(seed + 1)  # 0 would mean: whatever the clock says
         n = len(start)
+        self._chart.begin_at(start)
         low, high = self._box([start, *goals])
         space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
@@ -153,7 +159,7 @@ class _Search:
         if self._raised is not None or not definition.hasExactSolution():
             return None
         corners = [state[0:n] for state in definition.getSolutionPath().getStates()]
-        q = np.array(corners) * self._rate
+        q = self._chart.joints(np.array(corners))
         q[0] = start
         q[-1] = min(goals, key=lambda goal: float(np.max(np.abs(goal - q[-1]))))
         # the scaling has moved the corners by its rounding
@@ -166,20 +172,20 @@ class _Search:
         low, high = np.min(ends, axis=0), np.max(ends, axis=0)
         lower = np.where(np.isfinite(limits.lower), limits.lower, low - 2.0 * np.pi)
         upper = np.where(np.isfinite(limits.upper), limits.upper, high + 2.0 * np.pi)
-        return np.nextafter(lower / self._rate, -np.inf), np.nextafter(upper / self._rate, np.inf)
+        return self._chart.box(np.nextafter(lower / self._rate, -np.inf), np.nextafter(upper / self._rate, np.inf))
 
     def _state(self, space: Any, q: Vector) -> Any:
         state = space.allocState()
-        state[0 : len(q)] = (q / self._rate).tolist()
+        state[0 : len(q)] = self._chart.place(q).tolist()
         return state
 
     def _allows(self, a: list[float], b: list[float]) -> bool:
-        """Whether OMPL may move from `a` to `b`, in joint times."""
+        """Whether OMPL may move from `a` to `b`, in its own coordinates."""
         self._work.motions -= 1
         if self._raised is not None:
             return False
         try:
-            return self._check.segment_is_clear(np.array(a) * self._rate, np.array(b) * self._rate)
+            return self._check.segment_is_clear(self._chart.joints(np.array(a)), self._chart.joints(np.array(b)))
         except BaseException as raised:  # noqa: BLE001 - raised again after OMPL has stopped
             self._raised = raised
             return False
@@ -187,6 +193,56 @@ class _Search:
     def _ended(self) -> bool:
         """Whether OMPL is to stop."""
         return self._raised is not None or self._work.motions <= self._until
+
+
+class _Chart:
+    """The coordinates in which OMPL samples: joint times, positions over velocity limits.
+
+    Where the pitch is to stay within a band, it stands in place of one of the joints that change
+    it. It is linear in the joints, so straight motions stay straight, and every sample lies in
+    the band, however narrow.
+    """
+
+    def __init__(self, check: MotionCheck) -> None:
+        limits = check.problem.limits
+        self._rate = check.rate
+        self._band = None if check.problem.keep is None else check.problem.keep.band
+        self._joint = 0
+        self._turns = 0.0
+        if self._band is not None:
+            # the joint with the widest range: fewest samples ask it to leave that
+            changes = np.abs(self._band.row) > 0.5
+            self._joint = int(np.argmax(np.where(changes, limits.upper - limits.lower, -1.0)))
+
+    def begin_at(self, start: Vector) -> None:
+        """Count whole turns of the pitch from `start` (n,)."""
+        if self._band is not None:
+            whole = float(self._band.unwrapped(start))
+            self._turns = whole - float(self._band.values(start[None, :])[0])
+
+    def place(self, q: Vector) -> Vector:
+        """(n,) of the joints `q` (n,)."""
+        found = q / self._rate
+        if self._band is not None:
+            found[self._joint] = (float(self._band.unwrapped(q)) - self._turns) / self._rate[self._joint]
+        return np.asarray(found)
+
+    def joints(self, places: Matrix) -> Matrix:
+        """(..., n) joints at `places` (..., n)."""
+        q = places * self._rate
+        if self._band is not None:
+            off = q[..., self._joint].copy()
+            q[..., self._joint] = 0.0
+            rest = off + self._turns - self._band.unwrapped(q)
+            q[..., self._joint] = rest / self._band.row[self._joint]
+        return np.asarray(q)
+
+    def box(self, low: Vector, high: Vector) -> tuple[Vector, Vector]:
+        """The box of samples, from that of the joint times."""
+        if self._band is not None:
+            half = max(self._band.half, _LEAST_BAND) / self._rate[self._joint]
+            low[self._joint], high[self._joint] = -half, half
+        return low, high
 
 
 def _validator(base: Any, space_information: Any, n: int, allows: Callable[[list[float], list[float]], bool]) -> Any:

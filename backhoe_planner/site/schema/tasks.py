@@ -203,12 +203,64 @@ def _orientation_kind(pose: Pose) -> str:
     return "position" if pose.rotation is None else "orientation"
 
 
+class KeepRotation(Record):
+    """An orientation of the tip that is kept, within a cone."""
+
+    rpy: Vector3 | None = None
+    """Roll, pitch, yaw about the fixed x, y, z axes [rad]."""
+    quaternion: Quaternion | None = None
+    """[w, x, y, z]"""
+    tolerance: Angle
+    """How far the tip may be turned from it [rad]."""
+
+    _check_quaternion = field_validator("quaternion")(unit_quaternion)
+    _one = exactly_one("rpy", "quaternion")
+
+    @property
+    def rotation(self) -> Matrix:
+        """(3, 3) R_world_tip."""
+        found = rotation_matrix(self.rpy, self.quaternion)
+        assert found is not None
+        return found
+
+
+class Keep(Record):
+    """What holds along the whole motion, so that a full bucket does not spill."""
+
+    pitch: PitchRange | None = None
+    """[low, high] of the angle of the line bucket pin to tip above the horizontal [rad]."""
+    above: Finite | None = None
+    """Least height z of the tip [m], world."""
+    below: Finite | None = None
+    """Greatest height z of the tip [m], world."""
+    rotation: KeepRotation | None = None
+    """Of the tip."""
+
+    @model_validator(mode="after")
+    def _something(self) -> Keep:
+        if not any(one is not None for one in (self.pitch, self.above, self.below, self.rotation)):
+            raise ValueError("at least one of pitch, above, below, rotation must be given")
+        if self.pitch is not None:
+            low, high = self.pitch
+            if low > high:
+                raise ValueError(f"pitch range [low, high] is reversed: {[low, high]}")
+            if max(abs(low), abs(high)) > 2.0 * math.pi:
+                raise ValueError(f"pitch is in radians, within one turn either way; {[low, high]} looks like degrees")
+            if high - low >= 2.0 * math.pi:
+                raise ValueError(f"a pitch range of a whole turn keeps nothing: {[low, high]}")
+        if self.above is not None and self.below is not None and self.above > self.below:
+            raise ValueError(f"no height is above {self.above:g} and below {self.below:g}")
+        return self
+
+
 class Task(Record):
     """What is to be done: exactly one of goal, path."""
 
     goal: _Goals | None = None
     """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
     path: PathTask | None = None
+    keep: Keep | None = None
+    """What holds along the whole way to a goal, or to a path and along it."""
 
     _one = exactly_one("goal", "path")
 

@@ -1,0 +1,257 @@
+"""Conditions on a whole motion: a band of the pitch, a height of the tip, a cone of its orientation.
+
+Each condition has a margin at every configuration, 0 or more where it holds, and a lower bound
+of it on a straight motion of the joints between two configurations with the margins m_a, m_b.
+
+Pitch. The axis of the last joint is horizontal in every posture (`Robot.has_pitch`). A hinge
+turns everything beyond it about its own axis, so every hinge is either parallel to the last
+one (else its turning would tip the last axis) or vertical. The pitch is therefore linear in
+the joints, c . q + c0 with c_j = 1, -1 or 0, and on a straight motion the bound min(m_a, m_b)
+is exact, as long as the pitch does not go round the other way.
+
+Height. The tip is nowhere further than r . b / 8 from the chord (`bend_weights`), so its height
+is nowhere lower than min(m_a, m_b) - r . b / 8. Vertical hinges between the base and the first
+joint of another kind do not change a height: they do not count.
+
+Orientation. The tip turns by at most L = sum_j |dq_j| over the hinges, so with the angles e_a,
+e_b from what is asked the angle is nowhere more than (e_a + e_b + L) / 2. For short motions
+there is a better bound: its angular velocity sum_j dq_j a_j changes by at most
+K = sum_{i<j} |dq_i| |dq_j|, so the orientation is nowhere further than K / 8 from a turn about
+a fixed axis, and neither are its ends. On that turn, which is a geodesic shorter than half a
+turn, the angle from what is asked is nowhere more than at the ends, where these are less than a
+quarter turn (balls of that radius are convex). So it is at most max(e_a, e_b) + K / 4.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import (
+    BatchKinematics,
+    Kinematics,
+    Robot,
+    bend_weights,
+    tip_tracking_error,
+    wrap_angle,
+)
+
+_NOT_ROUND = 1e-3  # rad: chosen, two ways from one pitch to another differ by whole turns
+_UPRIGHT = 1e-9  # tilt of an axis that counts as vertical, as in `Robot.has_pitch`
+
+
+@runtime_checkable
+class Condition(Protocol):
+    """One of the things to be kept.
+
+    Attributes
+    ----------
+    name: ``pitch``, ``above``, ``below`` or ``rotation``, as in the scene file.
+    unit: of its margin.
+    room: what the machine's tracking error can take of the margin [unit].
+    """
+
+    name: str
+    unit: str
+    room: float
+
+    @abstractmethod
+    def values(self, q: Matrix) -> Vector:
+        """(B,) what is limited, at the joints `q` (B, n) [unit]."""
+
+    @abstractmethod
+    def margins(self, values: Vector) -> Vector:
+        """(B,) how far within the allowed range `values` (B,) are [unit], `room` deducted; negative outside."""
+
+    @abstractmethod
+    def lower_bounds(self, before: Vector, after: Vector, delta: Matrix, travel: Vector) -> Vector:
+        """(B,) lower bounds of the margin on straight motions [unit].
+
+        Parameters
+        ----------
+        before, after: (B,) the values at their ends [unit].
+        delta: (B, n) the motions [rad or m].
+        travel: (n,) see `tip_travel_bound` [m/rad].
+        """
+
+    @abstractmethod
+    def lever(self, travel: Vector) -> Vector:
+        """(n,) by how much the values change at most with each joint [unit per rad or m]; `travel` as above."""
+
+    @abstractmethod
+    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
+        """(K,) margins that are smooth in the joints `q` (n,), the least of them its margin, and (K, n) gradients."""
+
+    def absolute(self, value: float) -> float:
+        """A value as people count it [unit]."""
+        return value
+
+    @abstractmethod
+    def describe(self, value: float, when: str = "") -> str:
+        """What is and what is allowed, in words; `when` stands between them."""
+
+
+class PitchBand(Condition):
+    """The pitch within [low, high] [rad]; its values are counted from the middle of that range.
+
+    Attributes
+    ----------
+    row: (n,) c, the derivative of the pitch, the same in every posture [rad/rad].
+    half: half of the range, less the room for the tracking error [rad]; negative where that leaves nothing.
+    """
+
+    name = "pitch"
+    unit = "rad"
+
+    def __init__(self, robot: Robot, low: float, high: float) -> None:
+        self.low, self.high = low, high
+        at = Kinematics(robot).at(robot.middle)
+        self.row = at.pitch_row
+        self._offset = at.pitch - float(self.row @ at.q) - 0.5 * (low + high)
+        self.room = 0.0 if robot.tube is None else float(np.abs(self.row) @ robot.tube.joints)
+        self.half = 0.5 * (high - low) - self.room
+
+    def unwrapped(self, q: Matrix) -> Vector:
+        """(...) from the middle of the band, whole turns counted, at the joints `q` (..., n) [rad]: linear in them."""
+        return np.asarray(q @ self.row + self._offset)
+
+    def values(self, q: Matrix) -> Vector:
+        """(B,) from the middle of the band [rad], in [-pi, pi)."""
+        return np.asarray(wrap_angle(self.unwrapped(q)))
+
+    def margins(self, values: Vector) -> Vector:
+        """(B,) [rad]"""
+        return np.asarray(self.half - np.abs(values))
+
+    def lower_bounds(self, before: Vector, after: Vector, delta: Matrix, travel: Vector) -> Vector:
+        """(B,) exact: the pitch is linear; -pi at least where it goes round the other way [rad]."""
+        found = np.minimum(self.margins(before), self.margins(after))
+        round_ = np.abs(before + delta @ self.row - after) > _NOT_ROUND
+        return np.asarray(np.where(round_, self.margins(np.full(len(found), np.pi)), found))
+
+    def lever(self, travel: Vector) -> Vector:
+        """(n,) [rad/rad]"""
+        return np.abs(self.row)
+
+    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
+        """From below and from above."""
+        off = float(self.values(q[None, :])[0])
+        return np.array([self.half + off, self.half - off]), np.array([self.row, -self.row])
+
+    def absolute(self, value: float) -> float:
+        """The pitch above the horizontal [rad]."""
+        return value + 0.5 * (self.low + self.high)
+
+    def describe(self, value: float, when: str = "") -> str:
+        """``the pitch of the bucket is 31.0 deg at 2.40 s, allowed 0 to 20 deg``"""
+        return (
+            f"the pitch of the bucket is {np.degrees(self.absolute(value)):.1f} deg{when}, "
+            f"allowed {np.degrees(self.low):.4g} to {np.degrees(self.high):.4g} deg{_less(self)}"
+        )
+
+
+class HeightBound(Condition):
+    """The tip's height z [m] not below (`sense` 1) or not above (-1) a `limit` [m]."""
+
+    unit = "m"
+
+    def __init__(self, robot: Robot, limit: float, sense: float) -> None:
+        self.limit, self.sense = limit, sense
+        self.name = "above" if sense > 0.0 else "below"
+        self.room = tip_tracking_error(robot)
+        self._batch = BatchKinematics(robot)
+        self._turning = np.where(robot.prismatic, 0.0, 1.0)
+        axes = self._batch.at(robot.middle[None, :]).axes[0]
+        upright = (np.abs(axes[:, :2]).max(axis=1) < _UPRIGHT) & ~robot.prismatic
+        leading = np.logical_and.accumulate(upright | robot.prismatic)
+        self._lifting = np.where(upright & leading, 0.0, 1.0)
+
+    def values(self, q: Matrix) -> Vector:
+        """(B,) z of the tip [m]."""
+        return np.asarray(self._batch.at(q).tip_position[:, 2])
+
+    def margins(self, values: Vector) -> Vector:
+        """(B,) [m]"""
+        return np.asarray(self.sense * (values - self.limit) - self.room)
+
+    def lower_bounds(self, before: Vector, after: Vector, delta: Matrix, travel: Vector) -> Vector:
+        """(B,) [m]"""
+        sagitta = bend_weights(delta * self._lifting, self._turning) @ travel / 8.0
+        return np.asarray(np.minimum(self.margins(before), self.margins(after)) - sagitta)
+
+    def lever(self, travel: Vector) -> Vector:
+        """(n,) [m/rad]"""
+        return np.asarray(travel * self._lifting)
+
+    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
+        """One."""
+        at = self._batch.at(q[None, :])
+        return self.margins(at.tip_position[:, 2]), self.sense * at.position_jacobian()[:, 2]
+
+    def describe(self, value: float, when: str = "") -> str:
+        """``the tip is 0.30 m high at 2.40 s, allowed at least 0.50 m``"""
+        side = "least" if self.sense > 0.0 else "most"
+        return f"the tip is {value:.3f} m high{when}, allowed at {side} {self.limit:.4g} m{_less(self)}"
+
+
+class RotationCone(Condition):
+    """The tip turned by at most `tolerance` [rad] from `rotation` (3, 3)."""
+
+    name = "rotation"
+    unit = "rad"
+
+    def __init__(self, robot: Robot, rotation: Matrix, tolerance: float) -> None:
+        self.rotation, self.tolerance = rotation, tolerance
+        self.room = 0.0 if robot.tube is None else float(robot.tube.joints[~robot.prismatic].sum())
+        self._batch = BatchKinematics(robot)
+        self._turning = np.where(robot.prismatic, 0.0, 1.0)
+
+    def values(self, q: Matrix) -> Vector:
+        """(B,) angle from the orientation to be kept [rad]."""
+        turn = Rotation.from_matrix(self.rotation @ np.swapaxes(self._batch.at(q).tip_rotation, 1, 2))
+        return np.asarray(turn.magnitude())
+
+    def margins(self, values: Vector) -> Vector:
+        """(B,) [rad]"""
+        return np.asarray(self.tolerance - self.room - values)
+
+    def lower_bounds(self, before: Vector, after: Vector, delta: Matrix, travel: Vector) -> Vector:
+        """(B,) [rad]"""
+        angle = np.abs(delta) * self._turning
+        whole = angle.sum(axis=1)
+        bending = 0.5 * (whole**2 - np.square(angle).sum(axis=1))
+        worst = np.maximum(before, after) + 0.25 * bending
+        short = (worst < 0.5 * np.pi) & (whole < np.pi)
+        bound = 0.5 * (before + after + whole)
+        return self.margins(np.where(short, np.minimum(worst, bound), bound))
+
+    def lever(self, travel: Vector) -> Vector:
+        """(n,) [rad/rad]"""
+        return self._turning
+
+    def rows(self, q: Vector) -> tuple[Vector, Matrix]:
+        """One; its gradient is 0 where the tip is not turned at all."""
+        at = self._batch.at(q[None, :])
+        turn = Rotation.from_matrix(self.rotation @ at.tip_rotation[0].T).as_rotvec()
+        angle = float(np.linalg.norm(turn))
+        axis = turn / angle if angle > 0.0 else turn
+        return self.margins(np.array([angle])), (axis @ at.rotation_jacobian()[0])[None, :]
+
+    def describe(self, value: float, when: str = "") -> str:
+        """``the tip is turned by 12.0 deg from the orientation to be kept at 2.40 s, allowed 5 deg``"""
+        return (
+            f"the tip is turned by {np.degrees(value):.1f} deg from the orientation to be kept{when}, "
+            f"allowed {np.degrees(self.tolerance):.4g} deg{_less(self)}"
+        )
+
+
+def _less(condition: Condition) -> str:
+    """What the tracking error takes of what is allowed, as the end of a sentence."""
+    if condition.room <= 0.0:
+        return ""
+    much = f"{np.degrees(condition.room):.2g} deg" if condition.unit == "rad" else f"{condition.room:.3f} m"
+    return f" less {much} for the tracking error"

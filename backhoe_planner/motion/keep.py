@@ -1,0 +1,169 @@
+"""What is to be kept along a whole motion, such as the pitch of a full bucket."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector, as_array
+from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
+from backhoe_planner.motion.conditions import Condition, PitchBand, RotationCone
+
+KEPT_TO = 1e-6  # rad or m by which a condition may be missed; chosen: rounding of a motion's samples is far below
+_SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
+_MOST_PARTS = 256  # of one straight motion; chosen: what is undecided then is too tight to be worth more
+
+
+class Keep:
+    """All that is to be kept along a motion.
+
+    Parameters
+    ----------
+    robot: the machine.
+    conditions: at least one.
+
+    Attributes
+    ----------
+    conditions: all of them.
+    band: the one of the pitch, None where the pitch is free.
+
+    A planner needs `margins` and `gradients` of a configuration, `segment_holds` of a straight
+    motion of the joints, and `narrowed` of what inverse kinematics is to look for.
+    """
+
+    def __init__(self, robot: Robot, conditions: Sequence[Condition]) -> None:
+        self.robot = check_kind(robot, Robot, key="robot")
+        given = tuple(check_kind(conditions, Iterable, key="conditions"))  # type: ignore[type-abstract]
+        if not given:
+            raise InputError("are too few", key="conditions", found=0, allowed="1 or more")
+        for index, one in enumerate(given):
+            if not isinstance(one, Condition):
+                raise InputError("is no condition", key=f"conditions[{index}]", found=type(one).__name__)
+        self.conditions: tuple[Condition, ...] = given
+        self.band = next((one for one in self.conditions if isinstance(one, PitchBand)), None)
+        self._travel = tip_travel_bound(robot)
+
+    def margins(self, q: Vector) -> Vector:
+        """(K,) of every condition at the joints `q` (n,), 0 or more where it holds [rad or m]; smooth in `q`."""
+        q = self.robot.check_q(q)
+        return np.concatenate([condition.rows(q)[0] for condition in self.conditions])
+
+    def gradients(self, q: Vector) -> Matrix:
+        """(K, n) of `margins` with respect to the joints."""
+        q = self.robot.check_q(q)
+        return np.vstack([condition.rows(q)[1] for condition in self.conditions])
+
+    def holds(self, q: Vector) -> bool:
+        """Whether every condition holds at the joints `q` (n,)."""
+        at = self.robot.check_q(q)[None, :]
+        return all(float(one.margins(one.values(at))[0]) >= -KEPT_TO for one in self.conditions)
+
+    def broken(self, q: Vector) -> str:
+        """What is not kept at the joints `q` (n,), in words; empty where all is."""
+        found = []
+        at = self.robot.check_q(q)[None, :]
+        for condition in self.conditions:
+            value = condition.values(at)
+            if float(condition.margins(value)[0]) < -KEPT_TO:
+                found.append(condition.describe(float(value[0])))
+        return " and ".join(found)
+
+    def segment_holds(self, q_a: Vector, q_b: Vector) -> bool:
+        """Whether all is proven to be kept on the straight motion from `q_a` (n,) to `q_b` (n,)."""
+        q_a, q_b = self.robot.check_q(q_a, what="q_a"), self.robot.check_q(q_b, what="q_b")
+        return all(self._holds_between(condition, q_a, q_b) for condition in self.conditions)
+
+    def motion_holds(self, q: Matrix) -> bool:
+        """Whether all is proven to be kept on straight motions through `q` (T, n)."""
+        q = as_array(q, None, self.robot.n, key="q")
+        return self.holds(q[0]) and all(self.segment_holds(a, b) for a, b in pairwise(q))
+
+    def corner_holds(self, q_a: Vector, corner: Vector, q_b: Vector, *, sagitta: Vector) -> bool:
+        """Whether all is proven to be kept on the parabola from `q_a` to `q_b` with its tangents meeting at `corner`.
+
+        Parameters
+        ----------
+        sagitta: (n,) by which the joints may be off the parabola [rad or m].
+        """
+        check_q = self.robot.check_q
+        q_a, q_b, corner = check_q(q_a, what="q_a"), check_q(q_b, what="q_b"), check_q(corner, what="corner")
+        sagitta = check_q(sagitta, what="sagitta")
+        return all(
+            # a band of the pitch is convex in the joints, and parabola and chords lie within the triangle
+            self._holds_between(one, q_a, corner) and self._holds_between(one, corner, q_b)
+            if isinstance(one, PitchBand)
+            else self._holds_round(one, q_a, corner, q_b, sagitta)
+            for one in self.conditions
+        )
+
+    def narrowed(self, target: TipTarget) -> TipTarget | None:
+        """The target and what is to be kept, as far as a target can say it; None where they exclude each other."""
+        check_kind(target, TipTarget, key="target")
+        for condition in self.conditions:
+            if isinstance(condition, PitchBand) and target.rotation is None:
+                pitch = _common(target.pitch, (condition.low + condition.room, condition.high - condition.room))
+                if pitch is None:
+                    return None
+                target = replace(target, pitch=pitch)
+            elif isinstance(condition, RotationCone) and target.rotation is None and target.pitch is None:
+                tolerance = max(_SEARCHED * (condition.tolerance - condition.room), 0.0)
+                target = replace(target, rotation=condition.rotation, rotation_tolerance=tolerance)
+        return target
+
+    def _holds_between(self, condition: Condition, q_a: Vector, q_b: Vector) -> bool:
+        delta = q_b - q_a
+        ends = condition.values(np.array([q_a, q_b]))
+        if float(np.min(condition.margins(ends))) < -KEPT_TO:
+            return False
+        places, values = np.array([0.0, 1.0]), ends
+        while True:
+            parts = np.diff(places)[:, None] * delta
+            bounds = condition.lower_bounds(values[:-1], values[1:], parts, self._travel)
+            open_ = bounds < -KEPT_TO
+            if not open_.any():
+                return True
+            if isinstance(condition, PitchBand) or len(places) > _MOST_PARTS:
+                return False  # exact: halves would say the same
+            middles = 0.5 * (places[:-1] + places[1:])[open_]
+            measured = condition.values(q_a + middles[:, None] * delta)
+            if float(np.min(condition.margins(measured))) < -KEPT_TO:
+                return False
+            places = np.append(places, middles)
+            order = np.argsort(places)
+            places, values = places[order], np.append(values, measured)[order]
+
+    def _holds_round(self, condition: Condition, q_a: Vector, corner: Vector, q_b: Vector, sagitta: Vector) -> bool:
+        first, second = corner - q_a, q_b - corner
+        lever = condition.lever(self._travel)
+        spare = float(lever @ sagitta)
+        change = float(lever @ (2.0 * np.maximum(np.abs(first), np.abs(second))))  # dq/dt is linear in t
+        places = np.array([0.0, 1.0])
+        while len(places) <= _MOST_PARTS:
+            t = places[:, None]
+            values = condition.values(q_a + t * (2.0 * first + t * (second - first)))
+            margins = condition.margins(values) - spare
+            if float(np.min(margins)) < -KEPT_TO:
+                return False
+            open_ = 0.5 * (margins[:-1] + margins[1:] - change * np.diff(places)) < -KEPT_TO
+            if not open_.any():
+                return True
+            places = np.sort(np.append(places, (0.5 * (places[:-1] + places[1:]))[open_]))
+        return False
+
+
+def _common(asked: tuple[float, float] | None, kept: tuple[float, float]) -> tuple[float, float] | None:
+    """The part of the asked range of pitches that may be kept [rad]; None where there is none. Ranges go round."""
+    low, high = kept
+    if low > high:
+        return None
+    if asked is None:
+        return kept
+    for turn in (0.0, 2.0 * np.pi, -2.0 * np.pi):
+        begin, end = max(asked[0] + turn, low), min(asked[1] + turn, high)
+        if begin <= end:
+            return begin, end
+    return None

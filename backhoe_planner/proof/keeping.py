@@ -1,0 +1,98 @@
+"""How much is left of what is to be kept, over a whole continuous motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Flags, Vector
+from backhoe_planner.machine import tip_travel_bound
+from backhoe_planner.motion import KEPT_TO, Condition, Problem, Trajectory
+
+_RESOLUTION = 1e-3  # rad or m that a proven margin may lie below what was measured; chosen, 0.06 degrees
+_FINEST = 1e-6  # part of a segment that is not halved again; chosen, its ends are a few nanometres apart
+_MOST = 200_000  # measurements for one condition; chosen, some seconds
+
+
+@dataclass(frozen=True)
+class KeepUse:
+    """What is left of one condition that is to be kept, where least is left.
+
+    Attributes
+    ----------
+    name: ``pitch``, ``above``, ``below`` or ``rotation``, as in the scene file.
+    margin: proven lower bound over the whole motion of what is left [unit], less what the tracking
+        error can take; negative where it is not kept, or not proven to be.
+    value: the pitch, the tip's height or the angle from the asked orientation there [unit].
+    time: when [s].
+    unit: ``rad`` or ``m``.
+    words: the sentence that says what it is and what is allowed.
+    """
+
+    name: str
+    margin: float
+    value: float
+    time: float
+    unit: str
+    words: str
+
+    @property
+    def kept(self) -> bool:
+        """Whether the condition holds over the whole motion."""
+        return self.margin >= -KEPT_TO
+
+
+def keep_uses(problem: Problem, trajectory: Trajectory) -> tuple[KeepUse, ...]:
+    """The least margin of every condition, at the samples and between them; empty where nothing is to be kept."""
+    if problem.keep is None:
+        return ()
+    travel = tip_travel_bound(problem.robot, trajectory.q)
+    return tuple(_least(condition, trajectory, travel) for condition in problem.keep.conditions)
+
+
+def _least(condition: Condition, trajectory: Trajectory, travel: Vector) -> KeepUse:
+    q, time = trajectory.q, trajectory.time
+    values = condition.values(q)
+    margins = condition.margins(values)
+    row = int(np.argmin(margins))
+    least, value, moment, proven = float(margins[row]), float(values[row]), float(time[row]), float(margins[row])
+    delta, segment = np.diff(q, axis=0), np.arange(len(q) - 1)
+    begin, end = np.zeros(len(segment)), np.ones(len(segment))
+    before, after = values[:-1], values[1:]
+    looks = 0
+    while len(segment) and least >= -KEPT_TO:
+        looks += len(segment)
+        bound = condition.lower_bounds(before, after, (end - begin)[:, None] * delta[segment], travel)
+        proven = min(proven, float(np.min(bound, initial=np.inf, where=~_open(bound, least))))
+        open_ = _open(bound, least)
+        finest = (end - begin <= _FINEST) | (looks > _MOST)
+        if bool(np.any(open_ & finest)):
+            worst = int(np.argmin(np.where(open_ & finest, bound, np.inf)))
+            proven = min(proven, float(bound[worst]))
+            if proven < -KEPT_TO:
+                moment = float(time[segment[worst]])
+                words = f"that {condition.name} is kept at {moment:.2f} s is not proven"
+                return KeepUse(
+                    condition.name, proven, condition.absolute(float(before[worst])), moment, condition.unit, words
+                )
+        rows = np.flatnonzero(open_ & ~finest)
+        segment, begin, end, before, after = segment[rows], begin[rows], end[rows], before[rows], after[rows]
+        middle = 0.5 * (begin + end)
+        between = condition.values(q[segment] + middle[:, None] * delta[segment]) if len(rows) else np.zeros(0)
+        left = condition.margins(between)
+        if len(left) and float(np.min(left)) < least:
+            worst = int(np.argmin(left))
+            least, value = float(left[worst]), float(between[worst])
+            moment = float(time[segment[worst]] + middle[worst] * (time[segment[worst] + 1] - time[segment[worst]]))
+        begin, end = np.append(begin, middle), np.append(middle, end)
+        before, after = np.append(before, between), np.append(between, after)
+        segment = np.tile(segment, 2)
+    margin = min(least, proven)
+    words = condition.describe(value, f" at {moment:.2f} s")
+    return KeepUse(condition.name, margin, condition.absolute(value), moment, condition.unit, words)
+
+
+def _open(bound: Vector, least: float) -> Flags:
+    """(P,) which bounds say too little: less than is measured anywhere by more than the resolution, or less than 0."""
+    return np.asarray(bound < max(least - _RESOLUTION, -KEPT_TO))

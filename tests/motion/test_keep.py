@@ -1,0 +1,232 @@
+"""What is to be kept along a motion: margins, gradients, and bounds between two configurations."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import tip_travel_bound
+from backhoe_planner.motion import Condition, Keep, build_problem
+
+Data = dict[str, Any]
+
+LEVEL: Data = {"rpy": [0.3, -0.2, 1.0], "tolerance": 1.2}
+
+
+def keep_of(robot: bp.Robot, **keep: Any) -> Keep:
+    start = dict.fromkeys(robot.joint_names, 0.0)
+    content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": start}, "keep": keep}}
+    found = build_problem(robot, bp.scene_from_dict(content)).keep
+    assert found is not None
+    return found
+
+
+def condition_of(robot: bp.Robot, **keep: Any) -> Condition:
+    (found,) = keep_of(robot, **keep).conditions
+    return found
+
+
+def least_between(condition: Condition, q_a: Vector, q_b: Vector) -> float:
+    """The least margin of 501 places on a straight motion."""
+    part = np.linspace(0.0, 1.0, 501)[:, None]
+    return float(np.min(condition.margins(condition.values((1.0 - part) * q_a + part * q_b))))
+
+
+def bound_between(condition: Condition, q_a: Vector, q_b: Vector, travel: Vector) -> float:
+    values = condition.values(np.array([q_a, q_b]))
+    return float(condition.lower_bounds(values[:1], values[1:], (q_b - q_a)[None, :], travel)[0])
+
+
+# --- margins ------------------------------------------------------------------------
+
+
+def test_the_margin_of_a_pitch_is_what_is_left_to_the_nearer_end_of_the_band(backhoe: bp.Robot) -> None:
+    """The backhoe's pitch is boom + stick + bucket: here -2.1, in the band 0.1 from its lower end."""
+    q = np.array([0.4, 0.4, -1.6, -0.9])
+    band = keep_of(backhoe, pitch=[-2.2, -1.8])
+    assert sorted(band.margins(q)) == pytest.approx([0.1, 0.3], abs=1e-12)
+    assert band.holds(q)
+    assert not band.holds(q - np.array([0.0, 0.2, 0.0, 0.0]))
+    np.testing.assert_allclose(band.gradients(q), [[0, 1, 1, 1], [0, -1, -1, -1]], atol=1e-12)
+
+
+def test_a_band_goes_round_where_the_mouth_of_the_bucket_is_level(backhoe: bp.Robot) -> None:
+    """-3.3 rad and 2.98 rad are one pitch."""
+    q = np.array([0.0, -0.5, -1.0, -1.8])
+    for pitch in ([-3.4, -2.6], [-3.4 + 2 * np.pi, -2.6 + 2 * np.pi]):
+        assert np.min(keep_of(backhoe, pitch=pitch).margins(q)) == pytest.approx(0.1, abs=1e-12)
+
+
+def test_heights_are_those_of_the_tip(backhoe: bp.Robot) -> None:
+    q = np.array([0.4, 0.4, -1.6, -0.9])
+    z = float(bp.Kinematics(backhoe).at(q).tip_position[2])
+    assert keep_of(backhoe, above=z - 0.3).margins(q) == pytest.approx([0.3], abs=1e-12)
+    assert keep_of(backhoe, below=z - 0.3).margins(q) == pytest.approx([-0.3], abs=1e-12)
+
+
+def test_a_rotation_is_measured_as_one_angle(ur5: bp.Robot) -> None:
+    q = ur5.random_q(np.random.default_rng(3))
+    tip = bp.Kinematics(ur5).at(q).tip_rotation
+    asked = pin.Quaternion(pin.exp3(np.array([0.0, 0.15, -0.2])) @ tip)
+    quaternion = [asked.w, asked.x, asked.y, asked.z]
+    margins = keep_of(ur5, rotation={"quaternion": quaternion, "tolerance": 0.4}).margins(q)
+    assert margins == pytest.approx([0.15], abs=1e-9)  # 0.4 - hypot(0.15, 0.2)
+
+
+@pytest.mark.parametrize("keep", [{"pitch": [-3.0, 2.0]}, {"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}])
+def test_gradients_are_those_of_central_differences(backhoe: bp.Robot, ur5: bp.Robot, keep: Data) -> None:
+    robot = backhoe if "pitch" in keep else ur5
+    kept, rng, h = keep_of(robot, **keep), np.random.default_rng(0), 1e-6
+    for _ in range(20):
+        q = robot.random_q(rng)
+        for joint, step in enumerate(h * np.eye(robot.n)):
+            slope = (kept.margins(q + step) - kept.margins(q - step)) / (2.0 * h)
+            np.testing.assert_allclose(kept.gradients(q)[:, joint], slope, atol=1e-6)
+
+
+def test_the_tracking_error_is_deducted(backhoe: bp.Robot) -> None:
+    """Three joints turn the pitch: at most 0.01 rad each."""
+    q = dict(zip(backhoe.joint_names, [0.0, 0.4, -1.6, -0.9], strict=True))
+    task = {"goal": {"joints": q}, "keep": {"pitch": [-2.2, -1.8]}}
+    scene = bp.scene_from_dict({"version": 1, "start": {"joints": q}, "task": task, "tracking": {"joints": 0.01}})
+    keep = build_problem(backhoe, scene).keep
+    assert keep is not None
+    assert min(keep.margins(np.array(list(q.values())))) == pytest.approx(0.1 - 0.03, abs=1e-12)
+
+
+# --- between two configurations ---------------------------------------------------------
+
+
+def test_the_pitch_is_linear_on_straight_motions_so_that_its_bound_is_exact(backhoe: bp.Robot) -> None:
+    band, rng = condition_of(backhoe, pitch=[-2.5, -0.5]), np.random.default_rng(1)
+    for _ in range(100):
+        q_a, q_b = backhoe.random_q(rng), backhoe.random_q(rng)
+        bound, least = bound_between(band, q_a, q_b, np.ones(4)), least_between(band, q_a, q_b)
+        if least > -1.0:  # it does not go round
+            assert bound == pytest.approx(least, abs=1e-9)
+        assert bound <= least + 1e-9
+
+
+@pytest.mark.parametrize("keep", [{"above": 0.4}, {"below": 0.4}, {"rotation": LEVEL}])
+@pytest.mark.parametrize("size", [1.0, 0.1])
+def test_no_place_between_is_below_the_bound(any_robot: bp.Robot, keep: Data, size: float) -> None:
+    condition, rng = condition_of(any_robot, **keep), np.random.default_rng(2)
+    travel = tip_travel_bound(any_robot)
+    for _ in range(50):
+        q_a = any_robot.random_q(rng)
+        q_b = q_a + size * (any_robot.random_q(rng) - q_a)
+        bound, least = bound_between(condition, q_a, q_b, travel), least_between(condition, q_a, q_b)
+        assert bound <= least + 1e-9
+        if size < 1.0:  # and the bound is of use: of second order in the length of the motion
+            assert least - bound < 6.0 * float(np.sum(np.abs(q_b - q_a))) ** 2 + 1e-9
+
+
+def test_a_swing_changes_no_height(backhoe: bp.Robot) -> None:
+    height = condition_of(backhoe, above=-5.0)
+    q = np.array([-1.5, 0.4, -1.6, -0.9])
+    bound = bound_between(height, q, q + np.array([3.0, 0.0, 0.0, 0.0]), tip_travel_bound(backhoe))
+    assert bound == pytest.approx(least_between(height, q, q), abs=1e-12)
+
+
+def test_a_whole_turn_of_the_wrist_between_two_equal_orientations_is_not_kept(ur5: bp.Robot) -> None:
+    q = np.array([0.1, -1.2, 1.0, -0.7, 0.4, -np.pi])
+    at = pin.Quaternion(bp.Kinematics(ur5).at(q).tip_rotation)
+    kept = keep_of(ur5, rotation={"quaternion": [at.w, at.x, at.y, at.z], "tolerance": 0.3})
+    turned = q + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * np.pi])
+    assert kept.holds(q)
+    assert kept.holds(turned)
+    assert not kept.segment_holds(q, turned)
+    assert kept.segment_holds(q, q + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.29]))
+    assert not kept.segment_holds(q, q + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.31]))
+
+
+def test_an_arc_over_a_height_is_not_kept_though_both_ends_are(ur5: bp.Robot) -> None:
+    """The shoulder lifts the straight arm over the top: at the ends it is lower by r (1 - cos 0.5)."""
+    over = np.array([0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0])
+    before, after = over - np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0]), over + np.array([0.0, 0.5, 0.0, 0.0, 0.0, 0.0])
+    z = [float(bp.Kinematics(ur5).at(q).tip_position[2]) for q in (before, over, after)]
+    assert z[1] > max(z[0], z[2]) + 0.05
+    limit = 0.5 * (z[1] + max(z[0], z[2]))
+    kept = keep_of(ur5, below=limit)
+    assert kept.holds(before)
+    assert kept.holds(after)
+    assert not kept.segment_holds(before, after)
+    assert keep_of(ur5, below=z[1] + 0.01).segment_holds(before, after)
+
+
+def test_a_pitch_that_goes_round_the_other_way_is_not_kept(backhoe: bp.Robot) -> None:
+    """From -5.0 to 1.1 the pitch goes through all that lies between, though -5.0 is 1.283 too."""
+    low, high = np.array([0.0, -0.5, -2.2, -2.3]), np.array([0.0, 0.75, -0.2, 0.55])
+    kept = keep_of(backhoe, pitch=[1.0, 1.4])
+    assert kept.holds(low)
+    assert kept.holds(high)
+    assert not kept.segment_holds(low, high)
+
+
+def test_a_round_corner_leaves_the_band_no_further_than_its_tangents(backhoe: bp.Robot) -> None:
+    q_a, q_b = np.array([0.0, 0.4, -1.6, -0.9]), np.array([0.6, 0.4, -1.6, -0.9])
+    inside, outside = np.array([0.3, 0.45, -1.6, -0.9]), np.array([0.3, 0.55, -1.6, -0.9])
+    kept = keep_of(backhoe, pitch=[-2.2, -2.0])
+    still = np.zeros(4)
+    assert kept.corner_holds(q_a, inside, q_b, sagitta=still)
+    assert not kept.corner_holds(q_a, outside, q_b, sagitta=still)
+    z = float(bp.Kinematics(backhoe).at(q_a).tip_position[2])
+    assert keep_of(backhoe, above=z - 1e-3).corner_holds(q_a, inside, q_b, sagitta=still)
+    assert not keep_of(backhoe, below=z + 1e-3).corner_holds(q_a, inside, q_b, sagitta=still)
+
+
+# --- targets ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("asked", "common"),
+    [
+        (None, (-3.4, -2.6)),
+        ((-3.0, 0.0), (-3.0, -2.6)),
+        ((2.0, 3.5), (-3.4, 3.5 - 2.0 * np.pi)),
+        ((-1.0, 1.0), None),
+    ],
+)
+def test_the_range_of_a_goal_is_cut_to_what_may_be_kept(
+    backhoe: bp.Robot, asked: tuple[float, float] | None, common: tuple[float, float] | None
+) -> None:
+    """2.0 to 3.5 rad are -4.28 to -2.78 too."""
+    found = keep_of(backhoe, pitch=[-3.4, -2.6]).narrowed(bp.TipTarget(np.ones(3), pitch=asked))
+    if common is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert found.pitch == pytest.approx(common)
+
+
+# --- the scene --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("keep", "said"),
+    [
+        ({}, "at least one of pitch, above, below, rotation"),
+        ({"pitch": [0.3, 0.0]}, "reversed"),
+        ({"pitch": [0.0, 20.0]}, "looks like degrees"),
+        ({"pitch": [-3.2, 3.2]}, "a whole turn keeps nothing"),
+        ({"pitch": 0.3}, "task.keep.pitch"),
+        ({"above": 2.0, "below": 1.0}, "no height is above 2 and below 1"),
+        ({"rotation": {"rpy": [0, 0, 0]}}, "task.keep.rotation.tolerance: is missing"),
+        ({"rotation": {"tolerance": 0.1}}, "exactly one of rpy, quaternion"),
+        ({"hight": 2.0}, "there is no such key"),
+    ],
+)
+def test_what_cannot_be_kept_is_refused_by_its_key(keep: Data, said: str) -> None:
+    content = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [1, 2, 3]}, "keep": keep}}
+    with pytest.raises(bp.SceneError, match=said):
+        bp.scene_from_dict(content)
+
+
+def test_a_machine_without_a_pitch_cannot_keep_one(ur5: bp.Robot) -> None:
+    with pytest.raises(bp.SceneError, match=r"task.keep.pitch.*pitch is not defined"):
+        keep_of(ur5, pitch=[0.0, 0.3])

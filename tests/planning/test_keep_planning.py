@@ -1,0 +1,155 @@
+"""Ways to a goal along which something is kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning import plan_to_dict
+from backhoe_planner.planning.search.motion_check import MotionCheck
+
+Data = dict[str, Any]
+
+NAMES = ("swing", "boom", "stick", "bucket")
+A, B = (0.0, 0.3, -1.5, -1.5), (1.0, 0.6, -1.2, -2.1)  # both at a pitch of -2.7
+BAND = [-2.75, -2.65]
+
+
+def site(start: tuple[float, ...], goal: Any, keep: Data, *obstacles: Data, **keys: Any) -> bp.Scene:
+    named = goal if isinstance(goal, dict) else {"joints": dict(zip(NAMES, goal, strict=True))}
+    content = {"version": 1, "start": {"joints": dict(zip(NAMES, start, strict=True))}, "clearance": 0.05}
+    return bp.scene_from_dict(content | {"task": {"goal": named, "keep": keep}, "obstacles": list(obstacles)} | keys)
+
+
+def pitches(plan: bp.Plan) -> Any:
+    return plan.trajectory.q[:, 1:].sum(axis=1)
+
+
+def post(x: float, y: float, name: str = "post") -> Data:
+    return {"name": name, "shape": "capsule", "from": [x, y, -1.0], "to": [x, y, 2.0], "radius": 0.2}
+
+
+def in_between() -> Data:
+    """Where the tip is halfway from A to B."""
+    tip = bp.Kinematics(bp.load_robot("example:backhoe")).at(0.5 * (np.array(A) + B)).tip_position
+    return post(float(tip[0]), float(tip[1]))
+
+
+def test_a_loaded_bucket_swings_round_a_post_within_six_degrees(backhoe: bp.Robot, tmp_path: Path) -> None:
+    scene = site(A, B, {"pitch": BAND}, in_between())
+    plan = bp.plan(backhoe, scene)
+    assert plan.verified, plan.message
+    assert plan.findings.way == "sampled"
+    assert np.all(np.abs(pitches(plan) + 2.7) <= 0.05 + 1e-6)
+    (use,) = plan.certificate.keep
+    assert -1e-6 <= use.margin <= 0.05
+    plan.save(tmp_path / "plan.json")
+    assert bp.load_plan(tmp_path / "plan.json").certificate.keep == plan.certificate.keep
+    (told,) = plan_to_dict(plan)["certificate"]["keep"]
+    assert (told["name"], told["unit"]) == ("pitch", "rad")
+
+
+def test_a_pitch_that_must_not_change_at_all_is_kept_round_a_post(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, site(A, B, {"pitch": [-2.7, -2.7]}, in_between()))
+    assert plan.verified, plan.message
+    np.testing.assert_allclose(pitches(plan), -2.7, atol=1e-6)
+
+
+def test_the_straight_way_of_the_law_is_used_only_where_it_keeps_the_band(backhoe: bp.Robot) -> None:
+    """With the pitch free the law takes the tip straight there; on that way the bucket tips by more."""
+    goal = {"position": bp.Kinematics(backhoe).at(np.array(B)).tip_position.tolist()}
+    free = bp.plan(backhoe, site(A, goal, {"below": 9.0}), method="reactive")
+    assert free.verified, free.message
+    assert np.max(np.abs(pitches(free) + 2.7)) > 0.1
+    kept = bp.plan(backhoe, site(A, goal, {"pitch": BAND}))
+    assert kept.verified, kept.message
+    assert np.max(np.abs(pitches(kept) + 2.7)) <= 0.05 + 1e-6
+
+
+def test_the_law_alone_is_certified_as_it_is(backhoe: bp.Robot) -> None:
+    goal = {"position": [3.6, 2.0, 1.5]}
+    plan = bp.plan(backhoe, site((0.0, 0.4, -1.6, -0.9), goal, {"pitch": [-2.11, -2.09]}), method="reactive")
+    if plan.verified:
+        assert np.all(np.abs(pitches(plan) + 2.1) <= 0.01 + 1e-6)
+    else:
+        assert "pitch of the bucket" in plan.message
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_a_start_that_does_not_keep_it_is_told_in_words(backhoe: bp.Robot, method: str) -> None:
+    plan = bp.plan(backhoe, site((0.0, 0.4, -1.6, -0.9), B, {"pitch": BAND}), method=method)
+    assert plan.reason == "start_breaks_keep"
+    assert plan.message == "at the start the pitch of the bucket is -120.3 deg, allowed -157.6 to -151.8 deg"
+    assert len(plan.trajectory) == 1
+
+
+def test_a_goal_that_does_not_keep_it_is_told_in_words(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, site(A, (1.0, 0.6, -1.2, -1.5), {"pitch": BAND}))
+    assert plan.reason == "goal_breaks_keep"
+    assert plan.message == "at the goal the pitch of the bucket is -120.3 deg, allowed -157.6 to -151.8 deg"
+    asked = bp.plan(backhoe, site(A, {"position": [4.0, 1.0, 0.5], "pitch": [-1.5, -1.0]}, {"pitch": BAND}))
+    assert asked.reason == "goal_breaks_keep"
+    raised = (0.0, 0.8, -1.5, -1.5)
+    low = float(bp.Kinematics(backhoe).at(np.array(A)).tip_position[2]) + 0.1
+    high = bp.plan(backhoe, site(A, raised, {"below": low}))
+    assert high.reason == "goal_breaks_keep"
+    assert f"m high, allowed at most {low:.4g} m" in high.message
+
+
+def test_of_several_goals_one_at_which_it_can_be_kept_is_taken(backhoe: bp.Robot) -> None:
+    tips_out = {"joints": dict(zip(NAMES, (0.5, 0.6, -1.2, -1.5), strict=True))}
+    level = {"joints": dict(zip(NAMES, B, strict=True))}
+    content = site(A, tips_out, {"pitch": BAND}).to_dict()
+    content["task"]["goal"] = [tips_out, level]
+    plan = bp.plan(backhoe, bp.scene_from_dict(content))
+    assert plan.verified, plan.message
+    assert plan.certificate.goal == 2
+
+
+def test_a_height_is_kept_over_a_wall_that_only_the_machine_sees(backhoe: bp.Robot) -> None:
+    start, goal = (-0.8, 0.5, -1.2, -0.8), (0.8, 0.5, -1.2, -0.8)
+    kinematics = bp.Kinematics(backhoe)
+    z = float(kinematics.at(np.array(start)).tip_position[2])
+    tip = kinematics.at(np.array([0.0, *start[1:]])).tip_position
+    scene = site(start, goal, {"below": z + 0.2}, post(float(tip[0]), 0.0))
+    plan = bp.plan(backhoe, scene)
+    assert plan.verified, plan.message
+    assert max(float(point[2]) for point in plan.tip_path()) <= z + 0.2 + 1e-6
+
+
+def test_a_motion_that_leaves_the_band_only_between_two_postures_is_refused(backhoe: bp.Robot) -> None:
+    """Both postures are in the band: -5.0 and 1.1 are 1.283 and 1.1, but between them lies all the rest."""
+    low, high = np.array([0.0, -0.5, -2.2, -2.3]), np.array([0.0, 0.75, -0.2, 0.55])
+    for keep, clear in (({"pitch": [1.0, 1.4]}, False), ({"below": 50.0}, True)):
+        problem = build_problem(backhoe, site(tuple(low), tuple(high), keep))
+        proximity = bp.Proximity(backhoe, (), self_collision=False)
+        check = MotionCheck(problem, proximity, [low, high], spare=0.0)
+        assert check.ends_clear == [True, True]
+        assert check.segment_is_clear(low, high) is clear
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_band_of_ten_degrees_is_found_among_random_posts(backhoe: bp.Robot, seed: int) -> None:
+    """Both ends are clear and in the band; the motion with the pitch free is found, so is the one in the band."""
+    rng = np.random.default_rng(seed)
+    limits, half = backhoe.limits, np.radians(5.0)
+    while True:
+        ends = [backhoe.random_q(rng), backhoe.random_q(rng)]
+        pitch = float(ends[0][1:].sum())
+        ends[1][3] += pitch + rng.uniform(-0.5, 0.5) * half - ends[1][1:].sum()
+        places = [rng.uniform(2.0, 4.5) * np.array([np.cos(a), np.sin(a)]) for a in rng.uniform(-1.0, 1.0, 2)]
+        obstacles = [post(float(x), float(y), f"post {k}") for k, (x, y) in enumerate(places)]
+        scene = site(tuple(ends[0]), tuple(ends[1]), {"pitch": [pitch - half, pitch + half]}, *obstacles)
+        if not limits.lower[3] < ends[1][3] < limits.upper[3] or np.linalg.norm(ends[1] - ends[0]) < 1.0:
+            continue
+        proximity = bp.Proximity(backhoe, bp.build_obstacles(scene, backhoe))
+        if all(np.min(proximity.distances(q) - proximity.clearance) > 0.02 for q in ends):
+            break
+    plan = bp.plan(backhoe, scene)
+    assert plan.verified, plan.message
+    assert np.max(np.abs(pitches(plan) - pitch)) <= half + 1e-6
