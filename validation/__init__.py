@@ -23,6 +23,8 @@ it imports `backhoe_planner` by its doors, and no script.
     processes          one function called for many items, in several processes
     planning_runs      the planner on many sites: rows, tables, comparisons
     goal_runs          motions to a goal beside the best that is known, and beside their bound
+    ompl_planners      OMPL's own planners on the same problem, with the same check and time
+    ompl_runs          the planner beside these, on many sites
     step_times         one obstacle course on which the steps of the law and the servo are timed
     servo_drives       a servo driven among obstacles that stand, appear and move
     recoveries         a servo that starts inside an obstacle or outside a limit
