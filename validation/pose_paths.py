@@ -28,7 +28,7 @@ from validation.pose_arms import ARMS, write_arm
 from validation.scenes import scene_of
 from validation.tables import Row
 
-MACHINES = (*ARMS, "panda")
+MACHINES = ARMS
 TOLERANCE = 0.001  # m
 _ROTATION_TOLERANCE = np.radians(0.1)
 _CLEARANCE = 0.01  # m of every obstacle
@@ -207,9 +207,7 @@ IMPOSSIBLE = ("beyond", "inside")
 
 
 def load_arm(machine: str, folder: Path) -> bp.Robot:
-    """One of `MACHINES`; the URDF of those that are ours is written into `folder`."""
-    if machine == "panda":
-        return bp.load_robot("example:panda", tip="panda_hand_tcp")
+    """One of `MACHINES`; its URDF is written into `folder`."""
     return bp.load_robot(write_arm(machine, folder))
 
 
@@ -262,6 +260,7 @@ def densely(shape: Shape) -> tuple[Matrix, Rotation]:
     measure = np.concatenate(([0.0], np.cumsum(np.maximum(moved, turned))))
     # the corners are waypoints too
     at = np.unique(np.concatenate((np.linspace(0.0, measure[-1], shape.waypoints - len(measure) + 2), measure)))
+    at = at[np.concatenate(([True], np.diff(at) > 1e-9))]  # rounding makes two of one
     points = np.column_stack([np.interp(at, measure, column) for column in shape.points.T])
     return points, Slerp(measure, shape.turns)(at)
 

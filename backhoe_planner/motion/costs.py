@@ -48,6 +48,8 @@ _SMOOTHING = 3e-3  # part of |dq|^2 / (v dt) that is added; chosen: decides betw
 _TYPICAL = 64  # seeded postures over which loads are averaged; chosen
 _SHORTEST = 1e-9  # s: a step takes no less, so that rates are finite
 _UNLIMITED = 1e6  # rad/s and rad/s^2, in place of infinity
+_MANY_NEAR = 0.5  # part of all pairs of nodes; chosen: where fewer are near, they alone are looked at
+_PORTION = 20_000  # pairs of nodes at once; chosen: their mass matrices take some megabytes
 _STILL = 1e-6  # m between neighbours on a path: where it is less, the tip stands
 
 
@@ -107,11 +109,19 @@ class PathCost:
         # the tip of all of a is at one place, and that of all of b
         velocity = None if self._machine.soil is None else self._tip_velocity(np.vstack((a[:1], b[:1])))
         before, after = self.nodes(a, (None, velocity)), self.nodes(b, (velocity, None))
-        cost = self.between(before[:, None], after[None, :], np.asarray(span))
-        widest = np.zeros(cost.shape)
+        widest = np.zeros((len(a), len(b)))
         for change in self._changes(a[:, None], b[None, :]):
             np.maximum(widest, np.abs(change, out=change), out=widest)
-        return np.where(widest > WIDEST_STEP, np.inf, cost)
+        near = widest <= WIDEST_STEP
+        cost = np.full(near.shape, np.inf)
+        if np.count_nonzero(near) > _MANY_NEAR * near.size:
+            cost[near] = self.between(before[:, None], after[None, :], np.asarray(span))[near]
+            return cost
+        first, second = np.nonzero(near)
+        for begin in range(0, len(first), _PORTION):
+            rows, columns = first[begin : begin + _PORTION], second[begin : begin + _PORTION]
+            cost[rows, columns] = self.between(before[rows], after[columns], np.full(len(rows), span))
+        return cost
 
     def of_steps(self, stations: Array, q: Array) -> float:
         """Cost of the steps through q (K, n) at `stations` (K,) [m], in rad."""

@@ -74,6 +74,43 @@ class Route:
     left_out: float
 
 
+class _Edges:
+    """The motions from the nodes of one layer to those of another, or of the same one.
+
+    Parameters
+    ----------
+    costs: (A, B) of all motions; those that are infinite are left out.
+    """
+
+    def __init__(self, costs: Matrix) -> None:
+        second, first = np.nonzero(np.isfinite(costs.T))
+        self._first = first
+        self._costs = costs[first, second]
+        self._ends, self._begins = np.unique(second, return_index=True)
+        self._counts = np.diff(np.append(self._begins, len(second)))
+
+    def __len__(self) -> int:
+        return len(self._first)
+
+    def forbid(self, a: int, b: int) -> None:
+        """Take one motion out."""
+        place = int(np.searchsorted(self._ends, b))
+        if place < len(self._ends) and self._ends[place] == b:
+            begin = int(self._begins[place])
+            own = slice(begin, begin + int(self._counts[place]))
+            self._costs[own][self._first[own] == a] = np.inf
+
+    def reach(self, value: Vector) -> tuple[NDArray[np.intp], Vector, NDArray[np.intp]]:
+        """From nodes with the totals `value` (A,): the nodes (M,) that are reached, their least totals, and whence."""
+        if not len(self):
+            return self._ends, np.zeros(0), self._ends
+        total = value[self._first] + self._costs
+        least = np.minimum.reduceat(total, self._begins)
+        hits = np.flatnonzero(total == np.repeat(least, self._counts))
+        best = hits[np.searchsorted(hits, self._begins)]
+        return self._ends, least, self._first[best]
+
+
 class LayeredGraph:
     """Layers of nodes, and the search through them.
 
@@ -112,8 +149,8 @@ class LayeredGraph:
         self._detours = detours
         self._reduce = reduce
         self._brake = brake or Brake()
-        self._steps: dict[int, Matrix] = {}
-        self._turns: dict[int, Matrix] = {}
+        self._steps: dict[int, _Edges] = {}
+        self._turns: dict[int, _Edges] = {}
         self._forbidden: dict[tuple[int, int], set[tuple[int, int]]] = {}
         self._refused: set[tuple[int, int]] = set()
         self._only: tuple[Edge, ...] | None = None
@@ -129,9 +166,9 @@ class LayeredGraph:
         (layer_a, a), (layer_b, b) = edge.start, edge.end
         self._forget_from(layer_b)
         if edge.kind is EdgeKind.STEP:
-            self._step_costs(layer_b)[a, b] = np.inf
+            self._step_edges(layer_b).forbid(a, b)
         elif edge.kind is EdgeKind.TURN:
-            self._turn_costs(layer_a)[a, b] = np.inf
+            self._turn_edges(layer_a).forbid(a, b)
         else:
             self._forbidden.setdefault((layer_a, layer_b), set()).add((a, b))
 
@@ -200,37 +237,36 @@ class LayeredGraph:
             if layer == 0:
                 value = first.copy()
             elif len(nodes) and len(values[layer - 1]):
-                total = values[layer - 1][:, None] + self._step_costs(layer)
-                self.looked_at += total.size
-                best = np.argmin(total, axis=0)
-                value = total[best, np.arange(len(nodes))]
-                source[:, 0], source[:, 1], source[:, 2] = EdgeKind.STEP, layer - 1, best
+                edges = self._step_edges(layer)
+                self.looked_at += len(edges)
+                ends, least, best = edges.reach(values[layer - 1])
+                value[ends] = least
+                source[ends, 0], source[ends, 1], source[ends, 2] = EdgeKind.STEP, layer - 1, best
             self._turn(layer, value, source)
             if self._detours and len(nodes):
                 self._detour(layer, value, source, values, leaving)
                 self._turn(layer, value, source)
             values.append(value)
             sources.append(source)
-            least = float(np.min(value)) if len(value) else np.inf
-            leaving.append(least - _LEFT_OUT * float(self.stations[layer]))
+            cheapest = float(np.min(value)) if len(value) else np.inf
+            leaving.append(cheapest - _LEFT_OUT * float(self.stations[layer]))
         return values, sources
 
     def _turn(self, layer: int, value: Vector, source: NDArray[np.intp]) -> None:
         """Let the joints move within a layer, as long as that makes a node cheaper."""
         if len(value) < 2 or not np.isfinite(value).any():
             return
-        costs = self._turn_costs(layer)
+        edges = self._turn_edges(layer)
         for _ in range(_TURNS):
-            total = value[:, None] + costs
-            self.looked_at += total.size
-            best = np.argmin(total, axis=0)
-            found = total[best, np.arange(len(value))]
-            better = found < value * (1.0 - 1e-12) - 1e-12
-            better |= np.isfinite(found) & ~np.isfinite(value)
+            self.looked_at += len(edges)
+            ends, found, best = edges.reach(value)
+            better = found < value[ends] * (1.0 - 1e-12) - 1e-12
+            better |= np.isfinite(found) & ~np.isfinite(value[ends])
             if not better.any():
                 return
-            value[better] = found[better]
-            source[better, 0], source[better, 1], source[better, 2] = EdgeKind.TURN, layer, best[better]
+            ends = ends[better]
+            value[ends] = found[better]
+            source[ends, 0], source[ends, 1], source[ends, 2] = EdgeKind.TURN, layer, best[better]
 
     def _detour(
         self, layer: int, value: Vector, source: NDArray[np.intp], values: list[Vector], leaving: list[float]
@@ -279,20 +315,19 @@ class LayeredGraph:
                 value[b] = total
                 source[b] = EdgeKind.DETOUR, start, a
 
-    def _step_costs(self, layer: int) -> Matrix:
-        """(A, B) from the layer before to `layer`."""
+    def _step_edges(self, layer: int) -> _Edges:
+        """From the layer before to `layer`."""
         if layer not in self._steps:
             span = float(self.stations[layer] - self.stations[layer - 1])
             before, nodes = self.layers[layer - 1], self.layers[layer]
-            self._steps[layer] = (
-                self._cost(before, nodes, span) if span > 0.0 else np.full((len(before), len(nodes)), np.inf)
-            )
+            costs = self._cost(before, nodes, span) if span > 0.0 else np.full((len(before), len(nodes)), np.inf)
+            self._steps[layer] = _Edges(costs)
         return self._steps[layer]
 
-    def _turn_costs(self, layer: int) -> Matrix:
-        """(N, N) within `layer`."""
+    def _turn_edges(self, layer: int) -> _Edges:
+        """Within `layer`."""
         if layer not in self._turns:
             costs = self._cost(self.layers[layer], self.layers[layer], self._turning)
             np.fill_diagonal(costs, np.inf)
-            self._turns[layer] = costs
+            self._turns[layer] = _Edges(costs)
         return self._turns[layer]

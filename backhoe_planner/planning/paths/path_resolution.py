@@ -16,6 +16,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import TURN_LEVER, Problem, TipPath
+from backhoe_planner.planning.paths.corners import SHARP
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
 from backhoe_planner.planning.paths.path_layers import PathLayers
 from backhoe_planner.planning.paths.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
@@ -402,6 +403,7 @@ def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
     found[0], found[-1] = since, path.length
     # where a turn begins or ends the joints change their direction: a layer of its own, instead of one near it
     marks = path.stations[path.turned_waypoints]
+    marks = marks[np.isin(marks, path.corners(SHARP))]
     marks = marks[(marks > since) & (marks < path.length)]
     if len(marks):
         near = 0.5 * (path.length - since) / count
