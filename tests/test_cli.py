@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -444,3 +445,67 @@ def test_files_that_are_not_there(run: Run, tmp_path: Path) -> None:
 def test_a_bad_command_line(run: Run, tmp_path: Path, arguments: list[str], word: str) -> None:
     scene_file(tmp_path)
     assert word in refused(run, tmp_path, *arguments)
+
+
+ONE_JOINT = """<robot name="one"><link name="base"/>
+  <link name="arm"><collision><geometry><mesh filename="arm.obj"/></geometry></collision></link>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+WEDGE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_a_machine_with_one_joint_is_inspected(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "arm.obj").write_text(WEDGE, encoding="utf-8")
+    (tmp_path / "one.urdf").write_text(ONE_JOINT, encoding="utf-8")
+    assert run("inspect", "one.urdf")[0] == 0
+
+
+def test_the_page_does_not_overwrite_the_plan(run: Run, tmp_path: Path) -> None:
+    assert "where the plan goes" in refused(
+        run, tmp_path, "plan", PLANAR4, scene_file(tmp_path), "-o", "both.json", "--html", "both.json"
+    )
+
+
+@pytest.fixture
+def site_of_files(tmp_path: Path) -> Path:
+    """A machine with a mesh, and a scene with a file of every kind."""
+    (tmp_path / "arm.obj").write_text(WEDGE, encoding="utf-8")
+    (tmp_path / "one.urdf").write_text(ONE_JOINT, encoding="utf-8")
+    (tmp_path / "path.csv").write_text("x,y,z\n0,0,0\n0,0,0.1\n", encoding="utf-8")
+    (tmp_path / "hill.csv").write_text("0,0\n0,0\n", encoding="utf-8")
+    (tmp_path / "scan.xyz").write_text("9 9 9\n", encoding="utf-8")
+    (tmp_path / "rock.obj").write_text(WEDGE, encoding="utf-8")
+    obstacles = [
+        {"name": "hill", "shape": "heightmap", "file": "hill.csv", "size": [1, 1], "position": [0, 9, -9]},
+        {"name": "scan", "shape": "pointcloud", "file": "scan.xyz", "resolution": 0.1},
+        {"name": "rock", "shape": "mesh", "file": "rock.obj", "position": [9, 0, 0]},
+    ]
+    return scene_file(tmp_path, {"version": 1, "task": {"path": {"file": "path.csv"}}, "obstacles": obstacles})
+
+
+@pytest.mark.parametrize("option", ["-o", "--html"])
+@pytest.mark.parametrize(
+    "name", ["one.urdf", "arm.obj", "scene.yaml", "path.csv", "hill.csv", "scan.xyz", "rock.obj", "other_name"]
+)
+def test_no_output_replaces_an_input(run: Run, site_of_files: Path, name: str, option: str) -> None:
+    folder = site_of_files.parent
+    (folder / "other_name").symlink_to("hill.csv")
+    before = {file: file.read_bytes() for file in folder.iterdir()}
+    told = refused(run, folder, "plan", "one.urdf", site_of_files, option, name)
+    assert name in told
+    assert "input of this command" in told
+    assert {file: file.read_bytes() for file in folder.iterdir()} == before
+
+
+def test_what_is_written_of_a_plan_replaces_no_file_of_it(run: Run, tmp_path: Path) -> None:
+    shutil.copy(ROOT / "models" / "backhoe.urdf", tmp_path)
+    shutil.copy(ROOT / "models" / "backhoe.hydraulics.yaml", tmp_path)
+    joints = {"swing": 0.0, "boom": 0.3, "stick": -0.9, "bucket": -0.5}
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"joints": joints | {"swing": 0.1}}}}
+    assert run("plan", "backhoe.urdf", scene_file(tmp_path, content), "-o", "plan.json")[0] == 0
+    for arguments in (
+        ("view", "plan.json", "--html", "plan.json"),
+        ("view", "plan.json", "--html", "backhoe.urdf"),
+        ("export", "plan.json", "backhoe.hydraulics.yaml"),
+    ):
+        assert "input of this command" in refused(run, tmp_path, *arguments)

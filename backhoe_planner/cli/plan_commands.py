@@ -15,7 +15,7 @@ import backhoe_planner as bp
 from backhoe_planner import motion, planning, show, site
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
-from backhoe_planner.files.output_file import check_writable
+from backhoe_planner.files.output_file import check_output
 
 
 def plan(
@@ -45,17 +45,13 @@ def plan(
     ] = False,
 ) -> int:
     """Plan the task of a scene, and write the plan."""
-    inputs = [given for given in (Path(urdf), scene) if given.exists()]
-    for target in (output, html):
-        if target is None:
-            continue
-        if target.exists() and any(map(target.samefile, inputs)):
-            raise bp.OutputError("is an input of this command", file=target)
-        check_writable(target)
     if html is not None and html.resolve() == output.resolve():
         raise bp.OutputError("is where the plan goes too", file=html, key="--html")
     loaded = bp.load_scene(scene)
     robot = site.load_machine(urdf, loaded)
+    for target in (output, html):
+        if target is not None:
+            check_output(target, (*robot.files, *loaded.files))
     print_warnings((*robot.warnings, *loaded.warnings(), *site.limit_warnings(robot, loaded)))
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:
@@ -87,7 +83,7 @@ def view(
 ) -> int:
     """Play a plan in the browser, or write it as one page."""
     if html is not None:
-        check_writable(html)
+        check_output(html, [plan_file])
     loaded = bp.load_plan(plan_file, urdf=urdf)
     if html is not None:
         print_warnings(show.write_page(loaded, html))
@@ -133,7 +129,7 @@ def export(
 
 def _write(write: Callable[[bp.Plan, Path], object], plan_file: Path, urdf: str | None, file: Path) -> int:
     """Have `write` write a plan to `file`."""
-    check_writable(file)
+    check_output(file, [plan_file])
     write(bp.load_plan(plan_file, urdf=urdf), file)
     OUT.print(f"wrote {file}")
     return VERIFIED

@@ -13,7 +13,6 @@ from rich.text import Text
 import backhoe_planner as bp
 from backhoe_planner import show, site
 from backhoe_planner.cli.terminal import ERR, FAILED, SceneFile, Urdf, print_warnings
-from backhoe_planner.files.output_file import check_writable
 
 
 def teleop(
@@ -43,7 +42,6 @@ def teleop(
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
 ) -> int:
     """Drive the machine live from a page in the browser; the scene's task is not used."""
-    check_writable(output)
     loaded = bp.load_scene(scene)
     robot = site.load_machine(urdf, loaded)
     with show.TeleopStation(

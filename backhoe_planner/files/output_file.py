@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
@@ -62,3 +62,16 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise OutputError("the folder does not exist", file=target, found=str(target.parent), hint="create it first")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise OutputError("the folder may not be written", file=target, found=str(target.parent))
+
+
+def check_output(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:
+    """The same, and that it is none of the files from which its content comes.
+
+    Raises
+    ------
+    OutputError: it is one of `inputs`, by whatever name; or see `check_writable`.
+    """
+    target = Path(path)
+    if target.exists() and any(target.samefile(given) for given in inputs if given.exists()):
+        raise OutputError("is an input of this command", file=target, hint="write to another file")
+    check_writable(target)

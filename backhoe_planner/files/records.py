@@ -77,7 +77,7 @@ def explain(
     """
     variants = _variants(root)
     problems = []
-    for detail in error.errors(include_url=False):
+    for detail in _of_one_kind(error.errors(include_url=False)):
         place = _place_in_file(detail["loc"], content, missing=detail["type"] == "missing")
         above = (place[:k] for k in range(len(place), 0, -1))
         line = next((lines[part] for part in above if part in lines), None) if lines else None
@@ -150,6 +150,24 @@ def _variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
             found |= {tag: record for tag in tags[:1] if len(tags) == 1 and isinstance(tag, str)}
             todo += _models_in(field.annotation)
     return found
+
+
+def _of_one_kind(details: list[Any]) -> list[Any]:
+    """Of the complaints about a value that may be a number or a list, those for what it is."""
+
+    def misses(detail: Any) -> bool:
+        is_list = isinstance(detail.get("input"), (list, tuple))
+        return bool(detail["type"] == ("float_type" if is_list else "tuple_type"))
+
+    def is_answered(detail: Any) -> bool:
+        """Whether the other member of the union, which stands last in the place, has a complaint too."""
+        *above, member = detail["loc"]
+        if not str(member).endswith(("float", "]")):
+            return False
+        beside = ([*one["loc"], ""] for one in details)
+        return any(place[: len(above)] == above and place[len(above)] not in (member, "") for place in beside)
+
+    return [detail for detail in details if not (misses(detail) and is_answered(detail))]
 
 
 def _place_in_file(loc: tuple[str | int, ...], content: Any, *, missing: bool) -> KeyPath:

@@ -131,6 +131,11 @@ class Robot:
         return int(self.model.nv)
 
     @cached_property
+    def files(self) -> tuple[Path, ...]:
+        """From which it was read: the URDF, its meshes, the description of the hydraulics."""
+        return self.urdf.files if self.hydraulics is None else (*self.urdf.files, self.hydraulics.file)
+
+    @cached_property
     def link_names(self) -> tuple[str, ...]:
         """Links with a collision shape, in the order of the URDF."""
         return tuple(dict.fromkeys(piece.link for piece in self.pieces))

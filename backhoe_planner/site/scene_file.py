@@ -124,6 +124,14 @@ class Scene(Record):
         """The file from which it was read, if any."""
         return self._file
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """From which it is read: the scene file, the path file, the files of obstacles."""
+        path = self.task.path
+        named = [None if path is None else path.file, *(getattr(one, "file", None) for one in self.obstacles)]
+        own = () if self.file is None else (self.file,)
+        return (*own, *(self.folder / name for name in named if name is not None))
+
     def waypoints(self) -> tuple[Waypoint, ...]:
         """The path's waypoints in the world, from the scene or from its path file.
 

@@ -199,6 +199,18 @@ def test_joints_that_share_a_pump_are_cut_back_together(backhoe: Robot) -> None:
     assert np.all(along[:, 1] > 0.1)
 
 
+def test_a_load_that_writes_on_what_it_is_given_changes_nothing(backhoe: Robot) -> None:
+    def load(q: np.ndarray, v: np.ndarray) -> float:
+        q[:] = 9.0
+        v[:] = 9.0
+        return 0.5
+
+    start = [0.0, 0.3, -1.4, -0.6]
+    servo = Servo(backhoe, standing(backhoe, start).scene, dt=0.01, load=load)
+    state = servo.step(joint_velocity=np.array([0.1, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(state.q, start, atol=0.01)
+
+
 def test_the_problem_of_a_step_by_hand() -> None:
     """Two joints that move the tip alike: of the target the tip's 0.6 m/s are asked, of each joint only a little."""
     none, wide = np.zeros(2), np.full(2, 10.0)

@@ -255,6 +255,7 @@ def test_the_papers_law_takes_no_path(planar4: bp.Robot) -> None:
         ({"budget": 0.0}, "budget"),
         ({"budget": float("nan")}, "budget"),
         ({"seed": -1}, "seed"),
+        ({"seed": 2**64}, "seed"),
     ],
 )
 def test_bad_arguments(planar4: bp.Robot, keys: Data, key: str) -> None:

@@ -792,6 +792,7 @@ def test_only_pages_of_its_own_are_let_in(server: TeleopServer) -> None:
             {"Origin": "http://evil.example"},
             {"Origin": f"http://localhost:{port}"},  # the page was loaded from 127.0.0.1
             {"Origin": f"http://127.0.0.1:{int(port) + 1}"},
+            {"Origin": f"https://127.0.0.1:{port}"},  # the page is served over http
             {"Origin": "null"},
             {"Origin": f"http://evil.example:{port}", "Host": f"evil.example:{port}"},  # a name made to point here
             {"Host": f"evil.example:{port}"},

@@ -93,3 +93,9 @@ def test_a_zone_that_was_taken_away_can_be_put_back(backhoe: Robot) -> None:
     servo.remove("power line")
     servo.add(solid)
     assert servo.obstacles == ("power line",)
+
+
+@pytest.mark.parametrize("name", ["a\nverified", "red\x1b[31m", "\t"])
+def test_a_name_is_one_line_that_can_be_printed(name: str) -> None:
+    with pytest.raises(InputError, match="is no name"):
+        check_name(name)

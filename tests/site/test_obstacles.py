@@ -264,3 +264,9 @@ def test_errors_of_readers_are_input_errors(tmp_path: Path) -> None:
         read_heights(tmp_path / "nowhere.csv")
     with pytest.raises(InputError, match="no such point cloud file"):
         read_points(tmp_path / "nowhere.xyz")
+
+
+def test_decimal_commas_in_a_point_cloud_are_refused(planar4: Robot, tmp_path: Path) -> None:
+    (tmp_path / "scan.txt").write_text("x y z\n1,5 2,5 3,5\n", encoding="utf-8")
+    with pytest.raises(SceneError, match="line 2: has commas and blanks"):
+        build(planar4, tmp_path, shape="pointcloud", file="scan.txt", resolution=0.1)

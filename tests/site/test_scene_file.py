@@ -363,6 +363,21 @@ def test_what_is_wrong_with_a_scene_is_said_with_its_key(data: Data, said: list[
         assert inner not in message, "a name of the schema's machinery, not of the scene"
 
 
+@pytest.mark.parametrize(
+    ("scale", "said"),
+    [
+        ([1, -1, 1], "obstacles[0].scale[1]: input should be greater than 0; found -1"),
+        (-2, "obstacles[0].scale: input should be greater than 0; found -2"),
+        ([1, 1], "obstacles[0].scale[2]: is missing"),
+        ("big", "obstacles[0].scale: input should be a valid number; found 'big'"),
+    ],
+)
+def test_of_a_number_or_a_list_only_what_is_wrong_with_the_given_one_is_said(scale: Any, said: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_from_dict(shaped("mesh", file="rock.stl", scale=scale))
+    assert str(caught.value) == said
+
+
 def test_scene_error_is_an_input_error_and_a_value_error() -> None:
     for kind in (InputError, ValueError):
         with pytest.raises(kind):

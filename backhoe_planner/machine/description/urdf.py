@@ -99,6 +99,14 @@ class Urdf:
             link = joint.parent
         return tuple(reversed(joints))
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The URDF and the meshes that it names."""
+        shapes = [shape for link in self.robot.links for shape in (*link.collisions, *link.visuals)]
+        meshes = [shape.geometry.mesh for shape in shapes if shape.geometry is not None]
+        found = {self.mesh_path(mesh.filename) for mesh in meshes if mesh is not None}
+        return (self.path, *sorted(path for path in found if path is not None))
+
     def mesh_path(self, uri: str) -> Path | None:
         """The file of a mesh that the URDF names by `uri`; None where there is no such file."""
         return next(filter(Path.is_file, _mesh_candidates(uri, self.path)), None)

@@ -13,7 +13,7 @@ import yaml
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import OutputError
-from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.machine import Hydraulics
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.result.plan import Plan
@@ -31,12 +31,13 @@ def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    OutputError: unknown ending, or the file cannot be written.
+    OutputError: unknown ending, the file cannot be written, or is of the machine or the scene.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise OutputError("unknown format", file=Path(path), found=suffix or "no ending", allowed=", ".join(FORMATS))
     write, mode = FORMATS[suffix]
+    check_output(path, plan.input_files)
     with whole_file(path, mode) as stream:
         write(plan, stream)
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_path
-from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, shipped_folder
 from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
 from backhoe_planner.planning.result.findings import NOTHING, Findings
@@ -105,6 +105,11 @@ class Plan:
         """`reason` in a sentence, with its numbers; of a verified plan what the planner has to add, mostly nothing."""
         return self.note or "; ".join(self.certificate.problems)
 
+    @property
+    def input_files(self) -> tuple[Path, ...]:
+        """From which machine and scene were read; no output may replace one."""
+        return (*self.robot.files, *self.scene.files)
+
     def tip_path(self) -> NDArray[np.float64]:
         """(T, 3) positions of the tip at the samples [m], world."""
         kinematics = Kinematics(self.robot)
@@ -119,9 +124,10 @@ class Plan:
 
         Raises
         ------
-        OutputError: the folder does not exist or cannot be written.
+        OutputError: the folder does not exist or cannot be written; or the file is of the machine or the scene.
         """
         path = check_path(path, key="path")
+        check_output(path, self.input_files)
         with whole_file(path) as stream:
             stream.write(_record(self, path.parent).model_dump_json() + "\n")
 

@@ -13,7 +13,7 @@ from functools import lru_cache
 from importlib import resources
 from typing import Any
 
-from backhoe_planner.files.output_file import check_writable, whole_file
+from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.page_content import show_plan
@@ -34,9 +34,9 @@ def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
     Raises
     ------
-    OutputError: the folder does not exist or cannot be written.
+    OutputError: the folder does not exist or cannot be written; or the file is of the machine or the scene.
     """
-    check_writable(path)
+    check_output(path, plan.input_files)
     page, warnings = plan_page(plan)
     with whole_file(path) as stream:
         stream.write(page)

@@ -38,7 +38,7 @@ def plot_envelope(robot: Robot, path: str | os.PathLike[str]) -> None:
     side and the figures of its data sheet. For any other: the reach from above and from
     the side.
     """
-    figure = new_figure(path, 9.5, 7.2)
+    figure = new_figure(path, 9.5, 7.2, inputs=robot.files)
     envelope = working_envelope(robot)
     points = None if envelope is None else _in_plane(robot)
     if envelope is not None and points is not None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from backhoe_planner.errors import InputError, OutputError
-from backhoe_planner.files.output_file import check_writable, whole_file
+from backhoe_planner.files.output_file import check_output, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,12 +21,12 @@ _FORMATS = (".png", ".svg", ".pdf")
 _RESOLUTION = 150  # dots per inch; chosen, text of 8 points is readable on a screen
 
 
-def new_figure(path: str | os.PathLike[str], width: float, height: float) -> Figure:
+def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inputs: tuple[Path, ...] = ()) -> Figure:
     """A figure of this size [inches] that can be written to `path`; to be called before anything is computed.
 
     Raises
     ------
-    OutputError: the suffix is none of .png, .svg, .pdf, or the folder cannot be written.
+    OutputError: the suffix is none of .png, .svg, .pdf, the folder cannot be written, or the file is one of `inputs`.
     InputError: matplotlib is not installed.
     """
     suffix = Path(path).suffix.lower()
@@ -35,7 +35,7 @@ def new_figure(path: str | os.PathLike[str], width: float, height: float) -> Fig
             "a figure cannot be written in this format", file=os.fspath(path), found=suffix or "no suffix",
             allowed=", ".join(_FORMATS),
         )  # fmt: skip
-    check_writable(path)
+    check_output(path, inputs)
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError("figures need matplotlib", hint="pip install backhoe_planner[plots]")
     from matplotlib.figure import Figure

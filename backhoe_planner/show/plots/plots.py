@@ -46,10 +46,10 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    OutputError: another suffix, or the folder cannot be written.
+    OutputError: another suffix, the folder cannot be written, or the file is of the machine or the scene.
     InputError: matplotlib is not installed.
     """
-    figure = new_figure(path, _WIDTH, _PANEL)
+    figure = new_figure(path, _WIDTH, _PANEL, inputs=plan.input_files)
     problem = plan.problem
     frames = timeline(problem, plan.trajectory)
     panels: list[_Panel] = []

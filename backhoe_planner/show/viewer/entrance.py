@@ -67,7 +67,8 @@ class OwnPages(tornado.web.RequestHandler):
             found = urlsplit(origin)
         except ValueError:  # no address at all
             return False
-        return found.scheme in ("http", "https") and found.netloc.lower() == self.request.host.lower()
+        # another program may serve a page at the same port over another protocol
+        return found.scheme == self.request.protocol and found.netloc.lower() == self.request.host.lower()
 
     @property
     def may_enter(self) -> bool:
