@@ -65,20 +65,22 @@ def _machine(urdf: str, scene: bp.Scene | None, tip: str | None) -> tuple[bp.Rob
 
 def _print_held(robot: bp.Robot) -> None:
     """The joints that stand still, where, and why."""
-    if not robot.held:
-        return
-    table = Table("joint", "stands at", "why", box=None, pad_edge=False)
+    words = {"held": "held by the scene", "beside": "does not move the tip"}
+    rows, at_zero = [], []
     for joint in robot.held:
+        if joint.why != "held" and joint.position == 0.0:
+            at_zero.append(joint.name)
+            continue
         slides = robot.urdf.joints[joint.name].type == "prismatic"
-        why = {
-            "held": "held by the scene",
-            "copies": f"copies {joint.copies}",
-            "beside": "does not move the tip",
-        }[joint.why]
         at = f"{joint.position:.4g} m" if slides else f"{DEGREES * joint.position:.1f} deg ({joint.position:.4g} rad)"
-        table.add_row(joint.name, at, why)
-    OUT.print("\njoints that stand still")
-    OUT.print(table)
+        rows.append((joint.name, at, words.get(joint.why, f"copies {joint.copies}")))
+    if robot.held:
+        OUT.print("\njoints that stand still")
+    widths = [max((len(row[column]) for row in rows), default=0) for column in (0, 1)]
+    for name, at, why in rows:
+        OUT.print(f"  {name:<{widths[0]}}  {at:<{widths[1]}}  {why}")
+    if at_zero:
+        OUT.print(f"  at 0, since they do not move the tip: {', '.join(at_zero)}")
 
 
 def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:

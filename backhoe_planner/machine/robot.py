@@ -7,6 +7,7 @@ A robot does not change after loading.
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -18,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_number, as_vector
-from backhoe_planner.errors import InputError, check_kind, check_path
+from backhoe_planner.errors import InputError, RobotError, check_kind, check_path
 from backhoe_planner.machine.description.chain_model import chain_model
 from backhoe_planner.machine.description.held_joints import HeldJoint
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
@@ -311,6 +312,20 @@ class Robot:
         """
         hold = _checked_hold(hold)
         return self if hold == self.hold else self._rebuilt(self.tip, hold)
+
+    @cached_property
+    def as_described(self) -> Robot:
+        """The same machine with nothing held and the URDF's own limits; itself where it is that.
+
+        Where it cannot be without what is held, since a joint copies it, that stays held.
+        """
+        own = _limits(self.urdf, self.model)
+        same = np.array_equal(own.lower, self.limits.lower) and np.array_equal(own.upper, self.limits.upper)
+        if same and not self.hold:
+            return self
+        with contextlib.suppress(RobotError):
+            return self._rebuilt(self.tip, {})
+        return self._rebuilt(self.tip, self.hold)
 
     def _rebuilt(self, tip: str, hold: Mapping[str, float]) -> Robot:
         hydraulics = None if self.hydraulics is None else self.hydraulics.file

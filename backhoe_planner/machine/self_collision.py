@@ -12,7 +12,8 @@ tool) counts as itself. Left out are pieces
     that touch at the stop  of the joint's own two links, grazing at the ends of its range
     of links that touch     in nearly every posture, two or more joints apart, where the pieces often do
 
-Whatever else may touch somewhere counts.
+Whatever else may touch somewhere counts. What is held, or moves in narrower ranges than the URDF's, may
+touch in all postures and not by construction: such a pair counts if it does in the machine as described.
 """
 
 from __future__ import annotations
@@ -88,6 +89,43 @@ def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPa
     posture: n joint positions [rad or m], where the machine may stand outside of its joints' ranges:
         they are taken to reach so far.
     """
+    kept, reasons = _judged(robot, posture)
+    if robot.as_described is not robot:
+        _, whole = _judged(robot.as_described, None)
+        wrong = [pair for pair, (touch, _) in reasons.items() if touch and not whole.get(pair, (False, ""))[0]]
+        kept = sorted([*kept, *wrong])
+        reasons = {pair: reason for pair, reason in reasons.items() if pair not in wrong}
+    left_out = dict.fromkeys(LeftOut(*_links(robot, pair), *reason) for pair, reason in sorted(reasons.items()))
+    return SelfPairs(tuple(kept), tuple(left_out))
+
+
+def held_overlaps(robot: Robot) -> tuple[tuple[str, str, float], ...]:
+    """Links that held joints between the root and the tip put into each other, and how deep [m].
+
+    They are on one body while these are held, and must not touch where they are not.
+    """
+    whole = robot.as_described
+    if whole is robot:
+        return ()
+    model = geometry_model(robot)
+    pairs = [(a, b) for a, b in self_pairs(whole).kept if robot.pieces[a].joint == robot.pieces[b].joint]
+    for a, b in pairs:
+        model.addCollisionPair(pin.CollisionPair(a, b))
+    data, geometry = robot.model.createData(), model.createData()
+    pin.updateGeometryPlacements(robot.model, data, model, geometry, robot.nearest_zero)
+    deepest: defaultdict[tuple[str, str], float] = defaultdict(float)
+    for row, pair in enumerate(pairs):
+        depth = -float(shapes.measure(model, geometry, row).min_distance)
+        links = _links(robot, pair)
+        if depth > 0.0:
+            deepest[links] = max(deepest[links], depth)
+    return tuple((link, other, depth) for (link, other), depth in deepest.items())
+
+
+def _judged(
+    robot: Robot, posture: tuple[float, ...] | None
+) -> tuple[list[tuple[int, int]], dict[tuple[int, int], tuple[bool, str]]]:
+    """The pairs of pieces that must keep apart, and why the others need not, from this machine alone."""
     beside: list[list[tuple[int, int]]] = [[] for _ in range(robot.n)]  # on the bodies that this joint joins
     beyond: list[tuple[int, int]] = []
     for a, first in enumerate(robot.pieces):
@@ -103,8 +141,7 @@ def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPa
     for joint, pairs in enumerate(beside):
         reasons.update(_reasons_beside(robot, joint, pairs, None if posture is None else posture[joint]))
     kept = sorted(pair for pair in (*beyond, *(p for pairs in beside for p in pairs)) if pair not in reasons)
-    left_out = dict.fromkeys(LeftOut(*_links(robot, pair), *reason) for pair, reason in sorted(reasons.items()))
-    return SelfPairs(tuple(kept), tuple(left_out))
+    return kept, reasons
 
 
 def _links(robot: Robot, pair: tuple[int, int]) -> tuple[str, str]:

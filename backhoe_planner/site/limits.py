@@ -11,7 +11,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError, SceneError, check_kind
-from backhoe_planner.machine import DEFAULT_VELOCITY, JointLimits, Robot, TrackingTube, load_robot
+from backhoe_planner.machine import DEFAULT_VELOCITY, JointLimits, Robot, TrackingTube, held_overlaps, load_robot
 from backhoe_planner.site.joint_names import check_joint_names
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema.zone_kinds import SwingSector
@@ -83,9 +83,15 @@ def machine_on_site(robot: Robot, scene: Scene) -> Robot:
     Raises
     ------
     RobotError: see `joints_on_site`.
-    SceneError: see `joints_on_site` and `scaled_limits`; or the tracking error names a joint that does not move.
+    SceneError: see `joints_on_site` and `scaled_limits`; what is held puts links into each other; or the
+        tracking error names a joint that does not move.
     """
     robot = joints_on_site(robot, scene)
+    for link, other, depth in held_overlaps(robot):
+        raise SceneError(
+            f"puts {link} into {other}", file=scene.file, key="hold", found=f"an overlap of {depth:.3g} m",
+            allowed="positions in which the machine does not touch itself",
+        )  # fmt: skip
     if scene.limits.position or swing_sectors(robot, scene):
         limits = scaled_limits(robot, scene)
         robot = replace(robot, limits=replace(robot.limits, lower=limits.lower, upper=limits.upper))
@@ -162,7 +168,7 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
             f"the scene can give it (limits: {{effort: {{{names[0]}: ...}}}})"
         )
     if soft := {name: ends for name, ends in robot.soft_limits.items() if name not in position}:
-        ranges = ", ".join(f"{name}: [{low:g}, {high:g}]" for name, (low, high) in soft.items())
+        ranges = ", ".join(f"{name}: [{low!r}, {high!r}]" for name, (low, high) in soft.items())
         found.append(
             "the URDF's soft limits (safety_controller) are not used, only its limits; "
             f"the scene can narrow them (limits: {{position: {{{ranges}}}}})"

@@ -16,7 +16,9 @@ from backhoe_planner.machine import (
     Kinematics,
     Robot,
     digging_forces,
+    held_overlaps,
     load_robot,
+    self_pairs,
     working_envelope,
 )
 
@@ -237,6 +239,35 @@ def test_a_bucket_that_can_tilt_has_a_pitch_where_its_tilt_is_held(tmp_path: Pat
     held = robot.with_hold({"tilt": 0.8})
     assert held.has_pitch
     assert Kinematics(held).at(np.array([0.3, 0.4])).pitch == pytest.approx(0.7)
+
+
+def folding(tmp_path: Path) -> Robot:
+    """Three beams of 1 m, each with a ball of 0.1 m on its hinge, which is at the end of the one before."""
+    hub = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'
+    beam = '<collision><origin xyz="0.5 0 0"/><geometry><box size="0.9 0.05 0.05"/></geometry></collision>'
+    hinges = [hinge("first", "base", "a"), hinge("second", "a", "b"), hinge("third", "b", "c")]
+    links = ['<link name="base"/>', *(f'<link name="{name}">{hub}{beam}</link>' for name in "abc")]
+    path = tmp_path / "folding.urdf"
+    path.write_text(f'<robot name="folding">{"".join((*links, *hinges))}</robot>')
+    return load_robot(path)
+
+
+def test_links_that_touch_in_all_postures_that_are_left_are_no_pin(tmp_path: Path) -> None:
+    """The ball of the third hinge is 0.14 m from that of the first one, where the second joint is folded to 3 rad."""
+    robot = folding(tmp_path)
+    held = robot.with_hold({"second": 3.0})
+    kept = {(held.pieces[a].link, held.pieces[b].link) for a, b in self_pairs(held).kept}
+    assert ("c", "a") in kept
+    assert ("c", "a") not in {(pair.link, pair.other) for pair in self_pairs(held).left_out if pair.touch}
+
+
+def test_what_is_held_must_not_touch_itself(tmp_path: Path) -> None:
+    """The third arm is folded back through the first one, or stretched out."""
+    robot = folding(tmp_path)
+    folded = robot.with_hold({"second": 3.0, "third": 3.0})
+    assert ("c", "a") in {(link, other) for link, other, _ in held_overlaps(folded)}
+    assert held_overlaps(robot.with_hold({"second": 0.5, "third": 0.3})) == ()
+    assert held_overlaps(robot) == ()
 
 
 def test_figures_of_a_data_sheet_are_not_given_with_a_held_swing_or_bucket(backhoe: Robot) -> None:

@@ -157,7 +157,7 @@ def test_what_the_urdf_does_not_say_is_assumed_and_said(unlimited: bp.Robot) -> 
     assert "no velocity limit, or 0, for turn, spin: 1 rad/s is assumed" in velocity
     assert "limits: {velocity: {turn: ...}}" in velocity
     assert "no effort limit, or 0, for turn, spin" in effort
-    assert "limits: {position: {turn: [-0.5, 1]}}" in soft
+    assert "limits: {position: {turn: [-0.5, 1.0]}}" in soft
 
 
 def test_the_scene_gives_what_the_urdf_lacks(unlimited: bp.Robot) -> None:
@@ -190,3 +190,11 @@ def test_a_machine_that_cannot_be_loaded_without_its_held_joint(panda: bp.Robot)
         load_machine("example:panda", scene(READY, **tip))
     robot = load_machine("example:panda", scene(READY, hold={"panda_finger_joint1": 0.02}, **tip))
     assert robot.joint_names == panda.joint_names
+
+
+def test_a_hold_that_folds_the_machine_into_itself_is_refused(panda: bp.Robot) -> None:
+    """Panda's forearm is folded back as far as it goes beside the shoulder, and its wrist turned into that."""
+    inward = {"panda_joint3": 1.91, "panda_joint4": -3.07, "panda_joint5": -0.78, "panda_joint6": 0.28}
+    joints = {name: q for name, q in READY.items() if name not in inward}
+    with pytest.raises(SceneError, match=r"site.yaml: hold: puts panda_\w+ into panda_link\d; found an overlap of"):
+        bp.build_problem(panda, scene(joints, hold=inward))
