@@ -44,6 +44,7 @@ from .motion import Tracking as Tracking
 from .motion import Trajectory as Trajectory
 from .motion import build_problem as build_problem
 from .planning import AskedSpeed as AskedSpeed
+from .planning import Bound as Bound
 from .planning import DetourTotal as DetourTotal
 from .planning import Findings as Findings
 from .planning import LawComparison as LawComparison

@@ -96,6 +96,7 @@ def _print_motion(found: bp.Plan) -> None:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
         OUT.print(f"zones         {visits[0]}{more}")
     OUT.print(f"duration      {metrics.duration:.2f} s ({len(found.trajectory)} samples)")
+    _print_bound(found.bound)
     OUT.print(f"work          {describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})")
     _print_comparison(metrics.objective)
     _print_asked_speed(metrics.asked_speed)
@@ -155,6 +156,13 @@ def _loads(found: bp.Plan) -> str:
     present = {"payload": found.scene.payload > 0.0, "soil": found.scene.soil is not None}
     *first, last = ["gravity", "inertia", *(load for load, acts in present.items() if acts)]
     return f"{', '.join(first)} and {last}"
+
+
+def _print_bound(bound: bp.Bound | None) -> None:
+    """What no motion to the goal could fall short of, and how far above it the plan is; nothing along a path."""
+    if bound is not None:
+        longer = f"this one takes {bound.longer_percent:.0f} % longer"
+        OUT.print(f"bound         no motion can take less than {bound.duration:.2f} s ({longer})")
 
 
 def _print_comparison(compared: planning.LawComparison | None) -> None:

@@ -2,6 +2,9 @@ from .conditions import Condition as Condition
 from .costs import PathCost as PathCost
 from .costs import trajectory_costs as trajectory_costs
 from .costs import trajectory_energy as trajectory_energy
+from .goals import ANGLE_TOLERANCE as ANGLE_TOLERANCE
+from .goals import GOAL_TOLERANCE as GOAL_TOLERANCE
+from .goals import JOINT_TOLERANCE as JOINT_TOLERANCE
 from .goals import Goal as Goal
 from .keep import KEPT_TO as KEPT_TO
 from .keep import Keep as Keep

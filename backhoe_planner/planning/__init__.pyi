@@ -26,6 +26,7 @@ from .report.comparison import law_motion as law_motion
 from .report.comparison import least_norm_resolution as least_norm_resolution
 from .report.comparison import part_on_path as part_on_path
 from .report.comparison import stations_of as stations_of
+from .result.bound import Bound as Bound
 from .result.export import export_plan as export_plan
 from .result.findings import Findings as Findings
 from .result.findings import NearestPose as NearestPose

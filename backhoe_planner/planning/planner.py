@@ -22,6 +22,7 @@ from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
 from backhoe_planner.planning.path_planning import AlongPath, plan_along_path, waypoint_out_of_reach
 from backhoe_planner.planning.reactive.stepping import Watcher
+from backhoe_planner.planning.result.bound import measure_bound
 from backhoe_planner.planning.result.metrics import measure_motion
 from backhoe_planner.planning.result.plan import METHODS, Plan
 from backhoe_planner.planning.result.plan_file import Method
@@ -109,6 +110,7 @@ def plan(
         findings=outcome.findings,
         failure=outcome.reason,
         note=note,
+        bound=measure_bound(problem, outcome.trajectory, certificate, boxes=EFFORTS[effort].boxes),
     )
 
 

@@ -8,10 +8,15 @@ import numpy as np
 
 from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
 
-_ROUNDING = 1e-6  # part of a limit
+JOINTS_WITHIN = 1e-6  # part of a limit of the joints: rounding
 # part of the asked speed; chosen for motions from elsewhere: plans are timed to within 0.1 %
 _TIP_SPEED_WITHIN = 0.03
-_WITHIN = {"position": _ROUNDING, "velocity": _ROUNDING, "acceleration": _ROUNDING, "tip speed": _TIP_SPEED_WITHIN}
+_WITHIN = {
+    "position": JOINTS_WITHIN,
+    "velocity": JOINTS_WITHIN,
+    "acceleration": JOINTS_WITHIN,
+    "tip speed": _TIP_SPEED_WITHIN,
+}
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_
 from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, shipped_folder
 from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
+from backhoe_planner.planning.result.bound import Bound
 from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import Metrics
 from backhoe_planner.planning.result.plan_file import (
@@ -56,6 +57,8 @@ class Plan:
     findings: what the planner found out on the way, such as what is in the way.
     failure: why planning failed, by the planner; empty where it did not.
     note: the same in a sentence, with its numbers; also that time ran out while the motion was made better.
+    bound: what no motion to the goal could fall short of; None along a path, and where the plan is not verified.
+        Of a plan that was read, what its file says.
     """
 
     problem: Problem
@@ -67,6 +70,7 @@ class Plan:
     findings: Findings = NOTHING
     failure: Reason = ""
     note: str = ""
+    bound: Bound | None = None
 
     @property
     def robot(self) -> Robot:
@@ -190,6 +194,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
         findings=record.findings,
         failure=record.reason,
         note=note,
+        bound=record.bound if certificate.verified else None,
     )
 
 
@@ -222,6 +227,7 @@ def _record(plan: Plan, folder: Path | None) -> PlanRecord:
         certificate=CertificateRecord.of(plan.certificate),
         metrics=plan.metrics,
         findings=plan.findings,
+        bound=plan.bound,
     )
 
 

@@ -17,6 +17,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, StrictInt, Validation
 from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.motion import Detour, Trajectory
+from backhoe_planner.planning.result.bound import Bound
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.metrics import Metrics
 from backhoe_planner.proof import Certificate
@@ -225,6 +226,8 @@ class PlanRecord(Record):
     certificate: CertificateRecord
     metrics: Metrics
     findings: Findings = Findings()
+    bound: Bound | None = None
+    """What no motion to the goal could fall short of."""
 
     @model_validator(mode="before")
     @classmethod

@@ -1,0 +1,122 @@
+"""What follows from the features of a goal for boxes of configurations.
+
+For a direction w in the space of the features, a configuration in the box around c is on the goal only where
+
+    w . (J d + d^T H d / 2) >= w . error - sum_g |w_g| slack_g,    d = q - c.
+
+The left side is bounded joint by joint, exactly but for the products of two joints.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Flags, Matrix
+from backhoe_planner.proof.goal_features import Features
+
+_STEPS = 3  # of the descent to a direction; chosen: further ones cost more boxes than they save
+_DAMPING = 1e-3  # part of the mean square of the derivatives; chosen, keeps the equations solvable
+_LEAST_SHARE = 1e-3  # of a joint's part in its own row, below which the row says nothing about it; chosen
+_TINY = 1e-300
+
+
+def best_directions(features: Features, low: Matrix, high: Matrix) -> Matrix:
+    """(B, m) directions along which boxes low .. high (B, n) around their middles are likely to miss the goal.
+
+    The gradient, at its least within the box, of the squared error over what is unsure of it; any
+    other direction would be as true. 0 where the first order alone reaches the goal.
+    """
+    half = np.maximum(np.maximum(-low, high), 0.0)
+    bend = 0.5 * np.einsum("bmij,bi,bj->bm", np.abs(features.H), half, half)
+    unsure = _lengths(features, bend) + features.slack
+    weight = (1.0 / unsure**2)[:, features.group]
+    square = half * half
+    step = square / np.maximum(np.einsum("bmn,bn,bm->b", features.J**2, square, weight), _TINY)[:, None]
+    x = np.zeros_like(low)
+    for turn in range(_STEPS + 1):
+        x = np.minimum(np.maximum(x, low), high)
+        off = features.error - np.einsum("bmn,bn->bm", features.J, x)
+        size = _lengths(features, off)
+        with np.errstate(invalid="ignore"):
+            left = np.where(size > features.slack, 1.0 - features.slack / np.maximum(size, _TINY), 0.0)
+        w = weight * off * left[:, features.group]
+        if turn < _STEPS:
+            x = x + step * np.einsum("bmn,bm->bn", features.J, w)
+    return np.asarray(w)
+
+
+class DirectionTest:
+    """The test along one direction w (B, m) of every box."""
+
+    def __init__(self, features: Features, w: Matrix) -> None:
+        self._g = np.einsum("bm,bmn->bn", w, features.J)
+        self._h = np.einsum("bm,bmij->bij", w, features.H)
+        self._own = np.einsum("bii->bi", self._h)
+        self._across = np.abs(self._h)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._top = np.where(self._own < 0.0, -self._g / self._own, np.inf)
+        lengths = _lengths(features, w)
+        with np.errstate(invalid="ignore"):
+            slack = np.where(lengths > 0.0, lengths * features.slack, 0.0).sum(axis=1)
+        self._needed = np.einsum("bm,bm->b", w, features.error) - slack
+
+    def misses(self, low: Matrix, high: Matrix) -> Flags:
+        """(B,) whether no configuration with low <= d <= high (B, n), within the box, is on the goal."""
+        g, own, top = self._g, self._own, self._top
+        found = np.maximum((g + 0.5 * own * low) * low, (g + 0.5 * own * high) * high)
+        inside = (top > low) & (top < high)
+        found = np.where(inside, 0.5 * g * np.where(inside, top, 0.0), found).sum(axis=1)
+        size = np.maximum(np.abs(low), np.abs(high))
+        squared = size * size
+        across = np.einsum("bij,bi,bj->b", self._across, size, size) - np.einsum("bi,bi->b", np.abs(own), squared)
+        return np.asarray(found + 0.5 * across < self._needed)
+
+
+def contracted(features: Features, half: Matrix) -> tuple[Matrix, Matrix]:
+    """(B, n), (B, n) between which d must lie on the goal, in boxes of the half widths `half` (B, n).
+
+    For each joint along the direction that least depends on the others. The first is above the second
+    where no configuration is on the goal.
+    """
+    n = half.shape[1]
+    known = np.isfinite(features.slack)
+    rows = known[:, features.group]
+    slack, error = np.where(known, features.slack, 0.0), np.where(rows, features.error, 0.0)
+    J = np.where(rows[:, :, None], features.J, 0.0)
+    scaled = J * half[:, None, :]
+    square = np.swapaxes(scaled, 1, 2) @ scaled
+    square[:, range(n), range(n)] += _DAMPING * np.einsum("bii->b", square)[:, None] / n + _TINY
+    W = np.linalg.solve(square, np.swapaxes(scaled, 1, 2))  # (B, n, m)
+    g = W @ J
+    h = (W @ features.H.reshape(len(W), -1, n * n)).reshape(-1, n, n, n)
+    lengths = np.stack(
+        [np.sqrt((W[:, :, features.group == k] ** 2).sum(axis=2)) for k in range(slack.shape[1])], axis=2
+    )
+    wide = (lengths * slack[:, None, :]).sum(axis=2)
+    middle = np.einsum("bjm,bm->bj", W, error)
+    squared = half * half
+    own = 0.5 * np.einsum("bjii->bji", h) * squared[:, None, :]
+    across = 0.5 * np.einsum("bjik,bi,bk->bj", np.abs(h), half, half) - np.abs(own).sum(axis=2)
+    part = np.abs(g) * half[:, None, :]
+    share = np.einsum("bjj->bj", g)
+    others = part.sum(axis=2) - np.einsum("bjj->bj", part) + across + wide
+    with np.errstate(divide="ignore", invalid="ignore"):
+        least = (middle - others - np.maximum(own, 0.0).sum(axis=2)) / share
+        most = (middle + others - np.minimum(own, 0.0).sum(axis=2)) / share
+    says = share * half > _LEAST_SHARE
+    return np.where(says, np.maximum(least, -half), -half), np.where(says, np.minimum(most, half), half)
+
+
+def bends(features: Features, half: Matrix) -> Matrix:
+    """(B, n) how much of the second order, and of the first a fifth, is each joint's, in boxes of these half widths.
+
+    Where a box is halved in the joint with the most of it, the tests gain most; chosen by trial.
+    """
+    second = np.einsum("bmij,bj->bi", np.abs(features.H), half)
+    return np.asarray(half * (second + 0.2 * np.abs(features.J).sum(axis=1)))
+
+
+def _lengths(features: Features, vectors: Matrix) -> Matrix:
+    """(B, g) the length of each group of `vectors` (B, m)."""
+    groups = range(features.slack.shape[1])
+    return np.stack([np.sqrt((vectors[:, features.group == k] ** 2).sum(axis=1)) for k in groups], axis=1)

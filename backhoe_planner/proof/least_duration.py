@@ -1,0 +1,212 @@
+"""A lower bound of the duration of every motion to a goal: branch and bound over boxes of configurations.
+
+The bound of a box is the least time in which the joints get to any configuration of it from rest to
+rest (`least_times`). It is dropped where none of its configurations is on the goal (`box_tests`).
+Its bound rises to t where none of those that can be reached in the time t is on the goal. The
+bound of all motions is the least of the boxes that are left; the box with the lowest is halved.
+
+What stands in the way is not looked at, nor what torques and engine power allow: they make
+every motion slower still.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.motion import Problem
+from backhoe_planner.proof.box_tests import DirectionTest, bends, best_directions, contracted
+from backhoe_planner.proof.goal_features import Features, GoalRegion, goal_regions
+from backhoe_planner.proof.least_times import LeastTimes
+
+_NEAR = 0.01  # part of a known duration: a bound nearer to it is near enough; chosen
+_AT_ONCE = 64  # boxes that are halved together; chosen: more are cheaper each, but fewer have the lowest bound
+_LEVELS = 256  # of the time, at which boxes are tested; chosen: they are two fifths of a percent apart
+_INNERMOST = 26  # of these levels: the least that the first box reaches to; chosen, a tenth
+_NEXT_SHELL = 1.25  # times the level at which a shell begins: where it ends; chosen among 1.1 to 3 on random sites
+
+
+@dataclass(frozen=True)
+class LeastDuration:
+    """What no motion to the goal falls short of.
+
+    Attributes
+    ----------
+    duration: no motion takes less [s].
+    settled: whether the search ended because the bound is near what is known to be possible.
+    boxes: how many were looked at.
+    """
+
+    duration: float
+    settled: bool
+    boxes: int
+
+
+def least_duration(
+    problem: Problem, start: Vector, *, known: float, end: Vector | None = None, boxes: int
+) -> LeastDuration:
+    """A lower bound of the duration of every motion from rest at `start` to rest on the goal.
+
+    It holds for every motion that the certificate would accept, with what it allows a sampled motion.
+
+    Parameters
+    ----------
+    problem: with a goal.
+    start: (n,) where the joints are at rest [rad or m].
+    known: the duration of one motion [s]; the bound is not sought any nearer to it than 1 %.
+    end: (n,) where that motion ends [rad or m]: nor is it sought nearer than 1 % to the least
+        time that the joints take there, whatever is in the way.
+    boxes: how many may be looked at.
+    """
+    if known <= 0.0:
+        return LeastDuration(0.0, True, 0)
+    times = LeastTimes(problem, start, longest=known)
+    if end is not None:
+        known = float(times.to_boxes(end[None], end[None])[0])
+    found, looked, settled = (1.0 - _NEAR) * known, 0, True
+    for goal in goal_regions(problem):
+        search = _Search(times, goal, found)
+        search.run(boxes - looked)
+        looked += search.looked
+        settled = settled and not len(search.open)
+        found = search.least
+    return LeastDuration(found, settled, looked)
+
+
+@dataclass(frozen=True, eq=False)
+class _Boxes:
+    """B boxes.
+
+    Attributes
+    ----------
+    lower, upper: (B, n) [rad or m].
+    bound: (B,) the least time to any configuration on the goal in each [s].
+    joint: (B,) in which each is to be halved.
+    """
+
+    lower: Matrix
+    upper: Matrix
+    bound: Vector
+    joint: Indices
+
+    def __len__(self) -> int:
+        return len(self.bound)
+
+    def take(self, rows: Indices) -> _Boxes:
+        """The boxes at `rows`."""
+        return _Boxes(self.lower[rows], self.upper[rows], self.bound[rows], self.joint[rows])
+
+    def with_others(self, other: _Boxes) -> _Boxes:
+        """These and the others."""
+        return _Boxes(
+            np.vstack((self.lower, other.lower)), np.vstack((self.upper, other.upper)),
+            np.append(self.bound, other.bound), np.append(self.joint, other.joint),
+        )  # fmt: skip
+
+    def halved(self) -> tuple[Matrix, Matrix]:
+        """(2 B, n), (2 B, n) the lower halves, then the upper ones."""
+        rows = np.arange(len(self))
+        middle = 0.5 * (self.lower[rows, self.joint] + self.upper[rows, self.joint])
+        below, above = self.upper.copy(), self.lower.copy()
+        below[rows, self.joint] = above[rows, self.joint] = middle
+        return np.vstack((self.lower, above)), np.vstack((below, self.upper))
+
+
+class _Search:
+    """The search for one goal, below the time `target` [s].
+
+    Attributes
+    ----------
+    open: the boxes in which there may be a configuration on the goal that is reached in less.
+    looked: how many were looked at.
+    """
+
+    def __init__(self, times: LeastTimes, goal: GoalRegion, target: float) -> None:
+        self._times, self._goal, self._target = times, goal, target
+        self._level = np.linspace(0.0, target, _LEVELS + 1)
+        down, up = times.reach(self._level)
+        self._from, self._to = times.start - down, times.start + up
+        lower, upper = self._shells()
+        self.open = self._look(lower, upper, np.zeros(len(lower)))
+        self.looked = len(self._level) + len(lower)
+
+    @property
+    def least(self) -> float:
+        """No motion to this goal takes less, if less than the target [s]."""
+        return float(np.min(self.open.bound, initial=self._target))
+
+    def run(self, most: int) -> None:
+        """Halve boxes until none is left, or `most` have been looked at."""
+        while len(self.open) and self.looked < most:
+            count = min(_AT_ONCE, len(self.open))
+            order = np.argpartition(self.open.bound, count - 1)
+            lowest = self.open.take(order[:count])
+            found = self._look(*lowest.halved(), np.tile(lowest.bound, 2))
+            self.looked += 2 * count
+            self.open = self.open.take(order[count:]).with_others(found)
+
+    def _shells(self) -> tuple[Matrix, Matrix]:
+        """(B, n), (B, n) boxes that cover what is reached within the target, one shell around the other.
+
+        What misses the goal as a whole is left out. In a shell one joint is far from the start, so
+        that each of its boxes has a bound from the beginning.
+        """
+        features = self._goal.features(self._from, self._to)
+        low, high = self._from - features.middle, self._to - features.middle
+        missed = DirectionTest(features, best_directions(features, low, high)).misses(low, high)
+        inner = int(np.max(np.flatnonzero(missed), initial=0))
+        lower, upper = [], []
+        if inner < _INNERMOST:
+            inner = _INNERMOST
+            lower.append(self._from[inner])
+            upper.append(self._to[inner])
+        while inner < _LEVELS:
+            outer = int(_NEXT_SHELL * inner) if _NEXT_SHELL**2 * inner < _LEVELS else _LEVELS
+            (a, b), (c, d) = self._from[[outer, inner]], self._to[[inner, outer]]
+            for joint in range(len(a)):
+                for least, most in ((a[joint], b[joint]), (c[joint], d[joint])):
+                    if least == most:  # the joint is at its limit
+                        continue
+                    lower.append(np.concatenate((b[:joint], [least], a[joint + 1 :])))
+                    upper.append(np.concatenate((c[:joint], [most], d[joint + 1 :])))
+            inner = outer
+        return np.reshape(lower, (-1, len(self._times.start))), np.reshape(upper, (-1, len(self._times.start)))
+
+    def _look(self, lower: Matrix, upper: Matrix, bound: Vector) -> _Boxes:
+        """What is left of boxes with these bounds, each of them contracted."""
+        bound = np.maximum(bound, self._times.to_boxes(lower, upper))
+        rows = np.flatnonzero(bound < self._target)
+        lower, upper, bound = lower[rows], upper[rows], bound[rows]
+        if not len(rows):
+            return _Boxes(lower, upper, bound, rows)
+        features = self._goal.features(lower, upper)
+        half = 0.5 * (upper - lower)
+        bound = np.maximum(bound, self._level[self._missed_up_to(features, lower, upper, bound)])
+        least, most = contracted(features, half)
+        rows = np.flatnonzero((bound < self._target) & (least <= most).all(axis=1))
+        lower, upper = (features.middle + least)[rows], (features.middle + most)[rows]
+        bound = np.maximum(bound[rows], self._times.to_boxes(lower, upper))
+        joint = np.argmax(bends(features, 0.5 * (most - least))[rows], axis=1)
+        found = _Boxes(lower, upper, bound, joint)
+        return found.take(np.flatnonzero(bound < self._target))
+
+    def _missed_up_to(self, features: Features, lower: Matrix, upper: Matrix, bound: Vector) -> Indices:
+        """(B,) the greatest level found in whose time no configuration of a box is reached that is on the goal."""
+        middle = features.middle
+
+        def ends(level: Indices) -> tuple[Matrix, Matrix]:
+            return np.maximum(lower, self._from[level]) - middle, np.minimum(upper, self._to[level]) - middle
+
+        missed = np.minimum((bound / self._target * _LEVELS).astype(np.intp), _LEVELS - 1)
+        test = DirectionTest(features, best_directions(features, *ends(missed + 1)))
+        level = np.full(len(bound), _LEVELS)
+        reached = level + 1  # where it is not known to miss
+        while (reached - missed > 1).any():
+            going = reached - missed > 1
+            misses = test.misses(*ends(level))
+            missed = np.where(going & misses, level, missed)
+            reached = np.where(going & ~misses, level, reached)
+            level = np.maximum((missed + reached) // 2, 0)
+        return missed

@@ -1,0 +1,253 @@
+"""The least time in which the joints get from rest at one place to rest at another.
+
+It holds for every motion that the certificate accepts, so what the certificate allows a
+sampled motion is added to the limits. With the period S of `SAMPLE_PERIOD`, a motion of the
+duration T, and a limit a of the acceleration, no segment of the motion is faster than
+
+    u <= a (t + 3 S / 2),    u <= a (T - t + 3 S / 2)          at any time t on it,
+
+since each corner changes the velocity by at most a times the lesser of S and the half segments
+beside it, at the ends a whole one. Summed up over the segments, a joint gets no further than
+a S^2 more than a continuous motion of the duration T + S; in between, the segments at most S / 2
+from either end of a ramp count twice, which is where a S^2 comes from.
+
+The oil that a cylinder takes from one joint position to another is the integral of its piston's
+area over the rod's travel. Whatever way the other joints take, this joint passes every position
+between. The certificate looks at the flow at least every 0.025 rad of a joint, between these
+moments in the middle; the midpoint rule is off by at most f'' d^3 / 24, which is taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine import Hydraulics
+from backhoe_planner.motion import DRIVE_TOLERANCE, SAMPLE_PERIOD, Problem
+from backhoe_planner.proof.limits import JOINTS_WITHIN
+
+_LATE = 1.5 * SAMPLE_PERIOD  # s by which a sampled motion may be ahead of its ramps
+_LOOKED_AT = 0.025  # rad or m of a joint between two moments at which the certificate looks at the drive
+_GRID = 0.004  # rad or m, of the tables over a joint's range; chosen, well below `_LOOKED_AT`
+_ABOVE = 1.0001  # times the greatest at a grid point: what lies between them is above it by less
+_MOMENTS = 2000  # of a table over time; chosen: the bound loses a four-thousandth of the longest time
+_MOST_TOGETHER = 4  # joints of which all combinations are looked at; with more, each alone and all together
+_ROUNDING = 1e-9  # part of a greatest need; far above that of the sums
+_BESIDE = 1e-6  # rad or m, by which the certificate lets a joint be outside of its range; see `JOINTS_WITHIN`
+
+
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """What a joint needs to get away from its start on one side.
+
+    Attributes
+    ----------
+    offset: (K,) distances from the start [rad or m], from 0.
+    need: (K,) at least so much of the oil [m^3], or of the time at the valves' greatest speed [s].
+    most: the greatest need per rad or m anywhere in the range.
+    """
+
+    offset: Vector
+    need: Vector
+    most: float
+
+    def at(self, gap: Array) -> Array:
+        """The need of getting `gap` away."""
+        return np.asarray(np.interp(gap, self.offset, self.need))
+
+    def reach(self, need: Array) -> Array:
+        """How far `need` is enough for at most [rad or m]."""
+        # where nothing more is needed for a while, the furthest counts
+        rising = self.need + _ROUNDING * self.need[-1] * np.linspace(0.0, 1.0, len(self.need))
+        found = np.interp(need + _ROUNDING * self.need[-1], rising, self.offset)
+        return np.asarray(np.where(need >= self.need[-1], np.inf, found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Supply:
+    """How much there can be of something up to the middle of a motion: H(t), with T the duration 2 H(T / 2).
+
+    Attributes
+    ----------
+    time: (K,) [s]; amount: (K,) never below H.
+    """
+
+    time: Vector
+    amount: Vector
+
+    def duration(self, need: Array) -> Array:
+        """The least duration that gives `need` [s]; at most that of the table."""
+        return np.asarray(2.0 * np.interp(0.5 * need, self.amount, self.time))
+
+    def within(self, duration: Array) -> Array:
+        """The most that a motion of this `duration` [s] can have."""
+        return np.asarray(2.0 * np.interp(0.5 * duration, self.time, self.amount))
+
+
+class LeastTimes:
+    """The least times from one place, for one problem's limits.
+
+    Parameters
+    ----------
+    start: (n,) where the joints are at rest [rad or m].
+    longest: times are looked at up to this one [s]; where a motion needs more, this is what is said.
+    """
+
+    def __init__(self, problem: Problem, start: Vector, *, longest: float) -> None:
+        limits = problem.limits
+        self.start, self.longest = start, longest
+        self._v, self._a = limits.velocity * (1.0 + JOINTS_WITHIN), limits.acceleration * (1.0 + JOINTS_WITHIN)
+        self.lower, self.upper = limits.lower - _BESIDE, limits.upper + _BESIDE
+        self._hydraulics = problem.robot.hydraulics
+        self._oil: dict[int, tuple[_Side, _Side]] = {}  # of every joint with a cylinder: upwards, downwards
+        self._slow: dict[int, tuple[_Side, _Side]] = {}
+        self._supplies: dict[tuple[tuple[int, ...], tuple[int, ...]], _Supply] = {}
+        self._valves: dict[tuple[int, int], _Supply] = {}
+        if self._hydraulics is not None:
+            self._flow = self._hydraulics.pump_flow * (1.0 + DRIVE_TOLERANCE)
+            for joint in sorted(set(self._hydraulics.joint_of.tolist())):
+                self._oil[joint], self._slow[joint] = self._tables(self._hydraulics, joint)
+
+    def to_boxes(self, lower: Matrix, upper: Matrix) -> Vector:
+        """(B,) no motion gets from the start to rest in the box `lower` .. `upper` (B, n) in less time [s]."""
+        gap = np.maximum(np.maximum(lower - self.start, self.start - upper), 0.0)
+        found = self._alone(gap).max(axis=1)
+        if self._oil:
+            side = np.where(lower > self.start, 0, np.where(upper < self.start, 1, 2))
+            self._by_valves(found, side, gap)
+            self._by_pump(found, side, gap)
+        return np.asarray(np.minimum(found, self.longest))
+
+    def _by_valves(self, found: Vector, side: Indices, gap: Matrix) -> None:
+        """Raise the times `found` (B,) to what the valves allow each joint by itself."""
+        for joint, sides in self._slow.items():
+            for way in (0, 1):
+                rows = np.flatnonzero(side[:, joint] == way)
+                need = sides[way].at(gap[rows, joint])
+                found[rows] = np.maximum(found[rows], self._valve(joint, way).duration(need))
+
+    def _by_pump(self, found: Vector, side: Indices, gap: Matrix) -> None:
+        """Raise the times `found` (B,) to what the pump allows the joints together."""
+        joints = list(self._oil)
+        for ways in np.unique(side[:, joints], axis=0):
+            rows = np.flatnonzero((side[:, joints] == ways).all(axis=1))
+            way_of = {joint: way for joint, way in zip(joints, ways.tolist(), strict=True) if way < 2}
+            needs = {joint: self._oil[joint][way].at(gap[rows, joint]) for joint, way in way_of.items()}
+            for together in _combinations(list(needs)):
+                supply = self._supply(together, tuple(way_of[joint] for joint in together))
+                need = np.sum([needs[joint] for joint in together], axis=0)
+                found[rows] = np.maximum(found[rows], supply.duration(need))
+
+    def reach(self, duration: Vector) -> tuple[Matrix, Matrix]:
+        """(K, n), (K, n) how far each joint can get downwards and upwards, and stop, in `duration` (K,) [rad or m]."""
+        peak = np.minimum(self._v, 0.5 * self._a * (duration[:, None] + SAMPLE_PERIOD))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ramp = np.where(peak > 0.0, peak / self._a, 0.0)
+        most = peak * (duration[:, None] + SAMPLE_PERIOD - ramp) + self._a * SAMPLE_PERIOD**2
+        down, up = most.copy(), most
+        for joint in self._oil:
+            for way, reached in enumerate((up, down)):
+                for side, supply in (
+                    (self._slow[joint][way], self._valve(joint, way)),
+                    (self._oil[joint][way], self._supply((joint,), (way,))),
+                ):
+                    reached[:, joint] = np.minimum(reached[:, joint], side.reach(supply.within(duration)))
+        return (
+            np.minimum(down, np.maximum(self.start - self.lower, 0.0)),
+            np.minimum(up, np.maximum(self.upper - self.start, 0.0)),
+        )
+
+    def _alone(self, gap: Array) -> Array:
+        """(B, n) least time of each joint by itself, over the distance `gap` (B, n) [s]."""
+        way = np.maximum(gap - self._a * SAMPLE_PERIOD**2, 0.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            short = 2.0 * np.sqrt(way / self._a)
+            found = np.where(way * self._a <= self._v**2, short, way / self._v + self._v / self._a)
+        return np.asarray(np.where(way > 0.0, np.maximum(found - SAMPLE_PERIOD, 0.0), 0.0))
+
+    def _tables(self, hydraulics: Hydraulics, joint: int) -> tuple[tuple[_Side, _Side], tuple[_Side, _Side]]:
+        """What a joint needs of the oil, and of the time at the valves' greatest speed, upwards and downwards."""
+        most = (self._v[joint] + 1e-3) * (self.longest + SAMPLE_PERIOD)
+        ends = [min(most, max(room, 0.0)) for room in (self.upper[joint] - self.start[joint],
+                                                      self.start[joint] - self.lower[joint])]  # fmt: skip
+        offsets = [np.linspace(0.0, end, int(np.ceil(end / _GRID)) + 2) for end in ends]
+        below, above = self.start[joint] - offsets[1][::-1], self.start[joint] + offsets[0]
+        swept: tuple[list[Vector], list[Vector]] = ([], [])
+        slow: tuple[list[Vector], list[Vector]] = ([], [])
+        for way, sign in enumerate((1.0, -1.0)):
+            for x in (above, below):
+                q = np.tile(self.start, (len(x), 1))
+                q[:, joint] = x
+                v = np.zeros_like(q)
+                v[:, joint] = sign
+                swept[way].append(np.nan_to_num(hydraulics.total_flow(q, v)))
+                limit = hydraulics.velocity_limits(q)
+                speed = (limit.positive if way == 0 else limit.negative)[:, joint]
+                slow[way].append(np.nan_to_num(1.0 / ((1.0 + DRIVE_TOLERANCE) * speed)))
+        found = []
+        for upwards, downwards in (swept, slow):
+            # upwards over what is above, downwards over what is below; the greatest over all of the range
+            most = [_ABOVE * max(float(np.max(part)) for part in way) for way in (upwards, downwards)]
+            found.append((
+                _Side(offsets[0], _integral(offsets[0], upwards[0]), most[0]),
+                _Side(offsets[1], _integral(offsets[1], downwards[1][::-1]), most[1]),
+            ))  # fmt: skip
+        return found[0], found[1]
+
+    def _supply(self, joints: tuple[int, ...], ways: tuple[int, ...]) -> _Supply:
+        """The oil that these `joints`, each moving its way, can take."""
+        if (joints, ways) not in self._supplies:
+            most = [self._oil[joint][way].most for joint, way in zip(joints, ways, strict=True)]
+            self._supplies[joints, ways] = self._table_of(self._flow, list(joints), most)
+        return self._supplies[joints, ways]
+
+    def _valve(self, joint: int, way: int) -> _Supply:
+        """The time at the valves' greatest speed that a joint can have: it grows no faster than time itself."""
+        if (joint, way) not in self._valves:
+            self._valves[joint, way] = self._table_of(1.0, [joint], [self._slow[joint][way].most])
+        return self._valves[joint, way]
+
+    def _table_of(self, limit: float, joints: list[int], most: list[float]) -> _Supply:
+        time = np.linspace(0.0, 0.5 * self.longest, _MOMENTS + 1)
+        rate = np.zeros(len(time))
+        for joint, per_joint in zip(joints, most, strict=True):
+            rate += per_joint * np.minimum(self._v[joint], self._a[joint] * (time + _LATE))
+        rate = np.minimum(rate, limit)
+        # the rate grows, so that the greater of each two is never too little
+        return _Supply(time, np.append(0.0, np.cumsum(rate[1:] * np.diff(time))))
+
+
+def _integral(x: Vector, density: Vector) -> Vector:
+    """(K,) at least so much has been needed up to each x (K,), where `density` (K,) is needed per rad or m."""
+    step = x[1] - x[0]
+    if step == 0.0:
+        return np.zeros(len(x))
+    bend = np.zeros(len(x))
+    bend[1:-1] = np.abs(np.diff(density, 2)) / step**2 if len(x) > 2 else 0.0
+    reach = int(np.ceil(_LOOKED_AT / step))
+    bend = _greatest_beside(bend, reach + 1)
+    sure = density - bend * (_LOOKED_AT**2 / 24.0 + step**2 / 12.0)
+    sure = np.where(_greatest_beside((sure < 0.0).astype(float), reach) > 0.0, 0.0, sure)
+    total = np.append(0.0, np.cumsum(0.5 * (sure[1:] + sure[:-1]) * step))
+    slope = float(np.max(np.abs(np.diff(sure)), initial=0.0)) / step
+    return np.asarray(np.maximum(total - slope * step**2 / 8.0, 0.0))
+
+
+def _greatest_beside(values: Vector, reach: int) -> Vector:
+    """(K,) the greatest of `values` (K,) within `reach` places."""
+    padded = np.pad(values, reach, mode="edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1))
+
+
+def _combinations(joints: list[int]) -> Iterator[tuple[int, ...]]:
+    """Which joints are looked at together."""
+    if len(joints) > _MOST_TOGETHER:
+        yield from ((joint,) for joint in joints)
+        yield tuple(joints)
+        return
+    for count in range(1, len(joints) + 1):
+        yield from combinations(joints, count)

@@ -1,0 +1,78 @@
+"""The bound beside a plan to a goal, in the plan and in its file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.machine import load_robot
+from backhoe_planner.proof import least_duration
+from validation.habitats import load_machine
+from validation.sites import SiteKey, random_site
+
+FREE = {"version": 1, "start": {"joints": {f"joint{j}": 0.0 for j in range(1, 5)}}}
+BENT = {"joints": {"joint1": 1.6, "joint2": 0.4, "joint3": -0.3, "joint4": 0.2}}
+
+
+@pytest.fixture(scope="module")
+def to_a_posture() -> bp.Plan:
+    """Nothing is in the way, and joint 1 has the longest way."""
+    scene = bp.scene_from_dict(FREE | {"task": {"goal": BENT}})
+    return bp.plan(load_robot("example:planar4"), scene, effort="quick")
+
+
+def test_a_plan_at_its_joints_limits_is_bounded_within_2_percent(to_a_posture: bp.Plan) -> None:
+    """1.6 rad at 1 rad/s, and 0.5 s for both ramps at 2 rad/s^2."""
+    bound = to_a_posture.bound
+    assert bound is not None
+    assert bound.settled
+    assert 0.98 * 2.1 < bound.duration < 2.1
+    assert to_a_posture.trajectory.duration <= 1.02 * 2.1
+    longer = to_a_posture.trajectory.duration / bound.duration - 1.0
+    assert bound.longer_percent == pytest.approx(100.0 * longer)
+
+
+def test_the_bound_stands_in_the_plan_file(to_a_posture: bp.Plan, tmp_path: Path) -> None:
+    file = tmp_path / "plan.json"
+    to_a_posture.save(file)
+    assert bp.load_plan(file).bound == to_a_posture.bound
+    content = json.loads(file.read_text())
+    assert set(content["bound"]) == {"duration", "longer_percent", "settled"}
+    del content["bound"]  # as in older files
+    file.write_text(json.dumps(content))
+    assert bp.load_plan(file).bound is None
+
+
+def test_what_is_not_verified_has_no_bound(to_a_posture: bp.Plan, tmp_path: Path) -> None:
+    """A plan file whose motion was made too fast still says what it said before."""
+    file = tmp_path / "plan.json"
+    motion = to_a_posture.trajectory
+    replace(to_a_posture, trajectory=bp.Trajectory.from_steps(0.5 * motion.time, motion.q)).save(file)
+    loaded = bp.load_plan(file)
+    assert not loaded.verified
+    assert loaded.bound is None
+
+
+def test_a_plan_along_a_path_has_no_bound(around_a_ball: bp.Plan) -> None:
+    assert around_a_ball.verified
+    assert around_a_ball.bound is None
+
+
+@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("machine", ["planar4", "backhoe", "panda"])
+def test_plans_of_random_sites_take_longer(machine: str, index: int) -> None:
+    """Also where the search does not know how long a motion takes, nor where it ends."""
+    robot = load_machine(machine)
+    scene = random_site(robot, SiteKey(machine, ("open", "cluttered")[index % 2], "goal", index)).scene
+    plan = bp.plan(robot, scene, effort="quick")
+    if not plan.verified:
+        pytest.skip("no plan")
+    duration = plan.trajectory.duration
+    assert plan.bound is not None
+    assert 0.0 < plan.bound.duration <= duration
+    unknown = least_duration(plan.problem, plan.trajectory.q[0], known=2.0 * duration, boxes=1_000)
+    assert unknown.duration <= duration
