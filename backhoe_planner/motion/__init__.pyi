@@ -1,4 +1,7 @@
 from .conditions import Condition as Condition
+from .conditions import HeightBound as HeightBound
+from .conditions import PitchBand as PitchBand
+from .conditions import RotationCone as RotationCone
 from .costs import PathCost as PathCost
 from .costs import trajectory_costs as trajectory_costs
 from .costs import trajectory_energy as trajectory_energy

@@ -123,6 +123,10 @@ class PitchBand(Condition):
         """(B,) from the middle of the band [rad], in [-pi, pi)."""
         return np.asarray(wrap_angle(self.unwrapped(q)))
 
+    def counted(self, pitch: Vector) -> Vector:
+        """(B,) pitches above the horizontal [rad] as values, from the middle of the band."""
+        return np.asarray(wrap_angle(pitch - 0.5 * (self.low + self.high)))
+
     def margins(self, values: Vector) -> Vector:
         """(B,) [rad]"""
         return np.asarray(self.half - np.abs(values))

@@ -120,30 +120,37 @@ def track_goals(goals: Sequence[Goal], trajectory: Trajectory, kinematics: Kinem
     return Tracking(not short[number], short[number], position, position, angle, goal=number + 1)
 
 
-def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
+def track_path(
+    path: TipPath,
+    tolerance: float,
+    trajectory: Trajectory,
+    kinematics: Kinematics,
+    *,
+    angle_tolerance: float = ANGLE_TOLERANCE,
+) -> Tracking:
     """How the tip keeps to `path` at the samples, with a bound for what lies between them.
 
     Parameters
     ----------
     path: what the tip is to follow.
     trajectory, kinematics: the motion, and the machine that makes it.
-    tolerance: within which the tip counts as on the path [m].
+    tolerance, angle_tolerance: within which the tip counts as on the path [m], [rad].
     """
-    station, error, angle, tips, at_begin = _follow(path, tolerance, trajectory, kinematics)
+    station, error, angle, tips, at_begin = _follow(path, tolerance, angle_tolerance, trajectory, kinematics)
     robot = kinematics.robot
     turning = np.where(robot.prismatic, 0.0, 1.0)
     sagitta = bend_weights(np.diff(trajectory.q, axis=0), turning) @ tip_travel_bound(robot, trajectory.q) / 8.0
     between = np.maximum(np.append(sagitta, 0.0), np.append(0.0, sagitta))
     between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
     near = error + between <= tolerance
-    on = near & (angle <= ANGLE_TOLERANCE)
+    on = near & (angle <= angle_tolerance)
     if path.asks_orientation:
         turned = angle_bounds(
             path, robot, q=trajectory.q, station=station, angle=angle, segments=on[:-1] & on[1:],
-            allowed=ANGLE_TOLERANCE,
+            allowed=angle_tolerance,
         )  # fmt: skip
         angle = np.maximum(angle, np.maximum(np.append(turned, 0.0), np.append(0.0, turned)))
-        on &= angle <= ANGLE_TOLERANCE
+        on &= angle <= angle_tolerance
     if not on.any():
         nearest = int(np.argmin(np.where(near, angle, np.inf) if near.any() else error))
         short = f"the tip never comes onto the path; nearest {error[nearest]:.3f} m"
@@ -153,7 +160,7 @@ def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinemati
         off = float(error[nearest])
         return Tracking(False, short, off, off, float(angle[nearest]), path.arc(path.length))
     # the approach ends where the tip comes nearest to the path's beginning
-    begins = np.flatnonzero(on & at_begin & (path.turns | (station <= _beginning(path, tolerance))))
+    begins = np.flatnonzero(on & at_begin & (path.turns | (station <= _beginning(path, tolerance, angle_tolerance))))
     if not len(begins):
         begins = np.flatnonzero(on)[:1]
     away = np.linalg.norm(tips - path.points[0], axis=1)
@@ -173,7 +180,7 @@ def track_path(path: TipPath, tolerance: float, trajectory: Trajectory, kinemati
         missing.append(f"the path is followed to {path.describe(station[last])} of {path.describe_end()}")
     if not missing:
         left = [(station[a], station[b]) for a, b in gaps if np.max(error[a : b + 1]) > tolerance]
-        missing += _missed_angles(path, tolerance, on, station, trajectory, kinematics, left)
+        missing += _missed_angles(path, tolerance, angle_tolerance, on, station, trajectory, kinematics, left)
     return Tracking(
         done=not missing,
         shortfall=" and ".join(missing),
@@ -216,24 +223,31 @@ def _max_speed(
     return float(speed[worst]), float(moments.time[worst])
 
 
-def progress(path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics) -> float | None:
+def progress(
+    path: TipPath,
+    tolerance: float,
+    trajectory: Trajectory,
+    kinematics: Kinematics,
+    *,
+    angle_tolerance: float = ANGLE_TOLERANCE,
+) -> float | None:
     """Up to which s, see `TipPath`, a motion has followed `path` [m]; None where it has not begun to.
 
     Parameters
     ----------
     trajectory, kinematics: the motion, and the machine that makes it.
-    tolerance: within which the tip counts as on the path [m].
+    tolerance, angle_tolerance: within which the tip counts as on the path [m], [rad].
     """
-    station, error, angle, _, begun = _follow(path, tolerance, trajectory, kinematics)
+    station, error, angle, _, begun = _follow(path, tolerance, angle_tolerance, trajectory, kinematics)
     if not begun.any():
         return None
-    on = (error <= tolerance) & (angle <= ANGLE_TOLERANCE)
+    on = (error <= tolerance) & (angle <= angle_tolerance)
     on[: int(np.argmax(begun))] = False
     return float(np.max(station[on], initial=0.0))
 
 
 def _follow(
-    path: TipPath, tolerance: float, trajectory: Trajectory, kinematics: Kinematics
+    path: TipPath, tolerance: float, angle_tolerance: float, trajectory: Trajectory, kinematics: Kinematics
 ) -> tuple[Vector, Vector, Vector, Matrix, Flags]:
     """Per sample: s on the path, distance from it, angle error, tip position, and whether the tip is at its begin.
 
@@ -243,14 +257,14 @@ def _follow(
     station, error, angle, tips = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3))
     at_begin = np.zeros(count, dtype=bool)
     reached, begun = 0.0, False
-    beginning = _beginning(path, tolerance)
-    slack = _BETTER * min(tolerance, TURN_LEVER * ANGLE_TOLERANCE)
+    beginning = _beginning(path, tolerance, angle_tolerance)
+    slack = _BETTER * min(tolerance, TURN_LEVER * angle_tolerance)
 
     def place(low: float, high: float) -> tuple[float, float, bool]:
         """Where between two s, the distance from the path there, and whether the tip is on it."""
         if path.turns:
             s, distance, off = path.place(at, low=low, high=high, slack=slack)
-            return s, distance, distance <= tolerance and off <= ANGLE_TOLERANCE
+            return s, distance, distance <= tolerance and off <= angle_tolerance
         s, distance = path.nearest(at.tip_position, low=low, high=high)
         return s, distance, distance <= tolerance
 
@@ -260,7 +274,7 @@ def _follow(
         from_begin = float(np.linalg.norm(at.tip_position - path.points[0]))
         at_begin[row] = from_begin <= tolerance
         if path.turns:
-            at_begin[row] &= path.target(0.0).distances(at)[1] <= ANGLE_TOLERANCE
+            at_begin[row] &= path.target(0.0).distances(at)[1] <= angle_tolerance
             at_begin[row] &= reached <= beginning
         if at_begin[row] and reached <= beginning:
             # an approach may brush along the path before it settles on its beginning
@@ -279,7 +293,7 @@ def _follow(
     return station, error, angle, tips, at_begin
 
 
-def _beginning(path: TipPath, tolerance: float) -> float:
+def _beginning(path: TipPath, tolerance: float, angle_tolerance: float) -> float:
     """The s up to which a tip at the path's begin still counts as beginning [m].
 
     It is less where the path itself comes back to its begin.
@@ -289,7 +303,7 @@ def _beginning(path: TipPath, tolerance: float) -> float:
     places = np.column_stack([np.interp(raster, path.stations, column) for column in path.points.T])
     away = np.linalg.norm(places - path.points[0], axis=1) > 2.0 * tolerance
     if path.turns:
-        away |= np.array([path.turn(0.0, float(s)) > 2.0 * ANGLE_TOLERANCE for s in raster], dtype=bool)
+        away |= np.array([path.turn(0.0, float(s)) > 2.0 * angle_tolerance for s in raster], dtype=bool)
     back = np.flatnonzero(~away & (np.cumsum(away) > 0))
     return min(usual, 0.5 * float(raster[back[0]])) if len(back) else usual
 
@@ -297,6 +311,7 @@ def _beginning(path: TipPath, tolerance: float) -> float:
 def _missed_angles(
     path: TipPath,
     tolerance: float,
+    angle_tolerance: float,
     on: Flags,
     station: Vector,
     trajectory: Trajectory,
@@ -322,7 +337,7 @@ def _missed_angles(
         between = (1.0 - parts) * trajectory.q[before] + parts * trajectory.q[after]
         misses = [path.target(mark).distances(kinematics.at(q)) for q in between]
         near = [angle for distance, angle in misses if distance <= tolerance]
-        if not near or min(near) > ANGLE_TOLERANCE:
+        if not near or min(near) > angle_tolerance:
             off = np.degrees(min(near, default=misses[0][1]))
             found.append(f"waypoint {path.number(index)} is passed with the bucket {off:.1f} deg from its angle")
     return found

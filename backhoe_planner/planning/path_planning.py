@@ -46,7 +46,9 @@ class AlongPath:
         """To the path and along it, or on along it from where the motion has followed it to."""
         task = world.problem.scene.task.path
         assert task is not None
-        since = progress(self.path, task.tolerance, stepper.trajectory(), world.kinematics)
+        since = progress(
+            self.path, task.tolerance, stepper.trajectory(), world.kinematics, angle_tolerance=task.rotation_tolerance
+        )
         return plan_along_path(world, self.path, stepper=stepper, since=since)
 
     def in_motion(self, world: World, stepper: Stepper) -> None:

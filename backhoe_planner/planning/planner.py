@@ -18,6 +18,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Problem, build_problem, drive_of, retime
 from backhoe_planner.planning.goal_planning import ToGoal
+from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
 from backhoe_planner.planning.path_planning import AlongPath, plan_along_path, waypoint_out_of_reach
@@ -121,7 +122,7 @@ def _plan_drivable(
 
     Where obstacles move, a motion cannot just be slowed down: it is planned anew with slower joints.
     """
-    slowed = problem
+    slowed = narrow_path(problem)
     for _ in range(_SLOWER):
         outcome = _find_motion(World(slowed, seed=seed, work=Work(effort, brake), watch=watch), method)
         outcome, certificate = _retime(problem, outcome)
@@ -162,9 +163,10 @@ def _find_motion(world: World, method: Method) -> Outcome:
 def _plan_task(world: World, method: Method) -> Outcome:
     problem = world.problem
     if problem.path is not None:
-        failure = waypoint_out_of_reach(world, problem.path)
+        failure = waypoint_breaks_keep(world, problem.path) or waypoint_out_of_reach(world, problem.path)
         if failure is not None:
-            return failure
+            counted = failure.reason == "unreachable" and problem.keep is not None
+            return replace(failure, message=f"{failure.message}, as `keep` has it") if counted else failure
         if problem.start_q is None and problem.start_target is None:
             return _plan_from_anywhere(world, AlongPath(problem.path), method)
     start = _start(world)

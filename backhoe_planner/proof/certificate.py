@@ -113,7 +113,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     kinematics = Kinematics(problem.robot)
     path, task = problem.path, problem.scene.task.path
     if path is not None and task is not None:
-        tracking = track_path(path, task.tolerance, trajectory, kinematics)
+        tracking = track_path(path, task.tolerance, trajectory, kinematics, angle_tolerance=task.rotation_tolerance)
     else:
         tracking = track_goals(problem.goals, trajectory, kinematics)
     tip_speed = tip_speed_use(problem, tracking)

@@ -153,3 +153,42 @@ def test_a_band_of_ten_degrees_is_found_among_random_posts(backhoe: bp.Robot, se
     plan = bp.plan(backhoe, scene)
     assert plan.verified, plan.message
     assert np.max(np.abs(pitches(plan) - pitch)) <= half + 1e-6
+
+
+# --- along a path --------------------------------------------------------------------------
+
+
+def along(keep: Data, *points: list[float], **keys: Any) -> bp.Scene:
+    task = {"path": {"waypoints": [{"position": point} for point in points], "speed": 0.5}, "keep": keep}
+    return bp.scene_from_dict({"version": 1, "task": task, "clearance": 0.05} | keys)
+
+
+@pytest.mark.parametrize("method", ["auto", "reactive"])
+def test_a_path_that_leaves_the_pitch_free_is_followed_within_the_band(backhoe: bp.Robot, method: str) -> None:
+    scene = along({"pitch": [-3.4, -2.8]}, [2.9, 0.0, 0.5], [2.8, 0.3, 0.8])
+    plan = bp.plan(backhoe, scene, method=method, effort="quick")
+    assert plan.verified, plan.message
+    assert -3.4 - 1e-6 <= np.min(pitches(plan)) <= np.max(pitches(plan)) <= -2.8 + 1e-6
+    assert plan.problem.path is not None
+    assert plan.problem.path.waypoints[0].pitch is None  # judged by the path as it was given
+
+
+def test_the_way_to_a_path_keeps_it_too(backhoe: bp.Robot) -> None:
+    start = {"joints": dict(zip(NAMES, (-0.8, 0.3, -1.5, -1.8), strict=True))}  # -3.0
+    plan = bp.plan(
+        backhoe, along({"pitch": [-3.1, -2.9]}, [2.9, 0.0, 0.5], [2.8, 0.3, 0.8], start=start), effort="quick"
+    )
+    assert plan.verified, plan.message
+    assert plan.certificate.tracking.approach_time > 0.0
+    assert np.max(np.abs(pitches(plan) + 3.0)) <= 0.1 + 1e-6
+
+
+def test_a_waypoint_that_cannot_keep_it_is_named(backhoe: bp.Robot) -> None:
+    low = bp.plan(backhoe, along({"above": 0.6}, [2.9, 0.0, 0.7], [2.9, 0.5, 0.5]))
+    assert low.reason == "goal_breaks_keep"
+    assert low.message == "at waypoint 2 of the path the tip is 0.500 m high, allowed at least 0.6 m"
+    content = along({"pitch": [-3.1, -2.9]}, [2.9, 0.0, 0.5], [2.8, 0.3, 0.8]).to_dict()
+    content["task"]["path"]["waypoints"][0]["pitch"] = [-2.0, -1.5]
+    tipped = bp.plan(backhoe, bp.scene_from_dict(content))
+    assert tipped.reason == "goal_breaks_keep"
+    assert tipped.message.startswith("at waypoint 1 of the path the pitch of the bucket is -114.6 deg")

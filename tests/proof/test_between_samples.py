@@ -187,3 +187,34 @@ def test_what_a_coarse_motion_uses_is_what_it_uses_with_its_corners_rounded(back
     for name, most, expected in zip(few.names, few.ratio.max(axis=0), many.ratio.max(axis=0), strict=True):
         if name.startswith(("acceleration", "torque", "engine")):
             assert 0.995 * expected <= most <= 1.15 * expected, name
+
+
+@pytest.mark.parametrize(("tolerance", "verified"), [(None, False), (0.049, False), (0.051, True)])
+def test_a_path_says_how_far_the_tool_may_be_turned_from_its_angle(
+    tmp_path: Path, tolerance: float | None, verified: bool
+) -> None:
+    """The tool is 0.05 rad from the asked angle all the way."""
+    robot = spindle(tmp_path, 0.2)
+    high = 0.2 * np.sin(0.35)
+    ends = [{"position": [0.2 * np.cos(0.35), y, high], "pitch": 0.3} for y in (-0.5, 0.5)]
+    path = {"waypoints": ends} | ({} if tolerance is None else {"rotation_tolerance": tolerance})
+    scene = bp.scene_from_dict({"version": 1, "task": {"path": path}})
+    motion = bp.Trajectory.from_steps(np.array([0.0, 1000.0]), np.array([[-0.5, 0.35], [0.5, 0.35]]))
+    found = bp.certify(robot, scene, motion)
+    assert found.verified is verified, found.problems
+    if verified:
+        assert found.tracking.max_angle_error == pytest.approx(0.05, abs=1e-9)
+
+
+def test_a_tool_that_turns_round_between_two_samples_of_a_path_does_not_keep_its_pitch(tmp_path: Path) -> None:
+    """Both samples have the angle that is kept; halfway the tool points the other way."""
+    robot = spindle(tmp_path, 0.04)
+    ends = [{"position": [0.04, y, 0.0]} for y in (-0.5, 0.5)]
+    task = {"path": {"waypoints": ends, "tolerance": 0.9}, "keep": {"pitch": [-0.2, 0.2]}}
+    scene = bp.scene_from_dict({"version": 1, "task": task})
+    for turn, kept in ((0.0, True), (0.1, True), (2.0 * np.pi, False)):
+        q = np.array([[-0.5, 0.0], [0.5, turn]])
+        (use,) = bp.certify(robot, scene, bp.Trajectory.from_steps(np.array([0.0, 1000.0]), q)).keep
+        assert use.kept is kept
+    assert use.time == pytest.approx(500.0)
+    assert use.margin == pytest.approx(0.2 - np.pi)

@@ -169,6 +169,8 @@ class PathTask(Record):
     """Of the tip [m/s]; left out: as fast as the limits allow."""
     tolerance: Positive = 0.005
     """How far the tip may be off the path where nothing is in the way [m]."""
+    rotation_tolerance: Angle = 0.01
+    """How far the bucket may be turned from the angles that the waypoints ask for [rad]."""
     detour: bool = True
     """May the tip leave the path to get around an obstacle?"""
 
