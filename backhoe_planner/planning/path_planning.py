@@ -7,12 +7,21 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch, solve_inverse_kinematics
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch, solve_inverse_kinematics
 from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, Trajectory, progress, trajectory_costs
 from backhoe_planner.planning.law_following import follow_with_law
-from backhoe_planner.planning.outcome import Outcome, at_rest, blocked_path, by_arc_length, no_posture, out_of_reach
+from backhoe_planner.planning.outcome import (
+    Outcome,
+    at_rest,
+    blocked_path,
+    by_arc_length,
+    no_posture,
+    out_of_reach,
+    rest_at_start,
+)
 from backhoe_planner.planning.paths.corners import round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.path_layers import redundancy_of
@@ -25,9 +34,12 @@ from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world import World
+from backhoe_planner.proof import TOUCH
+from backhoe_planner.site import ClearanceScreen
 
 _MOST_WAYPOINTS = 32  # that are tried before a path is planned; chosen: a long path has other tests to come
 _GUESSES = 24  # starting points for each of them: as many as `Postures.at` takes
+_MORE_GUESSES = 192  # for one at which everything that was found collides; chosen: eight times as many
 _ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about what chords are off the curve
 _FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between them then: chords are 25 times nearer to the curve
 _GRID = np.radians(2.5)  # of the free parameter, where there is one: half the usual step, which one can afford
@@ -59,25 +71,83 @@ class AlongPath:
         return follow_with_law(world, self.path, stepper)
 
 
-def waypoint_out_of_reach(world: World, path: TipPath) -> Outcome | None:
-    """The first waypoint that is out of reach; None where all that are tried can be reached."""
-    robot = world.problem.robot
-    count = len(path.stations)
-    indices = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
-    targets = [path.target(float(path.stations[index])) for index in indices]
-    rng = np.random.default_rng(world.seed)
-    guesses = np.array([robot.middle, *(robot.random_q(rng) for _ in range(_GUESSES - 1))])
-    rows = np.repeat(np.arange(len(targets)), len(guesses))
-    _, reached = solve_batch(
-        BatchKinematics(robot), TargetBatch.of(targets).take(rows), np.tile(guesses, (len(targets), 1))
-    )
-    for row in np.flatnonzero(~reached.reshape(len(targets), -1).any(axis=1)).tolist():
-        found = solve_inverse_kinematics(robot, targets[row])
-        if not found.reached:
-            index = int(indices[row])
-            what = "beginning of the path" if index == 0 else f"waypoint {path.number(index)} of the path"
-            return out_of_reach(world, found, targets[row], what)
-    return None
+def impossible_waypoint(world: World, path: TipPath) -> Outcome | None:
+    """The first waypoint that is out of reach; None where all that are tried can be reached.
+
+    Where full poses are asked for and the path may not be left, one at which everything that is
+    found collides counts too.
+    """
+    return _Waypoints(world, path).first_impossible()
+
+
+class _Waypoints:
+    """The waypoints of a path, each looked at for itself."""
+
+    def __init__(self, world: World, path: TipPath) -> None:
+        task = world.problem.scene.task.path
+        robot = world.problem.robot
+        self._world = world
+        self._path = path
+        self._kinematics = BatchKinematics(robot)
+        rng = np.random.default_rng(world.seed)
+        self._guesses = np.array([robot.middle, *(robot.random_q(rng) for _ in range(_MORE_GUESSES - 1))])
+        # what moves may be gone when the tip comes there
+        stays = task is None or task.detour or world.problem.is_dynamic or path.target(0.0).rotation is None
+        self._screen = None if stays else ClearanceScreen(world.proximity)
+
+    def first_impossible(self) -> Outcome | None:
+        """As `impossible_waypoint`."""
+        count = len(self._path.stations)
+        few = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
+        found = self._first_of(few)
+        if found is None:
+            return None
+        before = few[few < found[0]]
+        between = np.arange(before[-1] + 1 if len(before) else 0, found[0])
+        return (self._first_of(between) or found)[1]
+
+    def _first_of(self, indices: NDArray[np.intp]) -> tuple[int, Outcome] | None:
+        """The first impossible of some waypoints, and what to say of it."""
+        if not len(indices):
+            return None
+        targets = [self._path.target(float(self._path.stations[index])) for index in indices]
+        guesses = self._guesses[:_GUESSES]
+        q, reached = self._solve(targets, guesses)
+        good = reached if self._screen is None else reached.copy()
+        if self._screen is not None:
+            good[reached] = self._screen.keeps(q[reached], spare=-TOUCH)
+        for row in np.flatnonzero(~good.any(axis=1)).tolist():
+            failure = self._failure(int(indices[row]), targets[row])
+            if failure is not None:
+                return int(indices[row]), failure
+        return None
+
+    def _failure(self, index: int, target: TipTarget) -> Outcome | None:
+        """Why a waypoint is impossible, after a longer search; None where it is not."""
+        world, path = self._world, self._path
+        what = "beginning of the path" if index == 0 else f"waypoint {path.number(index)} of the path"
+        best = solve_inverse_kinematics(world.problem.robot, target)
+        if not best.reached:
+            return out_of_reach(world, best, target, what)
+        if self._screen is None:
+            return None
+        q, reached = self._solve([target], self._guesses)
+        ends = np.vstack((best.q[None, :], q[reached]))
+        if self._screen.keeps(ends, spare=-TOUCH).any():
+            return None
+        contacts = [contact for contact in map(world.proximity.tightest, ends) if contact is not None]
+        mildest = max(contacts, key=lambda contact: contact.margin)
+        station = float(path.stations[index])
+        why = f": at the {what} none of {len(ends)} configurations that were found is clear; detours are not allowed"
+        found = replace(mildest, path_from=station, path_to=station)
+        return blocked_path(rest_at_start(world, best.q), found, path, why)
+
+    def _solve(self, targets: Sequence[TipTarget], guesses: Matrix) -> tuple[Array, Flags]:
+        """(T, G, n), (T, G) where the search ends from each guess for each target, and whether it arrived."""
+        rows = np.repeat(np.arange(len(targets)), len(guesses))
+        batch = TargetBatch.of(targets).take(rows)
+        q, reached = solve_batch(self._kinematics, batch, np.tile(guesses, (len(targets), 1)))
+        return q.reshape(len(targets), len(guesses), -1), reached.reshape(len(targets), len(guesses))
 
 
 def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, since: float | None = None) -> Outcome:

@@ -21,7 +21,7 @@ from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
 from backhoe_planner.planning.outcome import Outcome, at_rest, bad_start, no_posture
-from backhoe_planner.planning.path_planning import AlongPath, plan_along_path, waypoint_out_of_reach
+from backhoe_planner.planning.path_planning import AlongPath, impossible_waypoint, plan_along_path
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.bound import measure_bound
 from backhoe_planner.planning.result.metrics import measure_motion
@@ -163,7 +163,7 @@ def _find_motion(world: World, method: Method) -> Outcome:
 def _plan_task(world: World, method: Method) -> Outcome:
     problem = world.problem
     if problem.path is not None:
-        failure = waypoint_breaks_keep(world, problem.path) or waypoint_out_of_reach(world, problem.path)
+        failure = waypoint_breaks_keep(world, problem.path) or impossible_waypoint(world, problem.path)
         if failure is not None:
             counted = failure.reason == "unreachable" and problem.keep is not None
             return replace(failure, message=f"{failure.message}, as `keep` has it") if counted else failure

@@ -1,0 +1,59 @@
+"""Paths of full poses on which one waypoint is impossible: named before anything else is searched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from validation.pose_paths import Problem, draw, load_arm
+
+
+def problem_of(kind: str, folder: Path) -> Problem:
+    return draw(kind, load_arm("iiwa", folder), "iiwa", 0)
+
+
+def test_the_first_waypoint_out_of_reach_is_named(tmp_path: Path) -> None:
+    """One of 500, which begins a stretch 1.6 m too far out; half of the path is in reach again behind it."""
+    problem = problem_of("beyond", tmp_path)
+    plan = bp.plan(problem.robot, problem.scene)
+    assert plan.reason == "unreachable"
+    assert f"waypoint {problem.impossible} of the path" in plan.message
+
+
+def test_a_waypoint_in_a_block_is_named_where_detours_are_not_allowed(tmp_path: Path) -> None:
+    problem = problem_of("inside", tmp_path)
+    plan = bp.plan(problem.robot, problem.scene)
+    assert plan.reason == "blocked"
+    assert "none of" in plan.message
+    obstruction = plan.findings.obstruction
+    assert obstruction is not None
+    assert obstruction.obstacle == "block"
+    assert problem.impossible is not None
+    named = int(plan.message.split("waypoint ")[1].split()[0])
+    assert named <= problem.impossible  # the flange meets the block before the tip does
+    path = problem.scene.task.path
+    assert path is not None
+    assert path.waypoints is not None
+    assert path.waypoints[named - 1].position != path.waypoints[problem.impossible - 1].position
+    apart = np.subtract(path.waypoints[named - 1].position, path.waypoints[problem.impossible - 1].position)
+    assert np.linalg.norm(apart) < 0.1
+
+
+def test_without_the_block_the_waypoint_is_clear(tmp_path: Path) -> None:
+    problem = problem_of("inside", tmp_path)
+    free = problem.scene.model_copy(update={"obstacles": ()})
+    plan = bp.plan(problem.robot, free, budget=1e-9)
+    assert plan.reason == "budget"  # it went on to the search
+
+
+@pytest.mark.parametrize("detour", [True, False])
+def test_positions_alone_are_searched_as_before(backhoe: bp.Robot, detour: bool) -> None:
+    """A path of positions may be followed at another angle; it is resolved before anything is said."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [3.5, 0.0, 0.3]}
+    task = {"path": {"waypoints": [{"position": [x, 0.0, 0.3]} for x in (3.0, 3.5, 4.0)], "detour": detour}}
+    scene = bp.scene_from_dict({"version": 1, "task": task, "obstacles": [ball]})
+    plan = bp.plan(backhoe, scene, effort="quick", budget=1e-9)
+    assert plan.reason == "budget"
