@@ -233,8 +233,10 @@ class CompletedLaw:
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""
+        return self._near_limit(as_vector(q, self.robot.n, key="q"), as_vector(v, self.robot.n, key="v"))
+
+    def _near_limit(self, q: Vector, v: Vector) -> Vector:
         near = []
-        q, v = as_vector(q, self.robot.n, key="q"), as_vector(v, self.robot.n, key="v")
         for position, rate, (low, high, zone) in zip(q.tolist(), v.tolist(), self._ranges, strict=True):
             if abs(rate) < _STANDING:
                 near.append(0.0)
@@ -287,7 +289,7 @@ class CompletedLaw:
 
     def _add_holds(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> bool:
         """Add the rows h_j (v_j + H_j)^2 of joints that are near a limit and move towards it."""
-        near = self.near_limit(at.q, primary)
+        near = self._near_limit(at.q, primary)
         if not near.any():
             return False
         weighted = N * (near * near)

@@ -89,14 +89,15 @@ class Placements:
         self.J = np.zeros((most, 6, n))
         # views of Pinocchio's own memory, which is never allocated anew
         R, t = [pose.rotation for pose in self._data.oMi], [pose.translation for pose in self._data.oMi]
-        self._sources = _one_behind_the_other(R), _one_behind_the_other(t), self._data.J.reshape(6, n)
-        self._targets = [(self.R[sample], self.t[sample], self.J[sample]) for sample in range(most)]
+        self._rotations, self._translations = _one_behind_the_other(R), _one_behind_the_other(t)
+        self._jacobian = self._data.J.reshape(6, n)
+        self._rows = [(self.R[sample], self.t[sample], self.J[sample]) for sample in range(most)]
 
     def place(self, sample: int, q: Vector) -> None:
         """Fill row `sample` with the placements at q (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
-        for target, source in zip(self._targets[sample], self._sources, strict=True):
-            target[...] = source
+        R, t, J = self._rows[sample]
+        R[...], t[...], J[...] = self._rotations, self._translations, self._jacobian
 
 
 def _one_behind_the_other(views: list[Array]) -> Array:

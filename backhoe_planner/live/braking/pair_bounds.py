@@ -251,10 +251,14 @@ class PairBounds:
             margin = max(margin, float(self.required[pair] - separation.clearance[pair]))
         return pair, margin
 
+    def lower(self) -> Vector:
+        """(P,) lower bounds of all distances where the machine is [m]."""
+        return self._distance + self._distance_at - self._start_odometer[self._separation.classes]
+
     def tightest_of_all(self) -> tuple[int, float]:
         """The same of all pairs, from the bounds alone."""
         separation = self._separation
-        margins = self._distance + self._distance_at - self._start_odometer[separation.classes] - separation.clearance
+        margins = self.lower() - separation.clearance
         if len(margins) == 0:
             return -1, math.inf
         pair = int(margins.argmin())

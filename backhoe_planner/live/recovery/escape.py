@@ -42,6 +42,7 @@ from backhoe_planner.machine import JointLimits, Robot
 _DESCENTS, _DESCENT_LOOKS = 40, 120  # descents, and the postures of one
 _GOALS, _CLEAR_GOALS = 300, 40  # postures that are tried as ends of a way, and the most that are kept
 _TREE_LOOKS, _LINE_LOOKS = 4000, 4000  # postures, of the trees, and of the straight lines
+_PAIRS_PER_LOOK = 2000  # whose bounds take as long as one measurement, some 20 us
 _AT_ONCE = 8  # pairs of one posture that are measured between two yields
 _BRANCHES = 3  # branches that a tree grows at once
 _NEAR_BY = 0.5  # rad or m: chosen, spread of the ends near q
@@ -92,10 +93,12 @@ class EscapeSearch:
     inside: those of them that are violated.
     ceiling: (P,) how deep every pair of `separation` may be on a way below [m].
     rng: draws the random postures.
+    known: (P,) lower bounds of all distances at q [m], so that what is far is not looked at again.
 
     Attributes
     ----------
-    looked: how many postures and pairs were measured until now.
+    looked: how many postures and pairs were looked at until now; a posture counts once more for every
+        `_PAIRS_PER_LOOK` pairs whose bounds it takes.
     """
 
     def __init__(
@@ -109,11 +112,13 @@ class EscapeSearch:
         inside: Indices,
         ceiling: Vector,
         rng: np.random.Generator,
+        known: Vector | None = None,
     ) -> None:
         self._separation, self._rng = separation, rng
         self._at = Placements(robot, 1)
         self.looked = 0
         self._pairs = watched
+        self._per_posture = 1 + len(watched) // _PAIRS_PER_LOOK
         self._inside = np.isin(watched, inside)
         self._clearance = separation.clearance[watched]
         self._owner = separation.owner[watched]
@@ -124,7 +129,9 @@ class EscapeSearch:
         self._from = np.where(np.isfinite(limits.lower), limits.lower, q - np.pi)
         self._to = np.where(np.isfinite(limits.upper), limits.upper, q + np.pi)
         count = len(watched)
-        self._distance, self._seen_at = np.full(count, -np.inf), np.zeros((count, robot.n))
+        # distances that were measured, or bounds of them, each at a posture
+        self._distance = np.full(count, -np.inf) if known is None else known[watched]
+        self._seen_at = np.tile(q, (count, 1))
 
     def descent(self, q: Vector) -> RouteSearch:
         """The falling way on which the violations fall fastest from q (n,), or None where that leads nowhere."""
@@ -177,9 +184,10 @@ class EscapeSearch:
         self._at.place(0, q)
         if len(close):  # the planes bound the distances everywhere
             gaps = self._separation.least_gaps(self._pairs[close], self._at, 0)
-            least[close] = np.maximum(least[close], gaps)
+            least[close] = self._distance[close] = np.maximum(least[close], gaps)
+            self._seen_at[close] = q
             close = close[gaps < self._clearance[close] + max(margin, _BEYOND)]
-        self.looked += 1
+        self.looked += self._per_posture
         distance, falls = np.zeros(len(close)), np.zeros((len(close), len(q)))
         for first in range(0, len(close), _AT_ONCE):
             some = slice(first, first + _AT_ONCE)

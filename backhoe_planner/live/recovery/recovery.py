@@ -380,6 +380,7 @@ class Recovery:
         self._escape = EscapeSearch(
             self._robot, self._limits, self._separation, q,
             watched=np.flatnonzero(stands), inside=pairs, ceiling=self._ceiling, rng=self._rng,
+            known=self._check.bounds.lower(),
         )  # fmt: skip
         self._running = self._routes(self._escape, q)
 
