@@ -191,6 +191,42 @@ def test_inspect_tells_the_working_envelope(run: Run) -> None:
         assert word in said
 
 
+def test_inspect_shows_a_machine_as_a_scene_has_it(run: Run, tmp_path: Path) -> None:
+    joints = {"swing": 0.0, "boom": 0.4, "stick": -1.6}
+    content = REACH | {"start": {"joints": joints}, "hold": {"bucket": -0.6}, "tip": "bucket"}
+    content["limits"] = {"velocity": {"swing": 0.25}, "position": {"stick": [-2.0, -1.0]}}
+    scene = tmp_path / "held.yaml"
+    scene.write_text(yaml.safe_dump(content))
+    status, said, _ = run("inspect", "example:backhoe", scene)
+    assert status == 0
+    assert "3 joints move bucket" in said
+    assert re.search(r"^swing +-90.0 deg +90.0 deg +0.25 rad/s", said, re.MULTILINE)
+    assert re.search(r"^stick +-114.6 deg +-57.3 deg", said, re.MULTILINE)
+    assert re.search(r"^ +bucket +-34.4 deg \(-0.6 rad\) +held by the scene", said, re.MULTILINE)
+    status, _, said = run("inspect", "example:backhoe", scene, "--tip", "stick")
+    assert (status, said) == (2, "error: --tip: is not the scene's tip; found stick; allowed: bucket\n")
+
+
+def test_inspect_says_where_joints_stand_that_no_scene_holds(run: Run) -> None:
+    status, said, _ = run("inspect", "example:panda", "--tip", "panda_hand")
+    assert status == 0
+    assert "at 0, since they do not move the tip: panda_finger_joint1, panda_finger_joint2" in said
+
+
+def test_inspect_and_plan_warn_of_limits_that_the_urdf_does_not_give(run: Run, tmp_path: Path) -> None:
+    urdf = tmp_path / "bare.urdf"
+    urdf.write_text(Path(PLANAR4).read_text().replace('velocity="', 'velocity="0" was="'))
+    status, said, warned = run("inspect", urdf)
+    assert status == 0
+    assert "1 rad/s" in said
+    assert "warning: the URDF gives no velocity limit, or 0, for joint1, joint2, joint3, joint4: 1 rad/s" in warned
+    given = REACH | {"limits": {"velocity": dict.fromkeys(JOINTS, 0.9)}}
+    for content, count in ((REACH, 1), (given, 0)):
+        (tmp_path / "scene.yaml").write_text(yaml.safe_dump(content))
+        status, _, warned = run("plan", urdf, tmp_path / "scene.yaml", "--effort", "quick")
+        assert (status, warned.count("no velocity limit")) == (0, count)
+
+
 def test_one_run_as_a_program(tmp_path: Path) -> None:
     done = subprocess.run(
         [*COMMAND, "plan", PLANAR4, str(scene_file(tmp_path)), "-o", str(tmp_path / "plan.json")],

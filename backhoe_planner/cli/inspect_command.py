@@ -8,6 +8,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.table import Table
 
@@ -91,13 +92,17 @@ def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
         unit, scale = ("m", 1.0) if slides else ("deg", DEGREES)
         table.add_row(
             name,
-            f"{scale * limits.lower[j]:.1f} {unit}",
-            f"{scale * limits.upper[j]:.1f} {unit}",
+            _or_none(scale * limits.lower[j], ".1f", unit),
+            _or_none(scale * limits.upper[j], ".1f", unit),
             f"{limits.velocity[j]:.3g} {'m' if slides else 'rad'}/s",
             f"{limits.acceleration[j]:.3g} {'m' if slides else 'rad'}/s2",
-            f"{limits.effort[j]:,.0f} {'N' if slides else 'N m'}",
+            _or_none(limits.effort[j], ",.0f", "N" if slides else "N m"),
         )
     OUT.print(table)
+
+
+def _or_none(limit: float, digits: str, unit: str) -> str:
+    return f"{limit:{digits}} {unit}" if np.isfinite(limit) else "none"
 
 
 def _print_self_collision(robot: bp.Robot) -> None:

@@ -158,9 +158,11 @@ def limit_warnings(robot: Robot, scene: Scene | None = None) -> tuple[str, ...]:
     )
     found = []
     if names := [name for name in robot.without_velocity if name not in velocity]:
+        slides = [bool(robot.prismatic[robot.joint_names.index(name)]) for name in names]
+        units = " or ".join(unit for unit, used in (("rad/s", not all(slides)), ("m/s", any(slides))) if used)
         found.append(
-            f"the URDF gives no velocity limit, or 0, for {', '.join(names)}: {DEFAULT_VELOCITY:g} rad/s is assumed, "
-            f"{DEFAULT_VELOCITY:g} m/s for slides; the scene can give it (limits: {{velocity: {{{names[0]}: ...}}}})"
+            f"the URDF gives no velocity limit, or 0, for {', '.join(names)}: {DEFAULT_VELOCITY:g} {units} is assumed; "
+            f"the scene can give it (limits: {{velocity: {{{names[0]}: ...}}}})"
         )
     if names := [name for name in robot.without_effort if name not in effort]:
         found.append(

@@ -267,3 +267,15 @@ def test_many_changes_of_a_kind_are_one_sentence() -> None:
     ]
     again = [Change(float(k), "pole", "moved") for k in range(4)]
     assert describe_changes(again) == ["4 obstacles were moved until 3.00 s; where they were before is left out: pole"]
+
+
+def test_a_machine_with_a_held_bucket_is_driven_and_recorded(backhoe: Robot, tmp_path: Path) -> None:
+    start = {"joints": {name: q for name, q in START.items() if name != "bucket"}}
+    held = bp.scene_from_dict({**SITE, "start": start, "hold": {"bucket": -0.5}})
+    assert Session(backhoe, held).robot.joint_names == ("swing", "boom", "stick")
+    driven = Recording(0.005, np.tile([0.0, 0.3, -0.9], (11, 1)), [], [])
+    plan = driven.plan(backhoe, held)
+    plan.save(tmp_path / "driven.json")
+    read = bp.load_plan(tmp_path / "driven.json")
+    assert read.verified == plan.verified
+    assert read.robot.hold == {"bucket": -0.5}

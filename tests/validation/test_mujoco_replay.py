@@ -66,3 +66,26 @@ def test_mujoco_and_the_least_distances_agree_on_what_touches(first: int, tmp_pa
                 assert (least.distance <= 0.0) == (deepest > 0.0), (seed, obstacle.name, least, deepest)
                 touching += deepest > 0.0
     assert touching > 0
+
+
+def test_held_joints_stand_where_they_are_held() -> None:
+    """A planar arm, its second joint held at a right angle: what touches does so only there."""
+    robot = bp.load_robot("example:planar4").with_hold({"joint2": np.pi / 2.0})
+    content = {
+        "version": 1,
+        "hold": {"joint2": np.pi / 2.0},
+        "start": {"joints": dict.fromkeys(robot.joint_names, 0.0)},
+        "task": {"goal": {"position": [0.0, 2.0, 0.0]}},
+        "obstacles": [
+            {"name": "on the bend", "shape": "sphere", "radius": 0.1, "position": [1.0, 1.5, 0.0]},
+            {"name": "straight on", "shape": "sphere", "radius": 0.1, "position": [2.0, 0.0, 0.0]},
+        ],
+    }
+    still = bp.Trajectory.from_steps(np.array([0.0, 1.0]), np.zeros((2, 3)))
+    found = replay(robot, bp.scene_from_dict(content), still)
+    assert {(contact.link, contact.other) for contact in found.contacts} == {("link3", "on the bend")}
+    certificate = bp.certify(robot, bp.scene_from_dict(content), still)
+    assert {entry.obstacle: entry.distance < 0.0 for entry in certificate.clearances if entry.kind == "obstacle"} == {
+        "on the bend": True,
+        "straight on": False,
+    }
