@@ -155,6 +155,19 @@ def test_a_path_tells_its_speed_and_its_approach(run: Run, tmp_path: Path) -> No
     assert f"{whole:.4g} rad^2/s with the approach to it; the local law after the same approach" in said
 
 
+def test_check_says_what_of_a_path_is_left_out(run: Run, tmp_path: Path) -> None:
+    """A ball of 0.1 m stands on the path, and nothing may come nearer to it than 0.05 m."""
+    points = [{"position": [2.0, -0.6, 0.0]}, {"position": [2.0, 0.6, 0.0]}]
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.1, "position": [2.0, 0.0, 0.0]}
+    scene = {"version": 1, "start": {"joints": JOINTS}, "task": {"path": {"waypoints": points}}, "clearance": 0.05}
+    run("plan", PLANAR4, scene_file(tmp_path, scene | {"obstacles": [ball]}), "--effort", "quick")
+    status, said, _ = run("check", "plan.json")
+    assert status == 0
+    found = re.search(r"^left out +(\S+) m of 1\.20 m of the path, in 1 detour; .* not proven$", said, re.M)
+    assert found is not None
+    assert 0.3 <= float(found[1]) < 1.0
+
+
 def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
     run("plan", PLANAR4, scene_file(tmp_path))
     content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))

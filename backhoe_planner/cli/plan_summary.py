@@ -129,6 +129,7 @@ def print_certificate(plan: bp.Plan) -> None:
         _print_goal(plan)
         _print_keep(plan)
         OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
+        _print_left_out(certificate.tracking)
     speed = certificate.tip_speed
     if speed is not None:
         OUT.print(
@@ -136,6 +137,15 @@ def print_certificate(plan: bp.Plan) -> None:
             f"({speed.time:.2f} s)"
         )
     _print_zone_table(site.worst_first(bp.zone_log(plan.robot, plan.scene, plan.trajectory)))
+
+
+def _print_left_out(tracking: bp.Tracking) -> None:
+    """How much of a path detours leave out; nothing where there are none."""
+    if tracking.detours:
+        OUT.print(
+            f"{'left out':<13}{tracking.left_out:.2f} m of {tracking.path_length:.2f} m of the path, in "
+            f"{len(tracking.detours)} detour{'s' * (len(tracking.detours) > 1)}; that it is blocked there is not proven"
+        )
 
 
 def print_recording(plan: bp.Plan) -> None:

@@ -100,6 +100,12 @@ class Tracking:
     detours: tuple[Detour, ...] = ()
     max_speed: float = 0.0
     max_speed_time: float = 0.0
+
+    @property
+    def left_out(self) -> float:
+        """How much of the path the detours leave out [m]. That something blocks it there is not proven."""
+        return sum(detour.path_to - detour.path_from for detour in self.detours)
+
     goal: int = 0
 
 

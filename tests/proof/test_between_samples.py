@@ -115,6 +115,7 @@ def test_a_bump_between_samples_beside_ones_that_keep_the_orientation(tmp_path: 
     # the step from 0.18 to 0.20 m, and one step of few samples to each side
     assert detour.path_from == pytest.approx(0.16)
     assert detour.path_to == pytest.approx(0.22)
+    assert few.tracking.left_out == pytest.approx(0.06)
     assert detour.path_from < expected.path_from < expected.path_to < detour.path_to
 
 

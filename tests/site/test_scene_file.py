@@ -133,7 +133,7 @@ def test_scene_of_the_contract_is_read_as_written(tmp_path: Path) -> None:
 
 def test_what_is_left_out_has_the_defaults_of_the_contract() -> None:
     found = scene_from_dict(GOAL)
-    assert (found.tip, found.name, found.obstacles, found.gains, found.objective) == (None, "", (), "auto", "work")
+    assert (found.tip, found.name, found.obstacles, found.gains, found.objective) == (None, "", (), "auto", None)
     assert (found.clearance, found.influence, found.payload, found.soil) == (0.05, 0.6, 0.0, None)
     assert (found.limits.velocity_scale, found.limits.acceleration) == (1.0, {})
     followed = scene_from_dict(path(*POINTS)).task.path
