@@ -4,8 +4,9 @@
 For each group of sites (machine, kind, task; see validation/sites.py): the part that was
 verified, of all and of those where a solution is known to exist; the reasons of the
 others; processor time of planning, also as a multiple of a reference (1000 calls
-of `Proximity.distances` on the same site); the motion's duration, the tip's way, and the
-least margin of any verified plan. The results are in docs/measurements.md.
+of `Proximity.distances` on the same site); the motion's duration, for a goal also over its
+lower bound (median and 90th percentile), the tip's way, and the least margin of any
+verified plan. The results are in docs/measurements.md.
 
     python scripts/bench_planning.py --sites 50 --save run.json
     python scripts/bench_planning.py --sites 50 --compare run.json

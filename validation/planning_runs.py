@@ -56,6 +56,7 @@ class Row:
         an exception came before.
     duration, tip_length: of the motion [s, m]; of verified plans only, else None.
     margin: the least, of verified plans with anything near [m].
+    bound: what no motion falls short of, of verified plans to a goal [s].
     refuted: what contradicts the certificate; empty where nothing does, None where the
         plan was not held against the independent check.
     """
@@ -77,6 +78,7 @@ class Row:
     tip_length: float | None = None
     margin: float | None = None
     refuted: list[str] | None = None
+    bound: float | None = None
 
     @property
     def key(self) -> SiteKey:
@@ -92,6 +94,11 @@ class Row:
     def ratio(self) -> float | None:
         """Planning time over the reference."""
         return self.seconds / self.reference if self.reference else None
+
+    @property
+    def above_bound(self) -> float | None:
+        """The duration over its bound; None where there is no bound above 0."""
+        return self.duration / self.bound if self.duration is not None and self.bound else None
 
     @property
     def verified(self) -> bool:
@@ -169,6 +176,7 @@ def run_site(key: SiteKey, settings: Settings) -> Row:
             least = plan.certificate.min_clearance
             found["duration"], found["tip_length"] = plan.metrics.duration, plan.metrics.tip_length
             found["margin"] = None if least is None else float(least.margin)
+            found["bound"] = None if plan.bound is None else plan.bound.duration
             found["refuted"] = refutations(plan) if settings.refute else None
     except Exception as error:  # noqa: BLE001  an exception is a finding, not the end of the run
         seconds = time.process_time() - begun
@@ -225,6 +233,11 @@ def _median(values: Sequence[float | None]) -> float:
     return float(np.median(finite)) if finite else float("nan")
 
 
+def _percentile(values: Sequence[float | None], part: float) -> float:
+    finite = [value for value in values if value is not None]
+    return float(np.percentile(finite, part)) if finite else float("nan")
+
+
 def table(summaries: Sequence[Summary]) -> str:
     """The figures of every group as text: times of all its sites, motions of the verified plans."""
     return markdown([_figures(summary) for summary in summaries])
@@ -242,6 +255,8 @@ def _figures(summary: Summary) -> TableRow:
         "p95 [s]": float(np.percentile([row.seconds for row in rows], 95)),
         "/ref": _median([row.ratio for row in rows]),
         "motion [s]": _median([row.duration for row in verified]),
+        "/bound": _median([row.above_bound for row in verified]),
+        "p90": _percentile([row.above_bound for row in verified], 90),
         "tip [m]": _median([row.tip_length for row in verified]),
         "margin [mm]": 1e3 * min((row.margin for row in verified if row.margin is not None), default=float("nan")),
         "refuted": "-" if summary.refuted is None else str(summary.refuted),
