@@ -76,7 +76,7 @@ SUITES = {
     "machine": ["shape", "hydraulics", "description", "", "kinematics", "capability"],
     "site": ["schema", ""],
     "motion": ["", "timing"],
-    "planning": ["search", "paths", "reactive", "report", "result", ""],
+    "planning": ["search", "descent", "paths", "reactive", "report", "result", ""],
     "live": ["braking", "recovery", "servo", ""],
     "show": ["drawing", "plots", "page", "viewer", "teleop"],
 }

@@ -3,6 +3,8 @@ from .conditions import HeightBound as HeightBound
 from .conditions import PitchBand as PitchBand
 from .conditions import RotationCone as RotationCone
 from .costs import PathCost as PathCost
+from .costs import cost_rate as cost_rate
+from .costs import motion_cost as motion_cost
 from .costs import trajectory_costs as trajectory_costs
 from .costs import trajectory_energy as trajectory_energy
 from .goals import ANGLE_TOLERANCE as ANGLE_TOLERANCE
@@ -30,6 +32,7 @@ from .timing.time_optimal import fastest as fastest
 from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE
 from .timing.timing import retime as retime
 from .timing.timing import time_along as time_along
+from .timing.timing import time_curve as time_curve
 from .timing.timing import time_polyline as time_polyline
 from .timing.timing import time_way as time_way
 from .tracking import Detour as Detour

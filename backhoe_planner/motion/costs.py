@@ -248,12 +248,25 @@ class PathCost:
 
 def trajectory_energy(problem: Problem, trajectory: Trajectory) -> MotionEnergy:
     """Torque, power and energy over the samples of a motion, with payload and soil."""
+    return _energy(problem, trajectory.time, trajectory.q, trajectory.v, trajectory.accelerations())
+
+
+def cost_rate(problem: Problem, q: Array, v: Array, a: Array) -> Array:
+    """(K,) what moments with joints at q, v, a (K, n) cost by the problem's objective, in its unit per second."""
+    return problem.objective.rate(v, _energy(problem, np.arange(len(q), dtype=float), q, v, a))
+
+
+def motion_cost(problem: Problem, trajectory: Trajectory) -> float:
+    """What a motion costs by the problem's objective, in its unit."""
+    if problem.objective.is_time:
+        return trajectory.duration
+    return problem.objective.of_motion(trajectory, trajectory_energy(problem, trajectory))
+
+
+def _energy(problem: Problem, time: Array, q: Array, v: Array, a: Array) -> MotionEnergy:
     robot, soil = problem.robot, problem.scene.soil
-    return motion_energy(
-        robot, trajectory.time, q=trajectory.q, v=trajectory.v, a=trajectory.accelerations(),
-        payload=problem.scene.payload,
-        tip_force=None if soil is None else SoilReaction(robot, soil).force(trajectory.q, trajectory.v),
-    )  # fmt: skip
+    force = None if soil is None else SoilReaction(robot, soil).force(q, v)
+    return motion_energy(robot, time, q=q, v=v, a=a, payload=problem.scene.payload, tip_force=force)
 
 
 def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, float]:

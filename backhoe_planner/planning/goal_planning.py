@@ -1,4 +1,4 @@
-"""Planning to a goal: the completed law first, then sampling."""
+"""Planning to a goal: a search for the least-cost motion, then the completed law."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from backhoe_planner.law import run_iteration
-from backhoe_planner.motion import Goal, drive_of, retime, time_polyline
+from backhoe_planner.motion import Goal, time_polyline
 from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.motion_search import MotionSearch
 from backhoe_planner.planning.outcome import Outcome
-from backhoe_planner.planning.reactive.law_timing import shortest_time, speed_up
+from backhoe_planner.planning.reactive.law_timing import speed_up
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
-from backhoe_planner.planning.search.effort import Brake, OutOfTime
-from backhoe_planner.planning.transit import find_transit
+from backhoe_planner.planning.result.plan_file import Reason
+from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.planning.world import World
 
 _MOST_POSTURES = 8  # that the law is sent to, one attempt each; chosen
@@ -24,32 +25,39 @@ _MOST_POSTURES = 8  # that the law is sent to, one attempt each; chosen
 class ToGoal:
     """The task of ending at one of several goals, at rest there.
 
+    Attributes
+    ----------
+    goals: any of which will do.
+    search_alone: whether the law is left out where the search finds no motion.
+
     In all methods `stepper` is the motion so far; it stays as it is.
     """
 
     goals: tuple[Goal, ...]
+    search_alone: bool = False
 
     def from_rest(self, world: World, stepper: Stepper) -> Outcome:
-        """From rest by the law straight to a goal, else by a sampled way, else by the other ways of the law."""
+        """The least-cost motion from rest that the search finds; where it finds none, by the law."""
         found = find_goal_postures(world, self.goals, near=stepper.q, time=stepper.time)
         if isinstance(found, Outcome):
             return found
-        straight = self._straight(world, stepper, [goal for goal, _ in found.by_goal()])
-        try:
-            if straight.arrived and world.keeps(straight.stepper.trajectory()):
-                return _faster_way(world, stepper, straight, found)
-            transit = find_transit(world, stepper, found.clear)
-        except OutOfTime as ended:
-            if straight.arrived and world.keeps(straight.stepper.trajectory()):
-                motion, findings = straight.stepper.trajectory(), Findings(way=straight.way)
-                return Outcome(motion, message=f"{ended}; a faster motion was not looked for", findings=findings)
-            return describe_attempts([straight], world.work.brake)
-        if isinstance(transit, Stepper):
-            return Outcome(transit.trajectory(), findings=Findings(way="sampled"))
+        search = MotionSearch(world, stepper.q, found, time=stepper.time)
+        ended = search.run()
+        if search.best is not None:
+            branch = stepper.branch(attempt=stepper.attempt + 1)
+            branch.play(search.best.motion)
+            message = f"{ended}; a better motion was not looked for any more" if ended else ""
+            return Outcome(branch.trajectory(), message=message, findings=Findings(way=search.best.way))
+        sampled = f"of {search.looked_at:,} motions that sampling looked at none led there"
+        if self.search_alone or ended:
+            reason: Reason = "budget" if ended else "blocked"
+            return Outcome(stepper.trajectory(), reason, f"{ended}; {sampled}" if ended else sampled)
         outcome = self._attempts(world, stepper, found)
         if not outcome.reason and not world.keeps(outcome.trajectory):
             outcome = replace(outcome, reason="blocked", message="the law arrives, but does not keep what is asked for")
-        return replace(outcome, message=f"{outcome.message}; {transit}") if outcome.reason else outcome
+        if not outcome.reason:
+            return outcome
+        return replace(outcome, message=f"{outcome.message}; {sampled}")
 
     def in_motion(self, world: World, stepper: Stepper) -> Outcome | None:
         """By the law straight to a goal, from a motion that need not be at rest; None where it does not arrive."""
@@ -104,21 +112,6 @@ def _sped_up(world: World, stepper: Stepper, attempt: Attempt, attempts: int) ->
     faster = speed_up(stepper, attempt.stepper).trajectory()
     motion = own if world.keeps(own) and not world.keeps(faster) else faster
     return Outcome(motion, findings=Findings(attempts=attempts, way=attempt.way))
-
-
-def _faster_way(world: World, stepper: Stepper, straight: Attempt, found: GoalPostures) -> Outcome:
-    """The tip's straight way, or the joints' straight way where that is clear and faster."""
-    limits, drive = world.problem.limits, drive_of(world.problem)
-    direct = find_transit(world, stepper, found.clear, straight=True)
-    joints = direct.trajectory() if isinstance(direct, Stepper) else None
-    way = straight.stepper.trajectory()
-    least = shortest_time(way.q[way.time >= stepper.time - 1e-9], limits)
-    if joints is None or joints.duration - stepper.time > least:
-        motion = _sped_up(world, stepper, straight, 1).trajectory
-        # the law runs the joints at rates that all of them together may not have
-        if joints is None or joints.duration >= retime(motion, limits, drive=drive).duration:
-            return Outcome(motion, findings=Findings(way=straight.way))
-    return Outcome(joints, findings=Findings(way="straight for the joints"))
 
 
 def describe_attempts(attempts: Sequence[Attempt], brake: Brake) -> Outcome:

@@ -1,6 +1,6 @@
 """`plan`: from a machine and a scene to a motion with a verdict.
 
-    goal:  the completed law straight for it, else a sampled way
+    goal:  the least-cost motion that a search finds, else the completed law
     path:  the cheapest way through the layered graph over the redundancy, made cheaper in
            between, with detours where no layer is free
 
@@ -53,8 +53,9 @@ def plan(
     Parameters
     ----------
     robot, scene: machine and site; the scene says what is to be done.
-    method: ``auto``, ``reactive`` (the completed law alone), ``optimal`` (for a path: the
-        least of the scene's objective, as ``auto``), or ``paper`` (the law as printed, to compare with).
+    method: ``auto``, ``optimal`` (the least of the scene's objective; ``auto`` does the same, and
+        falls back on the law where a search finds no motion to a goal), ``reactive`` (the
+        completed law alone), or ``paper`` (the law as printed, to compare with).
     seed: of every random choice, not negative.
     effort: ``quick``, ``normal`` or ``thorough``: how much counted work every search may
         take. The same input, seed and effort give the same plan, however busy the machine.
@@ -83,12 +84,11 @@ def plan(
     begun = clock.monotonic()
     brake = Brake(budget)
     problem = build_problem(robot, scene)
-    has, needs, unfit = ("goal", "path", "optimal") if problem.goals else ("path", "goal", "paper")
-    if checked == "paper" and (len(problem.goals) > 1 or any(goal.q is not None for goal in problem.goals)):
-        has, needs, unfit = ("list of goals, or joints", "goal given by the tip's pose", "paper")
-    if checked == unfit:
-        allowed = ", ".join(name for name in METHODS if name != unfit)
-        raise InputError(f"needs a {needs}; this scene has a {has}", key="method", found=unfit, allowed=allowed)
+    if checked == "paper" and (len(problem.goals) != 1 or problem.goals[0].q is not None):
+        has = "list of goals, or joints" if problem.goals else "path"
+        allowed = ", ".join(name for name in METHODS if name != checked)
+        problem_text = f"needs a goal given by the tip's pose; this scene has a {has}"
+        raise InputError(problem_text, key="method", found=checked, allowed=allowed)
     outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message
@@ -177,7 +177,7 @@ def _plan_task(world: World, method: Method) -> Outcome:
     stepper = world.stepper(start)
     task: ToGoal | AlongPath
     if problem.goals:
-        task = ToGoal(problem.goals)
+        task = ToGoal(problem.goals, search_alone=method == "optimal")
         if method == "paper":
             return task.by_paper(world, stepper)
     else:

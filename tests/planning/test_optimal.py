@@ -343,14 +343,6 @@ def test_a_law_that_is_blocked_by_an_obstacle_is_told(around_a_ball: bp.Plan) ->
     assert (told.law_breaks.kind, told.law_breaks.obstacle) == ("obstacle", "ball")
 
 
-def test_optimal_is_for_paths(backhoe: bp.Robot) -> None:
-    scene = bp.scene_from_dict(
-        {"version": 1, "start": posed(backhoe, backhoe.middle), "task": {"goal": {"position": [3.0, 0.0, 0.5]}}}
-    )
-    with pytest.raises(bp.InputError, match="path"):
-        bp.plan(backhoe, scene, method="optimal")
-
-
 def test_the_plan_file_holds_torque_and_power_over_time(backhoe: bp.Robot, tmp_path: Path) -> None:
     plan = bp.plan(backhoe, along(CUT, payload=150.0), method="optimal")
     plan.save(tmp_path / "plan.json")

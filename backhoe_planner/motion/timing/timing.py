@@ -104,6 +104,38 @@ def time_along(
     return _slow_to_limits(_slow_to_speed(motion, limits, speed, kinematics), limits, drive)
 
 
+def time_curve(
+    curve: Callable[[Vector, int], Matrix], grid: Vector, limits: JointLimits, *, drive: Drive | None = None
+) -> Trajectory | None:
+    """The fastest motion along a smooth curve that rests at its ends in its own parameter; None where there is none.
+
+    The parameter is like a time: dq/ds is 0 at both ends, so that a run at constant ds/dt is a
+    motion from rest to rest. The result is never slower than the fastest of those, but for what
+    lies between the points of the grid.
+
+    Parameters
+    ----------
+    curve: gives (K, n) the joints at (K,) values of the parameter, or their first or second
+        derivatives; the second argument says which.
+    grid: (N + 1,) increasing values of the parameter.
+    limits: of the joints.
+    drive: what moves the joints; None for no limits but those of the joints.
+    """
+    q, slope, bend = (curve(grid, derivative) for derivative in range(3))
+    law = time_path(PathShape(grid, q, slope, bend[:-1], bend[1:]), limits, drive=drive, rests=False)
+    if law is None:
+        return None
+    time, samples = _thin_out(
+        _samples(law.duration, SAMPLE_PERIOD),
+        lambda moments: curve(law.at(moments), 0),
+        np.full(q.shape[1], _LEAST_STEP),
+        _LEAST_CHANGE * SAMPLE_PERIOD * limits.acceleration,
+    )
+    samples[0], samples[-1] = q[0], q[-1]
+    motion = Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
+    return _slow_to_limits(motion, limits, drive)
+
+
 def _tip_rates(kinematics: BatchKinematics, q: Matrix, rates: Matrix) -> Vector:
     """(K,) how fast the tip moves [m] at q (K, n) where the joints move at `rates` (K, n), per unit of the rates."""
     return np.asarray(np.linalg.norm(np.einsum("kin,kn->ki", kinematics.at(q).position_jacobian(), rates), axis=1))

@@ -1,0 +1,1 @@
+"""Descents: a curve of the joints is bent until it costs least."""

@@ -1,0 +1,199 @@
+"""Descent: a curve is bent, and its end moved on the goal, until its cost falls no more.
+
+Each round linearises cost, limits, clearances and goal about the curve, and takes the step that
+a quadratic program with them all prefers (sequential convex programming, Schulman et al. 2014),
+within a box that grows where a step has lowered the cost and shrinks where not. What a curve
+costs is what its fastest run costs, by `time_curve`; what it misses of its clearances is dear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.law import solve_program
+from backhoe_planner.machine import Kinematics, movable_rows
+from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_curve
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin, find_margins
+from backhoe_planner.planning.search.effort import Brake
+from backhoe_planner.site import Proximity
+
+_GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
+_MISSED_PRICE = 20.0  # of a metre by which a clearance is missed, as a part of the cost: 5 cm cost as much again
+_LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
+_GROW, _SHRINK = 1.5, 0.35
+_ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
+_UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
+_KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
+_FURTHEST = 0.25  # m: margins above are not linearised, however far a step could move a link; chosen
+_NEAR = 0.05  # m: margins above are not looked at where only what is missed counts
+_TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
+_ON_GOAL = 1e-8  # m and rad
+_ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
+
+
+@dataclass(frozen=True, eq=False)
+class Timed:
+    """A curve with its fastest motion.
+
+    Attributes
+    ----------
+    curve: over s.
+    duration: T of the time t = T s in which limits are linearised [s]; that of the motion may be shorter.
+    motion: the fastest along the curve.
+    cost: of the motion, by the problem's objective.
+    missed: by how much the clearances with their spare are missed, at most, where it was looked [m]; 0 or more.
+    """
+
+    curve: JointCurve
+    duration: float
+    motion: Trajectory
+    cost: float
+    missed: float
+
+
+class Descent:
+    """Descents among the same obstacles.
+
+    Parameters
+    ----------
+    proximity: to the obstacles that count.
+    kinematics: of the machine.
+    time: the obstacles stand where they are at this time [s].
+    brake: checked in every round.
+
+    Attributes
+    ----------
+    rounds: how many were made so far.
+    """
+
+    def __init__(
+        self, problem: Problem, proximity: Proximity, kinematics: Kinematics, *, time: float, brake: Brake
+    ) -> None:
+        self._problem, self._proximity, self._kinematics = problem, proximity, kinematics
+        self._time, self._brake = time, brake
+        self._drive = drive_of(problem)
+        rate = problem.limits.velocity
+        self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
+        self.rounds = 0
+
+    def time(self, curve: JointCurve) -> Trajectory | None:
+        """The fastest motion along a curve, None where there is none."""
+        grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
+        return time_curve(curve, grid, self._problem.limits, drive=self._drive)
+
+    def run(
+        self, curve: JointCurve, duration: float, goal: Goal | None, *,
+        most_rounds: int, spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
+    ) -> Timed | None:  # fmt: skip
+        """Bend a curve until its cost falls no more.
+
+        Parameters
+        ----------
+        curve: from where the machine stands to a goal; it need not be clear.
+        duration: about how long it takes [s].
+        goal: on which the end may move; None where it stays.
+        most_rounds: after which the descent ends.
+        spare: to be kept beyond every clearance [m].
+        density: places at which clearances are looked at, for each at which limits are.
+        box: how far the first step may move a control point [rad or m of the fastest joint].
+        is_hopeless: says from a curve and the number of rounds whether the descent is given up.
+
+        Returns
+        -------
+        The best curve, not proven to be clear; None where the first has no motion.
+
+        Raises
+        ------
+        OutOfTime: the budget is used up.
+        """
+        free = goal if goal is not None and goal.q is None else None
+        here = self._timed(curve, duration, spare, density)
+        if here is None:
+            return None
+        price = _MISSED_PRICE * here.cost
+        for number in range(most_rounds):
+            if is_hopeless(here, number):
+                break
+            self._brake.check()
+            self.rounds += 1
+            there = self._step(here, free, spare, density, box)
+            gain = -np.inf if there is None else here.cost - there.cost + price * (here.missed - there.missed)
+            if there is None or gain <= 0.0:
+                box *= _SHRINK
+                if box < _SMALLEST_BOX:
+                    break
+                continue
+            here, box = self._in_its_own_time(there, price, spare, density), min(_GROW * box, _LARGEST_BOX)
+            if gain < _ENOUGH * here.cost and here.missed <= _KEPT:
+                break
+        return here
+
+    def _in_its_own_time(self, here: Timed, price: float, spare: float, density: int) -> Timed:
+        """The same curve over the time of its fastest motion, where that is much shorter than T and costs no more."""
+        if here.duration < _UNEVEN * here.motion.duration:
+            return here
+        curve = JointCurve.fitted(here.motion, here.curve.pieces, self._problem.limits)
+        there = self._timed(curve, here.motion.duration, spare, density)
+        if there is None or there.cost + price * there.missed > (1.0 + _ENOUGH) * (here.cost + price * here.missed):
+            return here
+        return there
+
+    def _step(self, here: Timed, goal: Goal | None, spare: float, density: int, box: float) -> Timed | None:
+        """The curve after the best small step; None where there is none, or where it has no motion."""
+        curve = here.curve
+        model = LinearModel(self._problem, curve, here.duration, end_moves=goal is not None, box=box * self._unit)
+        model.keep_joint_limits()
+        model.keep_drive_limits(self._drive)
+        places = _places(curve, density)
+        reach = min(float(np.max(self._proximity.travel @ (box * self._unit), initial=0.0)), _FURTHEST)
+        q = curve(np.linspace(0.0, 1.0, places))
+        _, margins = self._margins(q, spare, reach)
+        model.keep_clear(margins, places)
+        if goal is not None:
+            model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
+        solution = solve_program(model.program(here.cost, _MISSED_PRICE), most_iterations=_ITERATIONS)
+        if solution is None:
+            return None
+        control, duration = model.step(solution.x)
+        if goal is not None:
+            end = self._onto(goal, control[-1])
+            if end is None:
+                return None
+            part = np.linspace(0.0, 1.0, len(control))[:, None]
+            control += part * part * (3.0 - 2.0 * part) * (end - control[-1])  # a jump at the end would cost much
+            control = np.clip(control, self._problem.limits.lower, self._problem.limits.upper)
+        return self._timed(JointCurve(control), duration, spare, density)
+
+    def _timed(self, curve: JointCurve, duration: float, spare: float, density: int) -> Timed | None:
+        motion = self.time(curve)
+        if motion is None:
+            return None
+        q = curve(np.linspace(0.0, 1.0, _places(curve, density)))
+        least, _ = self._margins(q, spare, _NEAR)
+        return Timed(curve, duration, motion, motion_cost(self._problem, motion), max(-least, 0.0))
+
+    def _margins(self, q: Matrix, spare: float, reach: float) -> tuple[float, list[Margin]]:
+        return find_margins(self._proximity, self._problem.keep, q, spare=spare, reach=reach, time=self._time)
+
+    def _onto(self, goal: Goal, q: Vector) -> Vector | None:
+        """(n,) joints near `q` (n,) on a goal; None where Newton's method does not find them."""
+        kinematics, limits = self._kinematics, self._problem.limits
+        for _ in range(_TO_GOAL_STEPS):
+            at = kinematics.at(q)
+            error = goal.error(at)
+            if float(np.max(np.abs(error))) <= _ON_GOAL:
+                return q
+            J = goal.jacobian(at)
+            asked = movable_rows(J)
+            q = np.clip(q + np.linalg.lstsq(J[asked], error[asked], rcond=1e-6)[0], limits.lower, limits.upper)
+        return None
+
+
+def _places(curve: JointCurve, density: int) -> int:
+    """At how many places of a curve clearances are looked at."""
+    return density * PLACES_PER_PIECE * curve.pieces + 1

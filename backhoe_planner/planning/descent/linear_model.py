@@ -1,0 +1,220 @@
+"""What holds of the curves near one curve, to first order: the rows and the cost of a quadratic program.
+
+Its variables x are the steps of the control points that may move, each (n,), then that of the
+duration T [s], then one slack: how far all clearances may be missed at once [m], which is dear.
+The curve runs over time t = T s, so that v = q'/T and a = q''/T^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.law import Kind, QuadraticProgram, Rows
+from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
+from backhoe_planner.motion import Drive, Goal, Keep, Problem, cost_rate
+from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.site import Proximity
+
+PLACES_PER_PIECE = 3  # at which limits are linearised; chosen, accelerations are linear on a piece
+_NUDGES = (1e-5, 1e-5, 1e-4)  # of q, v and a for the derivatives of loads; chosen between rounding and bend
+_NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step and is left out; chosen
+_CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
+_KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
+_SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for what is to be kept [rad or m]; chosen
+_TIE = 0.02  # price of the duration where the objective is another, as a part of the cost; chosen
+
+
+@dataclass(frozen=True, eq=False)
+class Margin:
+    """Margins at one place of a curve.
+
+    Attributes
+    ----------
+    place: index of the place.
+    margin: (K,) of clearances [m] and of what the problem is to keep [rad or m], beyond the spare; gradient: (K, n).
+    """
+
+    place: int
+    margin: Vector
+    gradient: Matrix
+
+
+def find_margins(
+    proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float, time: float
+) -> tuple[float, list[Margin]]:
+    """The least margin over places q (K, n), infinite where nothing is near, and all margins below `reach` [m].
+
+    Parameters
+    ----------
+    keep: what is to be kept beside the clearances.
+    spare: to be kept beyond every clearance [m]; a tenth of it of what is to be kept [rad or m].
+    time: the obstacles stand where they are at this time [s].
+    """
+    least, found = np.inf, []
+    for place, row in enumerate(q):
+        nearby = proximity.at(row, time=time, margin=reach + spare)
+        if len(nearby):
+            margin = nearby.margin - spare
+            least = min(least, float(margin.min()))
+            found.append(Margin(place, margin, nearby.gradient))
+        if keep is not None and place > 0:  # the start cannot be changed
+            margin = keep.margins(row) - _SPARE_OF_KEPT * spare
+            least = min(least, float(margin.min()))
+            found.append(Margin(place, margin, keep.gradients(row)))
+    return least, found
+
+
+class LinearModel:
+    """All conditions on a small step of one curve.
+
+    Parameters
+    ----------
+    curve, duration: the curve q(s) and its T [s].
+    end_moves: whether the end of the curve may move.
+    box: how far each joint of a control point may move [rad or m], (n,).
+    """
+
+    def __init__(self, problem: Problem, curve: JointCurve, duration: float, *, end_moves: bool, box: Vector) -> None:
+        self._problem, self._curve, self._T = problem, curve, duration
+        n, last = curve.control.shape[1], curve.pieces + end_moves
+        self._moving = np.arange(1, last)
+        self._n = n
+        self._steps = n * len(self._moving)  # of the variables, those of control points
+        self._box = np.tile(box, len(self._moving))
+        self._places = PLACES_PER_PIECE * curve.pieces + 1
+        self._weights = [basis(curve.pieces, self._places, derivative) for derivative in range(3)]
+        self._at = [weights @ curve.control for weights in self._weights]  # q, q', q''
+        self._rows: list[Rows] = []
+
+    # --- what must hold --------------------------------------------------------------
+
+    def keep_joint_limits(self) -> None:
+        """Rows of the joints' velocities and accelerations."""
+        limits, T = self._problem.limits, self._T
+        rates = self._lift(self._weights[1])
+        self._both_ways("velocity", rates, self._at[1], np.tile(limits.velocity, self._places) * T, 1.0)
+        knots = slice(None, None, PLACES_PER_PIECE)
+        bends = self._lift(self._weights[2][knots])
+        most = np.tile(limits.acceleration, len(self._weights[2][knots])) * T * T
+        self._both_ways("acceleration", bends, self._at[2][knots], most, 2.0)
+
+    def _both_ways(self, name: str, lifted: Matrix, values: Matrix, most: Vector, power: float) -> None:
+        """|value| <= most, where `most` grows with the duration to a power."""
+        for sign in (1.0, -1.0):
+            now = sign * values.ravel()
+            kept = now + np.abs(lifted) @ self._box > _NEAR_LIMIT * most
+            self._add(name, sign * lifted[kept], most[kept] - now[kept], by_duration=-power * most[kept] / self._T)
+
+    def keep_drive_limits(self, drive: Drive) -> None:
+        """Rows of torque, rod speed, flow and power."""
+        if not drive.limited:
+            return
+
+        def use(q: Matrix, v: Matrix, a: Matrix) -> Matrix:
+            found = drive.use(q, v, a)
+            return np.column_stack((found.effort, found.speeds))
+
+        base, slopes = self._derivatives(use)
+        place, limit = np.nonzero(base >= 0.0)
+        G, by_duration = self._of_moments(place, slopes[place, limit])
+        kept = base[place, limit] + np.abs(G) @ self._box > _NEAR_LIMIT
+        self._add("drive", G[kept], 1.0 - base[place, limit][kept], by_duration=by_duration[kept])
+
+    def keep_clear(self, margins: list[Margin], places: int) -> None:
+        """Rows of margins at some of `places` equally spaced s; all may be missed by the slack."""
+        weights = basis(self._curve.pieces, places, 0)[:, self._moving]
+        blocks, rest = [np.zeros((0, self._steps))], [np.zeros(0)]
+        for found in margins:
+            G = (found.gradient[:, None, :] * weights[found.place][None, :, None]).reshape(-1, self._steps)
+            near = found.margin < _CURVED * (np.abs(G) @ self._box)
+            blocks.append(-G[near])
+            rest.append(found.margin[near])
+        self._add("clearance", np.vstack(blocks), np.concatenate(rest), slack=True)
+
+    def stay_on_goal(self, goal: Goal, end: Configuration) -> None:
+        """Rows that keep the end of the curve, with the joints at `end`, on a goal."""
+        error, J, target = goal.error(end), goal.jacobian(end), goal.search_target
+        asked = movable_rows(J)
+        if target.rotation is not None:
+            # within its tolerance the orientation is free; what a step takes too far is taken back after it
+            asked[3:] &= target.rotation_tolerance == 0.0 or bool(np.any(error[3:]))
+        elif target.pitch is not None and target.pitch[1] > target.pitch[0]:
+            asked[3] = False
+            low, high = target.pitch
+            off, half = wrap_angle(end.pitch - 0.5 * (low + high)), 0.5 * (high - low)
+            turn = self._of_end(np.atleast_2d(end.pitch_row))
+            self._add("pitch", np.vstack((turn, -turn)), np.array([half - off, half + off]))
+        self._add("goal", self._of_end(J[asked]), error[asked], kind=Kind.EQUAL)
+
+    # --- what is to be small -----------------------------------------------------------
+
+    def program(self, cost: float, slack_price: float) -> QuadraticProgram:
+        """The program whose solution is the best step.
+
+        Parameters
+        ----------
+        cost: of the curve now, by the problem's objective.
+        slack_price: of a missed metre, as a part of the cost.
+        """
+        T, problem = self._T, self._problem
+        f = np.zeros(self._steps + 2)
+        f[-2], f[-1] = (1.0 if problem.objective.is_time else _TIE) / T, slack_price
+        if not problem.objective.is_time:
+            _, slopes = self._derivatives(lambda q, v, a: cost_rate(problem, q, v, a)[:, None])
+            G, _ = self._of_moments(np.arange(self._places), slopes[:, 0])
+            parts = np.full(self._places, T / (self._places - 1))
+            parts[[0, -1]] *= 0.5
+            f[:-2] = parts @ G / max(cost, 1e-9)
+        price = np.concatenate((_KEEP_STILL / (self._box**2 * len(self._moving)), [_KEEP_STILL / T**2, 1e-2]))
+        limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
+        lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
+        low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T, 0.0]))
+        high = np.concatenate((np.maximum(np.minimum(self._box, upper), 0.0), [2.0 * T, 1.0]))
+        return QuadraticProgram(np.asarray(np.diag(price)), f, low, high, tuple(self._rows))
+
+    def step(self, x: Vector) -> tuple[Matrix, float]:
+        """The curve's control points (L + 1, n) and duration after the step `x`."""
+        control = self._curve.control.copy()
+        control[self._moving] += x[: self._steps].reshape(-1, self._n)
+        return control, self._T + float(x[-2])
+
+    # --- how it depends on the variables --------------------------------------------------
+
+    def _lift(self, weights: Matrix) -> Matrix:
+        """(K n, steps) how the joints at K places change with the control points, by `weights` (K, L + 1)."""
+        return np.asarray(np.kron(weights[:, self._moving], np.eye(self._n)), dtype=float)
+
+    def _of_end(self, J: Matrix) -> Matrix:
+        """(m, steps) of rows J (m, n) that act on the end of the curve."""
+        return np.hstack((np.zeros((len(J), self._steps - self._n)), J))
+
+    def _add(
+        self, name: str, G: Matrix, h: Vector, *, by_duration: Vector | float = 0.0, slack: bool = False,
+        kind: Kind = Kind.HARD,
+    ) -> None:  # fmt: skip
+        more = np.column_stack((np.broadcast_to(by_duration, len(h)), np.full(len(h), -1.0 if slack else 0.0)))
+        self._rows.append(Rows(name, np.hstack((G, more)), h, kind))
+
+    def _derivatives(self, value: Callable[[Matrix, Matrix, Matrix], Matrix]) -> tuple[Matrix, Array]:
+        """(K, U) values at all places, and (K, U, 3 n) their derivatives by q, v and a; one call for all of them."""
+        T, n, K = self._T, self._n, self._places
+        here = np.hstack((self._at[0], self._at[1] / T, self._at[2] / T**2))
+        nudges = np.repeat(_NUDGES, n)
+        moved = np.concatenate((here[None], here[None] + np.diag(nudges)[:, None, :])).reshape(-1, 3 * n)
+        found = value(moved[:, :n], moved[:, n : 2 * n], moved[:, 2 * n :]).reshape(3 * n + 1, K, -1)
+        return found[0], np.asarray(np.moveaxis((found[1:] - found[0]) / nudges[:, None, None], 0, -1))
+
+    def _of_moments(self, place: Indices, slopes: Matrix) -> tuple[Matrix, Vector]:
+        """(R, steps), (R,) by steps and duration: values at `place` (R,), derivatives `slopes` (R, 3 n) by q, v, a."""
+        T, n = self._T, self._n
+        of_q, of_v, of_a = slopes[:, :n], slopes[:, n : 2 * n] / T, slopes[:, 2 * n :] / T**2
+        G = sum(
+            weights[place][:, self._moving, None] * of[:, None, :]
+            for weights, of in zip(self._weights, (of_q, of_v, of_a), strict=True)
+        )
+        slower = np.sum(of_v * self._at[1][place], axis=1) + 2.0 * np.sum(of_a * self._at[2][place], axis=1)
+        return np.asarray(G).reshape(len(place), self._steps), -slower / T

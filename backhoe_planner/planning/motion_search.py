@@ -1,0 +1,258 @@
+"""The search for the least-cost motion to a goal: many first ways, each brought down by a descent.
+
+First ways are straight lines of the joints to the nearest postures on a goal, clear or not, then
+sampled ways, each from another seed and among the postures that can still be better than the
+best so far. Every motion that counts is proven clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.descent import Descent, Timed
+from backhoe_planner.planning.goal_postures import GoalPostures
+from backhoe_planner.planning.search.blending import blend
+from backhoe_planner.planning.search.effort import OutOfTime
+from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampling import sample_path
+from backhoe_planner.planning.search.shortening import shorten
+from backhoe_planner.planning.world import World
+from backhoe_planner.proof import LeastTimes, least_duration, segment_is_clear
+
+_PIECES = 12  # of a curve; chosen: 20 gain 1 % more and take twice as long
+_FINE_PIECES = 20  # of the best curve at the end
+_SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled way, in turn
+_SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
+_MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
+_PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
+_ROUNDS = 14  # of a descent at most; chosen, half of them end after 7
+_FEW_ROUNDS = 4  # of one that goes on
+_FINE_ROUNDS = 6
+_FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
+_SMALL_BOX = 0.1  # the same of a descent that goes on
+_TRIED = 4  # rounds after which a descent is judged
+_FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
+_DEARER = 1.3  # times the best cost: hopeless then
+_STRAIGHT = 3  # postures to which straight lines are tried; chosen
+_MOTIONS = 4_000  # that one sampled way looks at, where another is known; chosen, a third of what the first may take
+_DULL = 2  # sampled ways in a row that gain nothing, after which the search ends, at normal effort
+_GAIN = 0.005  # part of the cost that counts as a gain
+_LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
+_LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
+_TOUCH = 2e-5  # m by which the proof may fall short: far below a clearance, far above the rounding of a step
+_DEPTH = 9  # halvings of a segment in a proof
+_SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different ways
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMotion:
+    """A proven motion to a goal.
+
+    Attributes
+    ----------
+    motion: from rest to rest, its time from 0.
+    cost: by the problem's objective.
+    goal: where it ends.
+    way: how it was found, in words.
+    """
+
+    motion: Trajectory
+    cost: float
+    goal: Goal
+    way: str
+
+
+class MotionSearch:
+    """A search from one start.
+
+    Parameters
+    ----------
+    start: (n,) where the machine stands [rad or m].
+    found: postures on the goals.
+    time: the obstacles stand where they are at this time [s].
+
+    Attributes
+    ----------
+    best: the best so far.
+    looked_at: how many motions sampling looked at in vain, of ways that were not found.
+    """
+
+    def __init__(self, world: World, start: Vector, found: GoalPostures, *, time: float) -> None:
+        self._world, self._start, self._time = world, start, time
+        self._postures, self._goals = found.clear, found.goals
+        self._problem = world.problem
+        self._drive = drive_of(world.problem)
+        self._descent = Descent(world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake)
+        ends = np.array(found.clear)
+        self._least: Vector = LeastTimes(world.problem, start, longest=_LONGEST).to_boxes(ends, ends)
+        self._bound = 0.0  # no motion is shorter [s]
+        self._order = sorted(range(len(found.clear)), key=lambda index: float(self._least[index]))
+        self._curve: JointCurve | None = None  # of the best, where it has one
+        self._reserved = 0  # rounds of descents that are kept for sampled ways
+        self.best: FoundMotion | None = None
+        self.looked_at = 0
+
+    def run(self) -> str:
+        """Search until the effort is used up or nothing is gained; `best` is then what was found.
+
+        Returns
+        -------
+        Empty; or that time ran out, in words.
+        """
+        try:
+            self._go_straight()
+            self._go_round()
+            self._refine()
+        except OutOfTime as ended:
+            return str(ended)
+        return ""
+
+    # --- first ways -------------------------------------------------------------------
+
+    def _go_straight(self) -> None:
+        """Descents from straight lines to the nearest postures, until one of them does not get clear."""
+        self._reserved = self._world.work.descent_rounds // 2
+        for index in self._order[:_STRAIGHT]:
+            if self._is_optimal():
+                return
+            if not self._is_open(index):
+                continue
+            line = JointCurve.straight(self._start, self._postures[index], _PIECES)
+            if not self._descend(line, float(self._least[index]), self._goals[index], "straight for the joints"):
+                return
+
+    def _go_round(self) -> None:
+        """Descents from sampled ways, until several of them have gained nothing."""
+        work = self._world.work
+        patience = work.effort.dull_ways
+        dull = number = self._reserved = 0
+        while dull < patience and not self._is_optimal():
+            ends = [index for index in self._order if self._is_open(index)]
+            if not ends or (self.best is not None and work.descent_rounds <= 0):
+                return
+            before = np.inf if self.best is None else self.best.cost
+            way = self._sample(ends, number)
+            number += 1
+            if way is not None:
+                motion, goal = way
+                self._offer(motion, goal, "sampled", None)
+                self._descend(
+                    JointCurve.fitted(motion, _PIECES, self._problem.limits), motion.duration, goal, "sampled"
+                )
+            elif work.motions <= 0 or (self.best is None and number >= len(_SPARES)):
+                return
+            gained = self.best is not None and self.best.cost < (1.0 - _GAIN) * before
+            dull = 0 if gained else dull + 1
+
+    def _sample(self, ends: Sequence[int], number: int) -> tuple[Trajectory, Goal] | None:
+        """The motion along a sampled and shortened way to one of the postures `ends`."""
+        work, start = self._world.work, self._start
+        goals = [self._postures[index] for index in ends]
+        check = MotionCheck(
+            self._problem, self._world.proximity, [start, *goals],
+            spare=_SPARES[number % len(_SPARES)], time=self._time, brake=work.brake,
+        )  # fmt: skip
+        seed = (self._world.seed + number * _SEEDS_APART) % 2**32
+        before = work.motions
+        most = None if self.best is None else min(_MOTIONS, work.effort.motions_per_search)
+        path = sample_path(check, start, goals, seed=seed, work=work, most_motions=most)
+        if path is None:
+            self.looked_at += before - work.motions
+            return None
+        path = shorten(check, path, seed=seed)
+        motion = time_way(blend(check, path), self._problem.limits, drive=self._drive)
+        end = min(range(len(goals)), key=lambda k: float(np.max(np.abs(goals[k] - path.q[-1]))))
+        return motion, self._goals[ends[end]]
+
+    def _is_optimal(self) -> bool:
+        """Whether no motion can be better by more than `_LEAST_GAIN`."""
+        best = self.best
+        if best is None or not self._problem.objective.is_time:
+            return False
+        if not self._bound:
+            known, boxes = best.motion.duration, self._world.work.effort.boxes
+            self._bound = least_duration(
+                self._problem, self._start, known=known, end=best.motion.q[-1], boxes=boxes
+            ).duration
+        return best.motion.duration <= (1.0 + _LEAST_GAIN) * self._bound
+
+    def _is_open(self, index: int) -> bool:
+        """Whether a motion to this posture can still be better than the best."""
+        if self.best is None or not self._problem.objective.is_time or self._end_moves(self._goals[index]):
+            return True
+        return self.best.motion.duration > (1.0 + _LEAST_GAIN) * float(self._least[index])
+
+    def _end_moves(self, goal: Goal) -> bool:
+        return goal.q is None and self._problem.robot.n > 3 + (3 if goal.target.rotation is not None else 0)
+
+    # --- descents -----------------------------------------------------------------------
+
+    def _descend(self, curve: JointCurve, duration: float, goal: Goal, way: str) -> bool:
+        """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
+        rounds, box, spare, density = _ROUNDS, _FIRST_BOX, _SPARE, 2
+        for _ in range(_PROOFS):
+            found = self._bend(curve, duration, goal, rounds, spare=spare, density=density, box=box)
+            if found is None or found.missed > 0.5 * spare:
+                return False
+            if self._is_dear(found.cost) or self._offer(found.motion, goal, way, found.curve):
+                return True
+            curve, duration, rounds, box = found.curve, found.duration, _FEW_ROUNDS, _SMALL_BOX
+            spare, density = spare + _MORE_SPARE, 2 * density
+        return False
+
+    def _refine(self) -> None:
+        """The best motion once more, on a curve of more pieces."""
+        best = self.best
+        if best is None:
+            return
+        curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
+        found = self._bend(
+            curve, best.motion.duration, best.goal, _FINE_ROUNDS, spare=_SPARE, density=2, box=_SMALL_BOX
+        )
+        if found is not None and found.missed <= 0.5 * _SPARE and not self._is_dear(found.cost):
+            self._offer(found.motion, best.goal, best.way, found.curve)
+
+    def _bend(
+        self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
+        spare: float, density: int, box: float,
+    ) -> Timed | None:  # fmt: skip
+        work, descent = self._world.work, self._descent
+        before = descent.rounds
+        rounds = min(rounds, work.descent_rounds - self._reserved)
+        found = descent.run(
+            curve, duration, goal,
+            most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=self._is_hopeless,
+        )  # fmt: skip
+        work.descent_rounds -= descent.rounds - before
+        return found
+
+    def _is_hopeless(self, here: Timed, rounds: int) -> bool:
+        if rounds < _TRIED or self.best is None:
+            return rounds >= _TRIED and here.missed > 2.0 * _FAR_OFF
+        return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
+
+    def _is_dear(self, cost: float) -> bool:
+        return self.best is not None and cost >= self.best.cost
+
+    def _offer(self, motion: Trajectory, goal: Goal, way: str, curve: JointCurve | None) -> bool:
+        """Keep a motion where it is better than the best; whether it is proven clear."""
+        cost = motion_cost(self._problem, motion)
+        if not self._is_dear(cost):
+            if not (self._world.keeps(motion) and self._is_proven(motion)):
+                return False
+            self.best, self._curve = FoundMotion(motion, cost, goal, way), curve
+        return True
+
+    def _is_proven(self, motion: Trajectory) -> bool:
+        proximity = self._world.proximity
+        proximity.cover_unchecked(motion.q)
+        return all(
+            segment_is_clear(proximity, motion.q[k], motion.q[k + 1], time=self._time, depth=_DEPTH, spare=-_TOUCH)
+            for k in range(len(motion) - 1)
+        )

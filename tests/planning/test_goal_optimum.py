@@ -1,0 +1,197 @@
+"""Motions to a goal are as short, or as cheap, as can be: held against hand calculations and lower bounds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.machine import Dynamics
+from backhoe_planner.motion import Goal, build_problem, drive_of, limit_usage, motion_cost, time_curve
+from backhoe_planner.planning import EFFORTS, Work, World
+from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.descent import Descent
+from backhoe_planner.planning.descent.linear_model import LinearModel, find_margins
+
+Data = dict[str, Any]
+
+NAMES = ("joint1", "joint2", "joint3", "joint4")
+READY = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+WALL: Data = {"name": "wall", "shape": "box", "size": [1.5, 0.3, 1.0], "position": [4.5, 1.2, 0.0]}
+
+
+def planar(q: list[float], *obstacles: Data, start: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **keys: Any) -> bp.Scene:
+    joints = {"start": {"joints": dict(zip(NAMES, start, strict=True))}}
+    goal = {"joints": dict(zip(NAMES, q, strict=True))}
+    return bp.scene_from_dict({"version": 1, **joints, "task": {"goal": goal}, "obstacles": list(obstacles), **keys})
+
+
+def digger(goal: Any, *obstacles: Data, **keys: Any) -> bp.Scene:
+    content = {"version": 1, "start": {"joints": READY}, "task": {"goal": goal}, "obstacles": list(obstacles)}
+    return bp.scene_from_dict(content | keys)
+
+
+@pytest.mark.parametrize(
+    ("q", "least"),
+    [
+        ([0.5, 0.4, -0.3, 0.2], 2.0 * np.sqrt(0.5 / 2.0)),  # joint 1 speeds up at 2 rad/s^2 for 0.25 rad, and brakes
+        ([1.0, 0.2, -0.3, 0.2], 1.0 / 1.0 + 1.0 / 2.0),  # and here it reaches 1 rad/s
+    ],
+)
+def test_without_obstacles_the_slowest_joint_alone_decides(planar4: bp.Robot, q: list[float], least: float) -> None:
+    plan = bp.plan(planar4, planar(q))
+    assert plan.verified, plan.message
+    assert least * (1.0 - 1e-9) <= plan.trajectory.duration <= 1.01 * least
+
+
+def test_where_a_pose_is_asked_for_the_posture_moves_along(planar4: bp.Robot) -> None:
+    """Joint 1 alone would need 1.5 s to turn the stretched arm; all joints together bend to the place sooner."""
+    there = bp.Kinematics(planar4).at(np.array([1.0, 0.0, 0.0, 0.0])).tip_position
+    start = {"joints": dict.fromkeys(NAMES, 0.1)}
+    goal = {"position": [0.95 * float(value) for value in there]}
+    scene = bp.scene_from_dict({"version": 1, "start": start, "task": {"goal": goal}})
+    plan = bp.plan(planar4, scene)
+    assert plan.verified, plan.message
+    first = min(np.max(np.abs(q - 0.1)) for q in postures(planar4, scene))
+    assert plan.trajectory.duration < first + 0.5  # the time to the nearest posture that is found without moving on it
+
+
+def postures(robot: bp.Robot, scene: bp.Scene) -> tuple[Any, ...]:
+    problem = build_problem(robot, scene)
+    assert problem.start_q is not None
+    found = World(problem, seed=0, work=Work(EFFORTS["normal"])).postures
+    return found.at(problem.goals[0].target, near=problem.start_q, count=48).clear
+
+
+def test_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> None:
+    plan = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL), effort="quick")
+    assert plan.verified, plan.message
+    usage = limit_usage(plan.problem, plan.trajectory)
+    assert np.mean(usage.greatest > 0.95) > 0.85
+
+
+def test_less_work_is_done_where_work_is_asked_for(backhoe: bp.Robot) -> None:
+    """And never less than the weight gains in height."""
+    fast, cheap = (
+        bp.plan(backhoe, digger({"position": [3.5, 3.5, 1.5]}, WALL, objective=name), effort="quick")
+        for name in ("time", "work")
+    )
+    assert fast.verified
+    assert cheap.verified
+    work = [motion_cost(cheap.problem, plan.trajectory) for plan in (fast, cheap)]
+    assert work[1] <= work[0]
+    ends = Dynamics(backhoe)
+    gained = ends.potential_energy(cheap.trajectory.q[-1]) - ends.potential_energy(cheap.trajectory.q[0])
+    assert work[1] >= gained
+    assert fast.trajectory.duration <= cheap.trajectory.duration + 1e-6
+
+
+def test_optimal_takes_a_goal_and_says_what_it_looked_at(backhoe: bp.Robot) -> None:
+    inside = {"name": "silo", "shape": "box", "size": [1.5, 1.5, 3.0], "position": [4.0, 0.0, 0.5]}
+    plan = bp.plan(backhoe, digger({"position": [3.5, 1.5, 0.3]}), method="optimal", effort="quick")
+    assert plan.verified, plan.message
+    stuck = bp.plan(backhoe, digger({"position": [4.0, 0.0, 0.5]}, inside), method="optimal", effort="quick")
+    assert stuck.reason
+
+
+def test_a_curve_rests_at_its_ends_and_stays_between_its_control_points() -> None:
+    rng = np.random.default_rng(3)
+    curve = JointCurve(rng.normal(size=(13, 4)))
+    s = np.linspace(0.0, 1.0, 200)
+    assert np.max(np.abs(curve(s[[0, -1]], 1))) < 1e-9
+    np.testing.assert_allclose(curve(s[[0, -1]]), curve.control[[0, -1]], atol=1e-12)
+    assert np.all(curve(s) <= curve.control.max(axis=0) + 1e-12)
+    assert np.all(curve(s) >= curve.control.min(axis=0) - 1e-12)
+    for derivative in range(3):
+        np.testing.assert_allclose(basis(12, 200, derivative) @ curve.control, curve(s, derivative), atol=1e-8)
+
+
+def test_the_fastest_run_along_a_line_is_the_trapezium(planar4: bp.Robot) -> None:
+    limits = planar4.limits  # 1 rad/s, 2 rad/s^2
+    line = JointCurve.straight(np.zeros(4), np.array([1.0, 0.5, 0.0, -0.2]), 12)
+    motion = time_curve(line, np.linspace(0.0, 1.0, 121), limits)
+    assert motion is not None
+    assert motion.duration == pytest.approx(1.5, rel=5e-3)
+
+
+def test_a_curve_of_time_is_never_run_slower_than_in_its_own_time(backhoe: bp.Robot) -> None:
+    """A random curve, stretched to just keep velocities and accelerations: its fastest run is not slower."""
+    rng = np.random.default_rng(5)
+    limits = backhoe.limits
+    for _ in range(5):
+        curve = JointCurve(np.clip(rng.normal(size=(13, 4)), limits.lower, limits.upper))
+        s = np.linspace(0.0, 1.0, 400)
+        rate = float(np.max(np.abs(curve(s, 1)) / limits.velocity))
+        bend = float(np.sqrt(np.max(np.abs(curve(s, 2)) / limits.acceleration)))
+        motion = time_curve(curve, np.linspace(0.0, 1.0, 121), limits)
+        assert motion is not None
+        assert motion.duration <= 1.01 * max(rate, bend)
+
+
+@pytest.mark.parametrize("payload", [0.0, 200.0])
+def test_the_linear_model_says_what_a_small_step_changes(backhoe: bp.Robot, payload: float) -> None:
+    """Every row against the same limits of the curve after a small step, by differences."""
+    problem = build_problem(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL, payload=payload, clearance=0.05))
+    drive, limits = drive_of(problem), problem.limits
+    rng = np.random.default_rng(2)
+    start = np.array(list(READY.values()))
+    curve = JointCurve.straight(start, start + np.array([1.0, 0.3, 0.5, 0.4]), 8)
+    T, box = 2.5, np.full(4, 0.05)
+    proximity = bp.Proximity(backhoe, problem.obstacles)
+    places = 49
+
+    def values(control: Any, T: float) -> tuple[Any, ...]:
+        q, v, a = (basis(8, 25, derivative) @ control / T**derivative for derivative in range(3))
+        use = drive.use(q, v, a)
+        q_near = JointCurve(control)(np.linspace(0.0, 1.0, places))
+        return (
+            np.abs(v) / limits.velocity, np.abs(a[::3]) / limits.acceleration, use.flow, use.power, use.effort,
+            find_margins(proximity, None, q_near, spare=0.0, reach=0.3, time=0.0)[0],
+        )  # fmt: skip
+
+    model = LinearModel(problem, curve, T, end_moves=True, box=box)
+    model.keep_joint_limits()
+    model.keep_drive_limits(drive)
+    model.keep_clear(
+        find_margins(proximity, None, curve(np.linspace(0, 1, places)), spare=0.0, reach=0.3, time=0.0)[1], places
+    )
+    program = model.program(1.0, 20.0)
+    x = np.zeros(len(program.f))
+    x[:-2] = 1e-4 * rng.uniform(-1.0, 1.0, len(x) - 2)
+    x[-2] = 1e-4
+    before, after = values(curve.control, T), values(*model.step(x))
+    by_name = {
+        name: np.vstack([rows.G for rows in program.rows if rows.name == name]) @ x for name in ("drive", "clearance")
+    }
+    room = {name: np.concatenate([rows.h for rows in program.rows if rows.name == name]) for name in by_name}
+    most = {name: float(np.max(by_name[name] - room[name])) for name in by_name}  # 0 at the limit, negative within
+    drive_now = max(float(np.max(part)) for part in after[2:5])
+    if drive_now > 0.85:  # else all rows were left out
+        assert most["drive"] == pytest.approx(drive_now - 1.0, abs=2e-5)
+    assert most["clearance"] == pytest.approx(-after[5], abs=2e-5)
+    assert before[5] != after[5]
+
+
+def test_a_descent_only_goes_down_and_its_end_stays_on_the_goal(backhoe: bp.Robot) -> None:
+    problem = build_problem(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL))
+    world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
+    assert problem.start_q is not None
+    goal: Goal = problem.goals[0]
+    end = world.postures.at(goal.target, near=problem.start_q, count=24).clear[0]
+    costs: list[float] = []
+
+    def note(here: Any, _: int) -> bool:
+        costs.append(here.cost + 20.0 * costs[0] * here.missed if costs else here.cost * (1.0 + 20.0 * here.missed))
+        return False
+
+    line = JointCurve.straight(problem.start_q, end, 12)
+    found = Descent(problem, world.proximity, world.kinematics, time=0.0, brake=world.work.brake).run(
+        line, 4.0, goal, most_rounds=10, spare=0.003, density=2, box=0.25, is_hopeless=note
+    )
+    assert found is not None
+    assert len(costs) > 2
+    position, _ = goal.distances(world.kinematics.at(found.curve.control[-1]))
+    assert position < 1e-7
+    assert found.cost + 20.0 * costs[0] * found.missed <= costs[0] * (1.0 + 1e-6)
