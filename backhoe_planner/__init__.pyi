@@ -42,6 +42,7 @@ from .motion import Problem as Problem
 from .motion import TipPath as TipPath
 from .motion import Tracking as Tracking
 from .motion import Trajectory as Trajectory
+from .motion import WaypointStep as WaypointStep
 from .motion import build_problem as build_problem
 from .planning import AskedSpeed as AskedSpeed
 from .planning import Bound as Bound

@@ -88,7 +88,8 @@ def obstacles(draw: st.DrawFn, shape: str) -> Data:
 @st.composite
 def path_tasks(draw: st.DrawFn) -> Data:
     origins = record({"position": vectors}, rpy=st.tuples(st.just(0.0), st.just(0.0), turns).map(list))
-    data: Data = draw(record({}, speed=positive, tolerance=positive, detour=st.booleans(), origin=origins))
+    data: Data = draw(record({}, speed=positive, tolerance=positive, detour=st.booleans(), origin=origins,
+                             turn_on_the_spot=st.booleans(), max_joint_step=positive))  # fmt: skip
     if draw(st.booleans()):
         return {**data, "file": draw(names)}
     points = draw(st.lists(vectors, min_size=2, max_size=5, unique_by=tuple))

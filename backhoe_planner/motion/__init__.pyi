@@ -44,3 +44,5 @@ from .trajectory import SAMPLE_PERIOD as SAMPLE_PERIOD
 from .trajectory import Moments as Moments
 from .trajectory import Trajectory as Trajectory
 from .trajectory import chord_sagitta as chord_sagitta
+from .waypoint_steps import WaypointStep as WaypointStep
+from .waypoint_steps import longest_step as longest_step

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Kinematics, Robot, TipTarget
@@ -46,6 +48,8 @@ class Problem:
     goals: where the motion may end, any of them; none where a path is followed.
     path: what the tip is to follow, or None.
     keep: what is to hold along the whole motion, or None.
+    joint_steps: (n,) how far a joint may move from waypoint to waypoint of the path [rad or m],
+        infinite where it may freely; None where all may.
     """
 
     robot: Robot
@@ -58,6 +62,7 @@ class Problem:
     goals: tuple[Goal, ...]
     path: TipPath | None
     keep: Keep | None = None
+    joint_steps: Vector | None = None
 
     @property
     def is_dynamic(self) -> bool:
@@ -104,7 +109,19 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         robot, scene, limits=scaled_limits(robot, scene), objective=objective, obstacles=build_obstacles(scene, robot),
         start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,
         keep=_keep(robot, scene),
+        joint_steps=_joint_steps(robot, scene),
     )  # fmt: skip
+
+
+def _joint_steps(robot: Robot, scene: Scene) -> Vector | None:
+    """See `Problem`."""
+    given = None if scene.task.path is None else scene.task.path.max_joint_step
+    if given is None:
+        return None
+    if isinstance(given, float):
+        return np.full(robot.n, given)
+    check_joint_names(robot, scene, given, key="task.path.max_joint_step")
+    return np.array([given.get(name, np.inf) for name in robot.joint_names])
 
 
 def _without_repeats(waypoints: Sequence[Waypoint]) -> list[int]:

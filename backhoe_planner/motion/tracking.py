@@ -19,6 +19,7 @@ from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
 from backhoe_planner.motion.orientation import angle_bounds
 from backhoe_planner.motion.path import TURN_LEVER, TipPath
 from backhoe_planner.motion.trajectory import Trajectory
+from backhoe_planner.motion.waypoint_steps import WaypointStep, longest_step
 from backhoe_planner.site import Obstruction
 
 _BEGINNING = 0.1  # part of the path; chosen: while less is done, the tip may still be approaching
@@ -86,6 +87,7 @@ class Tracking:
     detours: where it left the path.
     max_speed, max_speed_time: of the tip on the followed parts [m/s], and when [s];
         10 tolerances next to a detour, where it swings out and in again, do not count.
+    joint_step: the longest of a joint from waypoint to waypoint; None where the joints may move freely.
     goal: number of the goal at which the motion ends, or of the nearest, from 1; 0 for a path.
     """
 
@@ -100,13 +102,13 @@ class Tracking:
     detours: tuple[Detour, ...] = ()
     max_speed: float = 0.0
     max_speed_time: float = 0.0
+    joint_step: WaypointStep | None = None
+    goal: int = 0
 
     @property
     def left_out(self) -> float:
         """How much of the path the detours leave out [m]. That something blocks it there is not proven."""
         return sum(detour.path_to - detour.path_from for detour in self.detours)
-
-    goal: int = 0
 
 
 def track_goals(goals: Sequence[Goal], trajectory: Trajectory, kinematics: Kinematics) -> Tracking:
@@ -133,6 +135,7 @@ def track_path(
     kinematics: Kinematics,
     *,
     angle_tolerance: float = ANGLE_TOLERANCE,
+    joint_steps: Vector | None = None,
 ) -> Tracking:
     """How the tip keeps to `path` at the samples, with a bound for what lies between them.
 
@@ -141,6 +144,7 @@ def track_path(
     path: what the tip is to follow.
     trajectory, kinematics: the motion, and the machine that makes it.
     tolerance, angle_tolerance: within which the tip counts as on the path [m], [rad].
+    joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; None where all may freely.
     """
     station, error, angle, tips, at_begin = _follow(path, tolerance, angle_tolerance, trajectory, kinematics)
     robot = kinematics.robot
@@ -179,6 +183,10 @@ def track_path(
     skipped = sum(detour.path_to - detour.path_from for detour in detours)
     edges = np.array([station[row] for gap in gaps for row in gap])
     max_speed, max_speed_time = _max_speed(on, station, tips, trajectory, kinematics, edges, _BESIDE * tolerance)
+    step = None
+    if joint_steps is not None:
+        rows, own = slice(first, last + 1), [(a - first, b - first) for a, b in gaps]
+        step = longest_step(path, station[rows], trajectory.q[rows], joint_steps, gaps=own, slack=tolerance)
     missing = []
     if not at_begin[first] if path.turns else station[first] > tolerance:
         missing.append(f"the path is joined at {path.describe(station[first])} instead of at its start")
@@ -199,6 +207,7 @@ def track_path(
         detours=tuple(detours),
         max_speed=max_speed,
         max_speed_time=max_speed_time,
+        joint_step=step,
     )
 
 

@@ -84,7 +84,7 @@ class _Follower:
         self._path = path
         task = world.problem.scene.task.path
         assert task is not None
-        self._may_leave = task.detour
+        self._may_leave, self._may_turn = task.detour, task.turn_on_the_spot
 
     def furthest(self, stepper: Stepper, s: float, candidates: Sequence[Vector]) -> list[Vector]:
         """`candidates` (n,) at arc length `s` [m], the one from which the law gets furthest first."""
@@ -121,7 +121,8 @@ class _Follower:
         while s <= end and rejoins < _MOST_REJOINS:
             self._world.work.brake.check()
             found = self._world.postures.at(self._path.target(s), near=stepper.q, count=_GUESSES, time=stepper.time)
-            fresh = [q for q in found.clear if s > left or np.max(np.abs(q - stepper.q)) > _STUCK_WITHIN]
+            others = self._may_turn and [q for q in found.clear if np.max(np.abs(q - stepper.q)) > _STUCK_WITHIN]
+            fresh = found.clear if s > left else others or []
             if fresh:
                 furthest = s
                 rejoins += 1

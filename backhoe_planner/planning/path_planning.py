@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch, solve_inverse_kinematics
-from backhoe_planner.motion import SAMPLE_PERIOD, PathCost, TipPath, Trajectory, progress, trajectory_costs
+from backhoe_planner.motion import (
+    SAMPLE_PERIOD,
+    PathCost,
+    TipPath,
+    Trajectory,
+    WaypointStep,
+    longest_step,
+    progress,
+    trajectory_costs,
+)
 from backhoe_planner.planning.law_following import follow_with_law
 from backhoe_planner.planning.outcome import (
     Outcome,
@@ -22,7 +31,7 @@ from backhoe_planner.planning.outcome import (
     out_of_reach,
     rest_at_start,
 )
-from backhoe_planner.planning.paths.corners import round_corners, time_stretch
+from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.path_layers import redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
@@ -34,7 +43,7 @@ from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.search.sampling import JointPath
 from backhoe_planner.planning.transit import find_detour, find_transit, play
 from backhoe_planner.planning.world import World
-from backhoe_planner.proof import TOUCH
+from backhoe_planner.proof import TOUCH, describe_step
 from backhoe_planner.site import ClearanceScreen
 
 _MOST_WAYPOINTS = 32  # that are tried before a path is planned; chosen: a long path has other tests to come
@@ -44,6 +53,7 @@ _ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about wh
 _FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between them then: chords are 25 times nearer to the curve
 _GRID = np.radians(2.5)  # of the free parameter, where there is one: half the usual step, which one can afford
 _LAYER = 0.1  # m of path between layers there: twice the usual, so that a route can turn slowly
+_STEP_SPARE = 1e-3  # part of what a joint may move from waypoint to waypoint; chosen: for chords and round corners
 _ON_PATH = 1e-4  # m and rad: chosen, where the tip counts as being on the path
 _SHORT = 0.3  # m: chosen, on a shorter path inertia may decide
 
@@ -166,25 +176,32 @@ def plan_along_path(world: World, path: TipPath, *, stepper: Stepper | None, sin
     cost = PathCost(world.problem)
     # with one free parameter the grid can be dense; layers far apart let a route turn slowly
     one_free = redundancy_of(world.problem.robot, path.target(0.0)) == 1
-    resolver = PathResolver(
-        world.problem,
-        path,
-        proximity=world.proximity,
-        since=low,
-        begin=stepper.q if stepper is not None and on_path else None,
-        time=time,
-        work=world.work,
-        cost=cost.step_costs,
-        **({"grid": _GRID, "layer": _LAYER} if one_free else {}),
-        find_detour=lambda a, b, low, high: find_detour(world, path, a, b, low, high, time=time),
-    )
+    begin = stepper.q if stepper is not None and on_path else None
+
+    def resolver_within(joint_steps: Vector | None) -> PathResolver:
+        """What resolves the path where a joint may move by `joint_steps` (n,) from waypoint to waypoint."""
+        return PathResolver(
+            world.problem,
+            path,
+            proximity=world.proximity,
+            since=low,
+            begin=begin,
+            time=time,
+            work=world.work,
+            cost=cost.step_costs,
+            **({"grid": _GRID, "layer": _LAYER} if one_free else {}),
+            joint_steps=joint_steps,
+            find_detour=lambda a, b, low, high: find_detour(world, path, a, b, low, high, time=time),
+        )
+
+    resolver = resolver_within(None)
     if since is None and not len(resolver.first_layer) and not on_path:
         near = None if stepper is None else stepper.q
         found = world.postures.at(path.target(0.0), near=near, count=world.work.effort.starting_points, time=time)
         failure = no_posture(world, found, path.target(0.0), "goal_in_collision", "beginning of the path")
         if failure is not None:
             return failure
-    along = _Along(world, path, resolver, cost, stepper)
+    along = _Along(world, path, resolver, cost, stepper, resolver_within)
     if stepper is None or (since is None and not on_path):
         return along.plan(None)
     return along.plan(stepper.q, off_path=not on_path)
@@ -201,16 +218,24 @@ class _Along:
     """One path, and the ways to resolve it."""
 
     def __init__(
-        self, world: World, path: TipPath, resolver: PathResolver, cost: PathCost, stepper: Stepper | None
+        self,
+        world: World,
+        path: TipPath,
+        resolver: PathResolver,
+        cost: PathCost,
+        stepper: Stepper | None,
+        resolver_within: Callable[[Vector | None], PathResolver],
     ) -> None:
         self._world = world
         self._path = path
         self._resolver = resolver
         self._cost = cost
         self._stepper = stepper
+        self._resolver_within = resolver_within
+        self._steps = world.problem.joint_steps
         task = world.problem.scene.task.path
         assert task is not None
-        self._may_leave = task.detour
+        self._may_leave, self._may_turn = task.detour, task.turn_on_the_spot
         self._time = 0.0 if stepper is None else stepper.time
 
     def plan(self, begin: Vector | None, *, off_path: bool = False) -> Outcome:
@@ -224,6 +249,10 @@ class _Along:
         resolved = self._resolver.resolve(begin, detours=False, price=self._price, off_path=off_path)
         if resolved.obstruction is not None and self._may_leave:
             resolved = self._resolver.resolve(begin, detours=True, price=self._price, off_path=off_path)
+        if resolved.obstruction is None and not off_path:
+            resolved = self._within_steps(resolved, begin)
+            if resolved.step is not None:
+                return self._too_long(resolved.step)
         if not resolved.pieces:
             return self._blocked(resolved, at_rest(self._anywhere() if self._stepper is None else self._stepper.q))
         stepper = self._stepper
@@ -252,6 +281,33 @@ class _Along:
             findings=Findings(detours=tuple(by_arc_length(detour, self._path) for detour in detours)),
         )
 
+    def _within_steps(self, resolved: Resolution, begin: Vector | None) -> Resolution:
+        """`resolved`, or where a joint moves too far from waypoint to waypoint another resolution of the path."""
+        if self._steps is None or self._keeps_steps(resolved.pieces):
+            return resolved
+        within = self._resolver_within((1.0 - _STEP_SPARE) * self._steps)
+        return within.resolve(begin, detours=False, price=self._price)
+
+    def _keeps_steps(self, pieces: Sequence[Stretch | Bypass]) -> bool:
+        """Whether no joint moves too far from waypoint to waypoint; a detour is not within the steps of its legs."""
+        if self._steps is None:
+            return True
+        if any(isinstance(piece, Bypass) for piece in pieces):
+            return False
+        steps = [longest_step(self._path, piece.stations, piece.q, self._steps)
+                 for piece in pieces if isinstance(piece, Stretch)]  # fmt: skip
+        return all(step is None or step.ratio <= 1.0 for step in steps)
+
+    def _too_long(self, step: WaypointStep) -> Outcome:
+        """The failure where some joint has to move further from waypoint to waypoint than it may."""
+        problem = self._world.problem
+        motion = at_rest(self._anywhere()) if self._stepper is None else self._stepper.trajectory()
+        asked = replace(step, allowed=step.allowed / (1.0 - _STEP_SPARE))
+        message = f"of all that was found the least step is too long: {describe_step(problem, asked)}"
+        if asked.kept:
+            message += f", of which {100.0 * _STEP_SPARE:g} % is left for chords and round corners"
+        return Outcome(motion, "outside_limits", message, Findings(joints=(problem.robot.joint_names[step.joint],)))
+
     def _price(self, nodes: Matrix) -> Vector:
         """(N,) what it costs to begin at each of `nodes` (N, n): the distance of the joints [rad or m]."""
         if self._stepper is None:
@@ -276,7 +332,8 @@ class _Along:
         if isinstance(transit, str):
             message = f"no way was found to the beginning of the path: {failure}"
             return Outcome(stepper.trajectory(), "blocked", message)
-        return _Along(self._world, self._path, self._resolver, self._cost, transit).plan(transit.q)
+        along = _Along(self._world, self._path, self._resolver, self._cost, transit, self._resolver_within)
+        return along.plan(transit.q)
 
     def _improve(self, resolved: Resolution, begin: Vector | None) -> list[Stretch | Bypass]:
         """The pieces; those that follow the path are made cheaper."""
@@ -312,7 +369,8 @@ class _Along:
         if law.obstruction is not None:
             return piece
         other = self._cheapen(law, free_start=free_start, free_end=True)
-        cheap = min((piece, other), key=lambda way: self._cost.of_run(way.stations, way.q))
+        ways = [way for way in (piece, other) if self._keeps_steps([way])] or [piece]
+        cheap = min(ways, key=lambda way: self._cost.of_run(way.stations, way.q))
         return self._with_inertia(cheap) if low == 0.0 else cheap
 
     def _with_inertia(self, piece: Stretch) -> Stretch:
@@ -326,7 +384,7 @@ class _Along:
             return piece
         proximity, objective = world.proximity, self._cost.objective
         law = world.follow_law(path, 0.0, piece.q[0], time=self._time)
-        if law.obstruction is not None:
+        if law.obstruction is not None or not self._keeps_steps([law]):
             return piece
         motion = fastest_motion(problem, path, piece, proximity=proximity, time=self._time)
         if objective.is_time:
@@ -343,6 +401,8 @@ class _Along:
                 play(world, stepper, JointPath(piece.q))
             elif len(piece.q) > 1:
                 rounded, stops = round_corners(problem, self._path, piece, proximity=world.proximity, time=stepper.time)
+                if not self._keeps_steps([rounded]):
+                    rounded, stops = piece, self._path.corners(SHARP)
                 period = _FINE_PERIOD if self._is_tight(rounded.q, stepper.time) else SAMPLE_PERIOD
                 for motion in time_stretch(problem, self._path, rounded, period=period, stops=stops):
                     stepper.play(motion)
@@ -356,6 +416,8 @@ class _Along:
     def _blocked(self, resolved: Resolution, trajectory: Trajectory) -> Outcome:
         assert resolved.obstruction is not None
         why = ", and no way round was found" if self._may_leave else ", and detours are not allowed"
+        if not self._may_turn:
+            why += ", nor turns on the spot"
         if resolved.gave_up:
             why += f"; none of {resolved.routes:,} routes that were tested leads to its end"
         return blocked_path(trajectory, resolved.obstruction, self._path, why)

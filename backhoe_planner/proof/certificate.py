@@ -11,7 +11,16 @@ import numpy as np
 
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine import Kinematics, Robot
-from backhoe_planner.motion import Detour, Problem, Tracking, Trajectory, build_problem, track_goals, track_path
+from backhoe_planner.motion import (
+    Detour,
+    Problem,
+    Tracking,
+    Trajectory,
+    WaypointStep,
+    build_problem,
+    track_goals,
+    track_path,
+)
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.keeping import KeepUse, keep_uses
 from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
@@ -113,7 +122,10 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     kinematics = Kinematics(problem.robot)
     path, task = problem.path, problem.scene.task.path
     if path is not None and task is not None:
-        tracking = track_path(path, task.tolerance, trajectory, kinematics, angle_tolerance=task.rotation_tolerance)
+        tracking = track_path(
+            path, task.tolerance, trajectory, kinematics, angle_tolerance=task.rotation_tolerance,
+            joint_steps=problem.joint_steps,
+        )  # fmt: skip
     else:
         tracking = track_goals(problem.goals, trajectory, kinematics)
     tip_speed = tip_speed_use(problem, tracking)
@@ -135,6 +147,15 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     )  # fmt: skip
 
 
+def describe_step(problem: Problem, step: WaypointStep) -> str:
+    """How far a joint moves from one waypoint of the problem's path to another, in words."""
+    assert problem.path is not None
+    name = problem.robot.joint_names[step.joint]
+    unit = "m" if problem.robot.prismatic[step.joint] else "rad"
+    places = f"from waypoint {problem.path.number(step.before)} to {problem.path.number(step.after)}"
+    return f"{name} moves by {step.size:.4g} {unit} {places}; max_joint_step allows {step.allowed:.4g} {unit}"
+
+
 def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking, kinematics: Kinematics) -> list[str]:
     """What is wrong with the start of the motion, its velocities, and how it keeps to its task."""
     found, q = [], trajectory.q[0]
@@ -151,4 +172,7 @@ def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking,
     elif tracking.detours and path is not None and not path.detour:
         longest = max(tracking.detours, key=lambda detour: detour.length)
         found.append(f"the tip leaves the path {longest.place}, {longest.size}, and detours are not allowed")
+    step = tracking.joint_step
+    if step is not None and not step.kept:
+        found.append(describe_step(problem, step))
     return found

@@ -25,7 +25,8 @@ from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Nodes, PathCost, Problem, TipPath, step_lengths
 from backhoe_planner.planning.paths.corners import SHARP
 from backhoe_planner.planning.paths.smoothing import ENOUGH, ROOM, null_bases, strict_targets
-from backhoe_planner.planning.paths.stretch import Stretch, torn
+from backhoe_planner.planning.paths.step_bounds import StepBounds
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
@@ -113,7 +114,7 @@ class _Descent:
         self._proximity = proximity
         self._time = time
         self._kinematics = BatchKinematics(problem.robot)
-        self._bound = stretch.bound
+        self._bounds = StepBounds(path, stretch, problem.joint_steps)
         self._stations = stations = stretch.stations
         self.q = q = stretch.q
         self._targets = TargetBatch.of([path.target(float(s)) for s in stations])
@@ -251,7 +252,7 @@ class _Descent:
         for k in np.flatnonzero(unsure).tolist():
             if not path_segment_is_clear(self._proximity, moved[k], moved[k + 1], time=self._time):
                 tight[k] = True
-        tight[:-1] |= torn(moved, self._bound)
+        tight |= self._bounds.broken(moved)
         after = np.searchsorted(self._knots, np.flatnonzero(tight))
         for shift in (-2, -1, 0, 1):  # the curve between two knots hangs on four
             bad[np.clip(after + shift, 0, len(bad) - 1)] = True

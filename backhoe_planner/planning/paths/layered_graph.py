@@ -123,6 +123,8 @@ class LayeredGraph:
         costs of the motions, infinite where there is none.
     turning: arc length that a turn counts as [m].
     detours: whether the path may be left.
+    turns: whether the joints may move while the tip stands.
+    longest: (L, n) how far a joint may move from the layer before to each layer [rad or m]; by default freely.
     reduce: brings changes of the joints (..., n) to the shorter way round; by default they are as they are.
     brake: checked by every search; by default none.
 
@@ -139,6 +141,8 @@ class LayeredGraph:
         cost: StepCost,
         turning: float,
         detours: bool,
+        turns: bool = True,
+        longest: Matrix | None = None,
         reduce: Callable[[Array], Array] = lambda change: change,
         brake: Brake | None = None,
     ) -> None:
@@ -147,6 +151,8 @@ class LayeredGraph:
         self._cost = cost
         self._turning = turning
         self._detours = detours
+        self._may_turn = turns
+        self._longest = longest
         self._reduce = reduce
         self._brake = brake or Brake()
         self._steps: dict[int, _Edges] = {}
@@ -217,6 +223,11 @@ class LayeredGraph:
         values, _ = self._values(begin)
         return max((layer for layer, value in enumerate(values) if np.isfinite(value).any()), default=-1)
 
+    def reached(self, begin: Vector | None = None) -> list[Matrix]:
+        """By layer, (M, n) the nodes that can be reached."""
+        values, _ = self._values(begin)
+        return [nodes[np.isfinite(value)] for nodes, value in zip(self.layers, values, strict=True)]
+
     def _forget_from(self, layer: int) -> None:
         """What was found is as it was up to the layer before `layer` only."""
         del self._found_values[layer:], self._found_sources[layer:], self._leaving[layer:]
@@ -254,7 +265,7 @@ class LayeredGraph:
 
     def _turn(self, layer: int, value: Vector, source: NDArray[np.intp]) -> None:
         """Let the joints move within a layer, as long as that makes a node cheaper."""
-        if len(value) < 2 or not np.isfinite(value).any():
+        if len(value) < 2 or not np.isfinite(value).any() or not self._may_turn:
             return
         edges = self._turn_edges(layer)
         for _ in range(_TURNS):
@@ -279,7 +290,7 @@ class LayeredGraph:
         here = float(np.min(value)) if np.isfinite(value).any() else np.inf
         order = [layer, *np.argsort(np.array(leaving), kind="stable").tolist()]
         for start in order:
-            if (start, layer) in self._refused:
+            if (start, layer) in self._refused or (start == layer and not self._may_turn):
                 continue
             before = value.copy() if start == layer else values[start]
             least = here if start == layer else leaving[start] + _LEFT_OUT * float(self.stations[layer])
@@ -321,6 +332,8 @@ class LayeredGraph:
             span = float(self.stations[layer] - self.stations[layer - 1])
             before, nodes = self.layers[layer - 1], self.layers[layer]
             costs = self._cost(before, nodes, span) if span > 0.0 else np.full((len(before), len(nodes)), np.inf)
+            if self._longest is not None:
+                costs[step_ratios(before, nodes, self._longest[layer], reduce=self._reduce) > 1.0] = np.inf
             self._steps[layer] = _Edges(costs)
         return self._steps[layer]
 
@@ -331,3 +344,11 @@ class LayeredGraph:
             np.fill_diagonal(costs, np.inf)
             self._turns[layer] = _Edges(costs)
         return self._turns[layer]
+
+
+def step_ratios(a: Matrix, b: Matrix, longest: Vector, *, reduce: Callable[[Array], Array]) -> Matrix:
+    """(A, B) how far the joints move from each of a (A, n) to each of b (B, n), the most in parts of `longest` (n,)."""
+    found = np.zeros((len(a), len(b)))
+    for row, joints in enumerate(a):  # one by one: the differences of all are as large as all joints together
+        found[row] = np.max(np.abs(reduce(b - joints)) / longest, axis=1, initial=0.0)
+    return found

@@ -15,9 +15,9 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import TURN_LEVER, Problem, TipPath
+from backhoe_planner.motion import TURN_LEVER, Problem, TipPath, WaypointStep, longest_step
 from backhoe_planner.planning.paths.corners import SHARP
-from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost
+from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost, step_ratios
 from backhoe_planner.planning.paths.path_layers import PathLayers
 from backhoe_planner.planning.paths.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
 from backhoe_planner.planning.search.effort import Work
@@ -66,12 +66,14 @@ class Resolution:
     pieces: in order; up to the blocked part where the path is blocked.
     obstruction: what is in the way, and of which part of the path; None where the pieces
         lead to its end.
+    step: where that alone is too long, the least step from waypoint to waypoint that was found.
     routes: how many routes through the layers were tested.
     gave_up: whether there are more that were not.
     """
 
     pieces: tuple[Stretch | Bypass, ...]
     obstruction: Obstruction | None = None
+    step: WaypointStep | None = None
     routes: int = 0
     gave_up: bool = False
 
@@ -90,6 +92,8 @@ class PathResolver:
     cost: of a step, as for `LayeredGraph`.
     grid: step of the free parameter, where there is one [rad; m for a slide].
     layer: arc length between layers [m].
+    joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; then the layers
+        stand at waypoints. None where all may freely.
     """
 
     def __init__(
@@ -106,6 +110,7 @@ class PathResolver:
         cost: StepCost,
         grid: float = _GRID,
         layer: float = _LAYER,
+        joint_steps: Vector | None = None,
     ) -> None:
         self._problem = problem
         self._path = path
@@ -115,7 +120,12 @@ class PathResolver:
         self._work = work or Work()
         self._cost = cost
         self._kinematics = BatchKinematics(problem.robot)
-        self._stations = _layer_stations(path, since, layer)
+        self._steps = joint_steps
+        self._stations = (
+            _layer_stations(path, since, layer) if joint_steps is None else _waypoint_stations(path, since, layer)
+        )
+        task = problem.scene.task.path
+        self._may_turn = (task is None or task.turn_on_the_spot) and joint_steps is None
         self._targets = [path.target(float(s)) for s in self._stations]
         self._all = PathLayers(problem.robot, grid=grid, brake=self._work.brake).at(
             self._stations, self._targets, begin=begin
@@ -127,6 +137,7 @@ class PathResolver:
             self._layers.append(nodes[screen.keeps(nodes, time=time, spare=-TOUCH)])
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Bypass, Stretch]] = {}
+        self._too_long: dict[int, WaypointStep] = {}
         self._off_path = False
         self._routes = 0
 
@@ -160,10 +171,11 @@ class PathResolver:
         elif begin is not None:
             layers[0] = np.vstack((begin[None, :], layers[0]))
             costs = np.append(0.0, np.full(len(layers[0]) - 1, np.inf))
-        self._motions, self._ways = {}, {}
+        self._motions, self._ways, self._too_long = {}, {}, {}
         turning = float(self._stations[1] - self._stations[0])
         graph = LayeredGraph(
-            stations, layers, cost=self._cost, turning=turning, detours=detours,
+            stations, layers, cost=self._cost, turning=turning, detours=detours, turns=self._may_turn,
+            longest=None if self._steps is None else self._legs_to(stations)[:, None] * self._steps,
             reduce=self._problem.robot.reduce_unchecked, brake=self._work.brake,
         )  # fmt: skip
         for mark in self._path.stations[self._path.standing_waypoints].tolist():
@@ -173,6 +185,11 @@ class PathResolver:
         self._off_path = off_path
         pieces = self._search(graph, costs)
         return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
+
+    def _legs_to(self, stations: Vector) -> Vector:
+        """(L,) how many legs of the path end between the layer before and each layer; at least one."""
+        marks = np.unique(self._path.stations)
+        return np.maximum(np.diff(np.searchsorted(marks, stations + _SAME, side="right"), prepend=0), 1).astype(float)
 
     def _has_effort(self, graph: LayeredGraph) -> bool:
         """Whether another route may be looked for."""
@@ -203,7 +220,8 @@ class PathResolver:
         self._work.brake.check()
         fresh = [edge for edge in edges if edge not in self._motions]
         for edge, motion in zip(fresh, self._interpolate(graph, fresh), strict=True):
-            self._motions[edge] = motion if motion is not None and self._is_clear(motion.q) else None
+            passes = motion is not None and self._is_short(motion, edge.end[0]) and self._is_clear(motion.q)
+            self._motions[edge] = motion if passes else None
         bad = [edge for edge in edges if self._motions[edge] is None]
         for edge in bad:
             graph.forbid(edge)
@@ -250,6 +268,41 @@ class PathResolver:
             count = max(int(np.ceil((end - start) / _FINE)), int(np.ceil(part * turn / STRAIGHT_STEP)), 1)
             found.append(np.linspace(start, end, count + 1)[1:])
         return np.concatenate(found)
+
+    def _is_short(self, motion: Stretch, layer: int) -> bool:
+        """Whether no joint moves too far from waypoint to waypoint; the least that does is kept by `layer`."""
+        if self._steps is None:
+            return True
+        step = longest_step(self._path, motion.stations, motion.q, self._steps)
+        if step is None or step.kept:
+            return True
+        if layer not in self._too_long or step.ratio < self._too_long[layer].ratio:
+            self._too_long[layer] = step
+        return False
+
+    def _least_step(self, graph: LayeredGraph, costs: Vector, layer: int) -> WaypointStep | None:
+        """The least step from waypoint to waypoint that leads on from `layer`, the last that can be reached.
+
+        None where none is too long.
+        """
+        if self._steps is None or layer < 0 or layer + 1 == len(graph.layers):
+            return None
+        before, nodes, reduce = (
+            graph.reached(costs)[layer],
+            graph.layers[layer + 1],
+            self._problem.robot.reduce_unchecked,
+        )
+        longest = self._legs_to(graph.stations)[layer + 1] * self._steps
+        ratios = step_ratios(before, nodes, longest, reduce=reduce)
+        if not ratios.size or not np.min(ratios) > 1.0:
+            return self._too_long.get(layer + 1)
+        a, b = np.unravel_index(int(np.argmin(ratios)), ratios.shape)
+        moved = np.abs(reduce(nodes[b] - before[a]))
+        joint = int(np.argmax(moved / longest))
+        ends = [
+            int(np.searchsorted(self._path.stations, s - _SAME)) for s in graph.stations[[layer, layer + 1]].tolist()
+        ]
+        return WaypointStep(joint, ends[0], ends[1], float(moved[joint]), float(longest[joint]))
 
     def _is_clear(self, q: Matrix) -> bool:
         return all(path_segment_is_clear(self._proximity, a, b, time=self._time) for a, b in pairwise(q))
@@ -367,6 +420,7 @@ class PathResolver:
         pieces: tuple[Stretch | Bypass, ...] = ()
         beyond = (self._problem.robot.middle, 0.0)
         left = 0.0
+        step = None
         enough = graph.looked_at + self._work.effort.node_pairs // _AS_FAR_PART
         for _ in range(self._work.effort.routes // _AS_FAR_PART):
             if graph.looked_at > enough:
@@ -379,17 +433,18 @@ class PathResolver:
             if not self._make_motions(graph, route):
                 continue
             layer, index = route.nodes[-1]
+            step = self._least_step(graph, costs, layer)
             low = float(graph.stations[layer])
             high = float(graph.stations[min(layer + 1, len(graph.stations) - 1)])
             further, beyond = self._extend(low, high, graph.layers[layer][index])
             reached_pieces = list(self._pieces(graph, route))
             _append(reached_pieces, further)
             pieces, left = tuple(reached_pieces), further.reached
-            if left > self._path.length - _AT_END:
-                return Resolution(pieces, None, self._routes)
+            if step is None and left > self._path.length - _AT_END:
+                return Resolution(pieces, routes=self._routes)
             break
         obstruction = replace(self._obstruction(*beyond), path_from=left, path_to=self._free_again(left))
-        return Resolution(pieces, obstruction, self._routes, not self._has_effort(graph))
+        return Resolution(pieces, obstruction, step, self._routes, not self._has_effort(graph))
 
 
 def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
@@ -410,6 +465,17 @@ def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
         inner = [s for s in found[1:-1] if np.min(np.abs(marks - s)) > near]
         found = np.unique(np.concatenate((found[[0, -1]], inner, marks)))
     return np.asarray(found)
+
+
+def _waypoint_stations(path: TipPath, since: float, spacing: float) -> Vector:
+    """(L,) arc lengths [m] from `since` to the end at waypoints, of near ones only some."""
+    marks = np.unique(path.stations[path.stations > since + _SAME])
+    kept, must = [since], set(path.stations[path.turned_waypoints].tolist())
+    spacing = max(spacing, (path.length - since) / _MANY_LAYERS)
+    for mark in marks[:-1].tolist():
+        if mark in must or mark - kept[-1] > spacing - _SAME:
+            kept.append(mark)
+    return np.array([*kept, marks[-1]])
 
 
 def _append(pieces: list[Stretch | Bypass], motion: Stretch) -> Vector:

@@ -23,7 +23,8 @@ from scipy.linalg import solveh_banded
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
 from backhoe_planner.motion import Problem, TipPath, step_lengths
-from backhoe_planner.planning.paths.stretch import Stretch, torn
+from backhoe_planner.planning.paths.step_bounds import StepBounds
+from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import TOUCH, path_segment_is_clear
 from backhoe_planner.site import Proximity
@@ -70,6 +71,7 @@ def smooth_stretch(
     price = np.zeros(len(q))
     floor = np.minimum(_margins(proximity, q, time), ROOM) - TOUCH
     cost = _cost(weights, q)
+    bounds = StepBounds(path, stretch, problem.joint_steps)
     for _ in range(_ROUNDS):
         N = null_bases(kinematics, strict, q)
         if N.shape[2] == 0 or brake.is_used_up():
@@ -79,9 +81,7 @@ def smooth_stretch(
         moved[held] = q[held]
         bad = ~(reached | held)
         bad |= _margins(proximity, moved, time, floor=floor) < floor
-        apart = torn(moved, stretch.bound)
-        bad[:-1] |= apart & ~held[:-1]
-        bad[1:] |= apart & ~held[1:]
+        bad |= bounds.broken(moved) & ~held
         if not bad.any() and _cost(weights, moved) < cost:
             clear = [path_segment_is_clear(proximity, a, b, time=time) for a, b in pairwise(moved)]
             bad[:-1] |= ~np.array(clear)

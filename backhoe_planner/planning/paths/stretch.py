@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.site import Obstruction
 
 STRAIGHT_STEP = 0.03  # rad or m of a joint from sample to sample on the straight way between two nodes; chosen
@@ -33,16 +31,3 @@ class Stretch:
     def reached(self) -> float:
         """Its last arc length [m]."""
         return float(self.stations[-1])
-
-    @property
-    def bound(self) -> float:
-        """How far a joint may move from sample to sample after smoothing [rad or m]: no further than it does here.
-
-        What a resolved path's steps may be at most is always allowed.
-        """
-        return max(BENT * STRAIGHT_STEP + JUMP, float(np.max(np.abs(np.diff(self.q, axis=0)), initial=0.0)))
-
-
-def torn(q: Matrix, bound: float) -> Flags:
-    """(K - 1,) the steps between q (K, n) that are longer than `bound` [rad or m]."""
-    return np.asarray(np.max(np.abs(np.diff(q, axis=0)), axis=1) > bound)

@@ -173,6 +173,10 @@ class PathTask(Record):
     """How far the bucket may be turned from the angles that the waypoints ask for [rad]."""
     detour: bool = True
     """May the tip leave the path to get around an obstacle?"""
+    turn_on_the_spot: bool = True
+    """May the joints go to another posture while the tip stands, where the path itself asks for no turn there?"""
+    max_joint_step: Positive | dict[str, Positive] | None = None
+    """How far a joint may move from waypoint to waypoint [rad or m], one number or by joint name; by default freely."""
 
     _one = exactly_one("waypoints", "file")
 
