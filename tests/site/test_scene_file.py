@@ -64,7 +64,13 @@ obstacles:
   - {name: worker,     shape: capsule, from: [5, 2, 0], to: [5, 2, 1.8], radius: 0.3,
      clearance: 1.0, appears_at: 2.0, velocity: [0, -0.8, 0]}
 gains: {s_e: 0.2, s_o: 0.2, s_k: {boom: 0.01, stick: 0.01}}
-limits: {velocity_scale: 1.0, acceleration: {swing: 0.4, boom: 0.7}}
+limits:
+  velocity_scale: 1.0
+  acceleration: {swing: 0.4, boom: 0.7}
+  velocity: {swing: 0.5}
+  effort: {boom: 60000.0}
+  position: {stick: [-2.2, -0.4]}
+hold: {stabilizer: 0.2}
 objective: work
 payload: 250.0
 soil: {density: 1700, cohesion: 5000, friction: 0.55}
@@ -127,6 +133,9 @@ def test_scene_of_the_contract_is_read_as_written(tmp_path: Path) -> None:
     assert found.gains != "auto"
     assert found.gains.s_k == {"boom": 0.01, "stick": 0.01}
     assert found.limits.acceleration == {"swing": 0.4, "boom": 0.7}
+    assert (found.limits.velocity, found.limits.effort) == ({"swing": 0.5}, {"boom": 6e4})
+    assert found.limits.position == {"stick": (-2.2, -0.4)}
+    assert found.hold == {"stabilizer": 0.2}
     assert found.soil is not None
     assert found.soil.density == 1700.0
 
@@ -308,6 +317,9 @@ BAD: dict[str, tuple[Data, list[str]]] = {
         scene(limits={"velocity_scale": 1.5}),
         ["limits.velocity_scale", "less than or equal to 1"],
     ),
+    "no rate": (scene(limits={"velocity": {"boom": 0.0}}), ["limits.velocity.boom", "greater than 0"]),
+    "range of one": (scene(limits={"position": {"boom": [0.1]}}), ["limits.position.boom"]),
+    "held nowhere": (scene(hold={"boom": None}), ["hold.boom", "valid number"]),
     "no acceleration": (scene(limits={"acceleration": {"boom": 0}}), ["limits.acceleration.boom", "greater than 0"]),
     "steep friction": (scene(soil={"friction": 2.0}), ["soil.friction", "less than 1.57"]),
     "unknown objective": (scene(objective="energy"), ["objective", "'work'", "found 'energy'"]),
