@@ -123,7 +123,8 @@ class Sweep:
         for row in rows.tolist():
             rotation, translation = rotations[row], translations[row]
             own = (other.points - translation) @ rotation  # of the other's points, in the frame of the joint's child
-            reach = min(float(np.max(np.linalg.norm(points, axis=1))) for points in (one.points, own))
+            sizes = ((one.points, one.fat), (own, other.fat))  # of a ball the points are its middle
+            reach = min(float(np.max(np.linalg.norm(points, axis=1) + fat)) for points, fat in sizes)
             for body, points in ((other, one.points @ rotation.T + translation), (one, own)):
                 frame = one.points if body is other else own
                 along = (frame @ joint.axis)[:, None] * joint.axis * (joint.kind != "prismatic")
