@@ -96,7 +96,7 @@ def _print_motion(found: bp.Plan) -> None:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
         OUT.print(f"zones         {visits[0]}{more}")
     OUT.print(f"duration      {metrics.duration:.2f} s ({len(found.trajectory)} samples)")
-    _print_bound(found.bound)
+    _print_bound(found)
     OUT.print(f"work          {describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})")
     _print_comparison(metrics.objective)
     _print_asked_speed(metrics.asked_speed)
@@ -168,11 +168,15 @@ def _loads(found: bp.Plan) -> str:
     return f"{', '.join(first)} and {last}"
 
 
-def _print_bound(bound: bp.Bound | None) -> None:
+def _print_bound(found: bp.Plan) -> None:
     """What no motion to the goal could fall short of, and how far above it the plan is; nothing along a path."""
+    bound, objective = found.bound, found.problem.objective
     if bound is not None:
         longer = f"this one takes {bound.longer_percent:.0f} % longer"
         OUT.print(f"bound         no motion can take less than {bound.duration:.2f} s ({longer})")
+        if bound.energy.get(objective.name, 0.0) > 0.0:
+            least = describe_quantity(bound.energy[objective.name], objective.unit)
+            OUT.print(f"              nor with less {objective.name} than {least}")
 
 
 def _print_comparison(compared: planning.LawComparison | None) -> None:

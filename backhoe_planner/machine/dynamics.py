@@ -65,6 +65,11 @@ class Dynamics:
             found[row] = upper + np.triu(upper, 1).T
         return found
 
+    def bodies(self) -> tuple[Vector, Matrix]:
+        """(n,) the masses that each joint carries itself [kg], and (n, 3) their centres in the joints' frames [m]."""
+        inertias = [self._model.inertias[joint] for joint in range(1, self._model.njoints)]
+        return np.array([one.mass for one in inertias]), np.array([one.lever for one in inertias])
+
     def kinetic_energy(self, q: Vector, v: Vector) -> float:
         """Kinetic energy at q, v (n,) [J]."""
         return float(pin.computeKineticEnergy(self._model, self._data, q, v))

@@ -8,5 +8,6 @@ from .clearances import segment_is_clear as segment_is_clear
 from .keeping import KeepUse as KeepUse
 from .least_duration import least_duration as least_duration
 from .least_times import LeastTimes as LeastTimes
+from .least_work import least_work as least_work
 from .limits import LimitUse as LimitUse
 from .limits import describe_ratio as describe_ratio

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Flags, Matrix
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.proof.goal_features import Features
 
 _STEPS = 3  # of the descent to a direction; chosen: further ones cost more boxes than they save
@@ -45,16 +45,31 @@ def best_directions(features: Features, low: Matrix, high: Matrix) -> Matrix:
     return np.asarray(w)
 
 
+class Quadratic:
+    """g . d + d^T h d / 2 over boxes, with g (B, n) and h (B, n, n)."""
+
+    def __init__(self, g: Matrix, h: Array) -> None:
+        self._g, self._own, self._across = g, np.einsum("bii->bi", h), np.abs(h)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self._top = np.where(self._own < 0.0, -g / self._own, np.inf)
+
+    def greatest(self, low: Matrix, high: Matrix) -> Vector:
+        """(B,) it is nowhere above this on low <= d <= high (B, n)."""
+        g, own, top = self._g, self._own, self._top
+        found = np.maximum((g + 0.5 * own * low) * low, (g + 0.5 * own * high) * high)
+        inside = (top > low) & (top < high)
+        found = np.where(inside, 0.5 * g * np.where(inside, top, 0.0), found).sum(axis=1)
+        size = np.maximum(np.abs(low), np.abs(high))
+        across = np.einsum("bij,bi,bj->b", self._across, size, size) - np.einsum("bi,bi->b", np.abs(own), size * size)
+        return np.asarray(found + 0.5 * across)
+
+
 class DirectionTest:
     """The test along one direction w (B, m) of every box."""
 
     def __init__(self, features: Features, w: Matrix) -> None:
-        self._g = np.einsum("bm,bmn->bn", w, features.J)
-        self._h = np.einsum("bm,bmij->bij", w, features.H)
-        self._own = np.einsum("bii->bi", self._h)
-        self._across = np.abs(self._h)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            self._top = np.where(self._own < 0.0, -self._g / self._own, np.inf)
+        g, h = np.einsum("bm,bmn->bn", w, features.J), np.einsum("bm,bmij->bij", w, features.H)
+        self._left = Quadratic(g, h)
         lengths = _lengths(features, w)
         with np.errstate(invalid="ignore"):
             slack = np.where(lengths > 0.0, lengths * features.slack, 0.0).sum(axis=1)
@@ -62,14 +77,7 @@ class DirectionTest:
 
     def misses(self, low: Matrix, high: Matrix) -> Flags:
         """(B,) whether no configuration with low <= d <= high (B, n), within the box, is on the goal."""
-        g, own, top = self._g, self._own, self._top
-        found = np.maximum((g + 0.5 * own * low) * low, (g + 0.5 * own * high) * high)
-        inside = (top > low) & (top < high)
-        found = np.where(inside, 0.5 * g * np.where(inside, top, 0.0), found).sum(axis=1)
-        size = np.maximum(np.abs(low), np.abs(high))
-        squared = size * size
-        across = np.einsum("bij,bi,bj->b", self._across, size, size) - np.einsum("bi,bi->b", np.abs(own), squared)
-        return np.asarray(found + 0.5 * across < self._needed)
+        return np.asarray(self._left.greatest(low, high) < self._needed)
 
 
 def contracted(features: Features, half: Matrix) -> tuple[Matrix, Matrix]:

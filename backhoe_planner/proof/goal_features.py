@@ -191,7 +191,7 @@ def _constant_pitch_row(kinematics: BatchKinematics) -> Vector | None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Terms:
+class VectorTerms:
     """A vector that k joints move, to second order, over B boxes; joints from the base of their chain.
 
     Attributes
@@ -207,21 +207,21 @@ class _Terms:
     longest: Matrix
 
 
-def _point(axes: Array, arms: Array, half: Matrix, *, hinge: Vector, bound: Vector | None = None) -> _Terms:
+def _point(axes: Array, arms: Array, half: Matrix, *, hinge: Vector, bound: Vector | None = None) -> VectorTerms:
     """A point, by the joints' `axes` and its `arms` from them (B, k, 3), in boxes of the half widths `half` (B, k).
 
     hinge: (k,) 1, or 0 for a slide; bound: (k,) how far from each hinge's axis it can be anywhere.
     """
-    return _terms(np.where(hinge[:, None] > 0.0, _cross(axes, arms), axes), axes, half, hinge=hinge, bound=bound)
+    return vector_terms(np.where(hinge[:, None] > 0.0, cross(axes, arms), axes), axes, half, hinge=hinge, bound=bound)
 
 
-def _direction(axes: Array, vector: Matrix, half: Matrix, *, hinge: Vector) -> _Terms:
+def _direction(axes: Array, vector: Matrix, half: Matrix, *, hinge: Vector) -> VectorTerms:
     """The unit `vector` (B, 3), else as `_point`."""
-    first = _cross(axes, vector[:, None, :]) * hinge[:, None]
-    return _terms(first, axes, half, hinge=hinge, bound=np.ones(len(hinge)))
+    first = cross(axes, vector[:, None, :]) * hinge[:, None]
+    return vector_terms(first, axes, half, hinge=hinge, bound=np.ones(len(hinge)))
 
 
-def _terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, bound: Vector | None) -> _Terms:
+def vector_terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, bound: Vector | None = None) -> VectorTerms:
     """A vector with the first derivatives `first` (B, k, 3)."""
     count, k = half.shape
     second = np.zeros((count, 3, k, k))
@@ -231,7 +231,7 @@ def _terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, bound: Vec
         here = np.sqrt(np.einsum("bi,bi->b", first[:, joint], first[:, joint]))
         if hinge[joint]:
             longest[:, joint] = here + moved if bound is None else np.minimum(here + moved, bound[joint])
-            turned = np.swapaxes(_cross(axes[:, joint, None, :], first[:, joint:]), 1, 2)
+            turned = np.swapaxes(cross(axes[:, joint, None, :], first[:, joint:]), 1, 2)
             second[:, :, joint, joint:] = turned
             second[:, :, joint:, joint] = turned
         else:
@@ -241,7 +241,7 @@ def _terms(first: Array, axes: Array, half: Matrix, *, hinge: Vector, bound: Vec
     up_to = np.cumsum(angle, axis=1)
     before = up_to - angle
     terms = np.where(hinge > 0.0, up_to**3 - before**3, 3.0 * half * before**2)
-    return _Terms(np.swapaxes(first, 1, 2), second, np.einsum("bk,bk->b", longest, terms) / 6.0, longest)
+    return VectorTerms(np.swapaxes(first, 1, 2), second, np.einsum("bk,bk->b", longest, terms) / 6.0, longest)
 
 
 def _turned(turn: Array, vectors: Array) -> Array:
@@ -249,7 +249,7 @@ def _turned(turn: Array, vectors: Array) -> Array:
     return np.asarray(np.einsum("bij,b...j->b...i", turn, vectors))
 
 
-def _cross(a: Array, b: Array) -> Array:
+def cross(a: Array, b: Array) -> Array:
     """The vector product along the last axis; numpy's own costs several times more."""
     a, b = np.broadcast_arrays(a, b)
     found = np.empty(a.shape)

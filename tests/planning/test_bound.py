@@ -41,7 +41,7 @@ def test_the_bound_stands_in_the_plan_file(to_a_posture: bp.Plan, tmp_path: Path
     to_a_posture.save(file)
     assert bp.load_plan(file).bound == to_a_posture.bound
     content = json.loads(file.read_text())
-    assert set(content["bound"]) == {"duration", "longer_percent", "settled"}
+    assert set(content["bound"]) == {"duration", "longer_percent", "settled", "energy"}
     del content["bound"]  # as in older files
     file.write_text(json.dumps(content))
     assert bp.load_plan(file).bound is None
@@ -76,3 +76,5 @@ def test_plans_of_random_sites_take_longer(machine: str, index: int) -> None:
     assert 0.0 < plan.bound.duration <= duration
     unknown = least_duration(plan.problem, plan.trajectory.q[0], known=2.0 * duration, boxes=1_000)
     assert unknown.duration <= duration
+    for name, least in plan.bound.energy.items():
+        assert least <= plan.metrics.energy[name]

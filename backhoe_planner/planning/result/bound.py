@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.motion import Problem, Trajectory
-from backhoe_planner.proof import Certificate, least_duration
+from backhoe_planner.proof import Certificate, least_duration, least_work
 
 
 class Bound(Record):
     """What no motion from the start of a plan to any of its goals can fall short of.
 
-    It follows from the machine, its limits in the scene and the goals alone. Obstacles, torques and
-    engine power are left out, so that the fastest motion there is may well take longer.
+    The duration follows from the machine, its limits in the scene and the goals alone. Obstacles, torques and
+    engine power are left out, so that the fastest motion there is may well take longer. The energy
+    is what is lifted; 0 where the goal may be as low as the start.
     """
 
     duration: Figure
@@ -19,7 +22,9 @@ class Bound(Record):
     longer_percent: Figure
     """What the plan's motion takes longer than that [%]."""
     settled: bool
-    """Whether the bound is as near as it is sought: to 1 % of the time to the posture in which the plan ends."""
+    """Whether the duration is as near as it is sought: to 1 % of the time to the posture in which the plan ends."""
+    energy: dict[str, Figure] = Field(default_factory=dict)
+    """What no motion costs less than, by the objectives for which something is proven, in their units."""
 
 
 def measure_bound(problem: Problem, trajectory: Trajectory, certificate: Certificate, *, boxes: int) -> Bound | None:
@@ -35,4 +40,15 @@ def measure_bound(problem: Problem, trajectory: Trajectory, certificate: Certifi
     q, duration = trajectory.q, trajectory.duration
     found = least_duration(problem, q[0], known=duration, end=q[-1], boxes=boxes)
     longer = 100.0 * (duration / found.duration - 1.0) if found.duration > 0.0 else 0.0
-    return Bound(duration=found.duration, longer_percent=longer, settled=found.settled)
+    energy = _least_energy(problem, least_work(problem, q[0], end=q[-1], boxes=boxes))
+    return Bound(duration=found.duration, longer_percent=longer, settled=found.settled, energy=energy)
+
+
+def _least_energy(problem: Problem, work: float | None) -> dict[str, float]:
+    """By objective, where no motion takes less than this `work` of the joints [J]."""
+    if work is None:
+        return {}
+    hydraulics = problem.robot.hydraulics
+    # the pump gives at least what the rods do, and these move all joints
+    by_rods = hydraulics is not None and set(hydraulics.joint_of.tolist()) == set(range(problem.robot.n))
+    return {"work": work} | ({"hydraulic": work} if by_rods else {})

@@ -1,0 +1,114 @@
+"""A lower bound of the work of every motion to a goal: what it lifts.
+
+From rest to rest the joints give the machine and its payload at least the gain in potential
+energy, and nothing is given back. The gain is least over the postures on the goal, found by branch
+and bound over boxes as in `least_duration`, with the potential energy to second order:
+
+    U(q) = U(c) + grad U . d + d^T H d / 2 + R,    d = q - c,
+
+from the first moments of what each joint carries, as of one point (`goal_features`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.machine import GRAVITY, BatchKinematics, Dynamics
+from backhoe_planner.motion import Problem
+from backhoe_planner.proof.box_tests import DirectionTest, Quadratic, bends, best_directions, contracted
+from backhoe_planner.proof.goal_features import GoalRegion, cross, goal_regions, vector_terms
+
+_NEAR = 0.01  # part of the gain to a known posture: a bound nearer to it is near enough; chosen
+_SAMPLED = 0.99  # of the bound: the work of samples 0.02 s apart is that of the motion to within a thousandth
+_BESIDE = 1e-6  # rad or m by which the certificate lets a joint be outside of its range
+_AT_ONCE = 64  # boxes that are halved together; chosen, as in `least_duration`
+
+
+def least_work(problem: Problem, start: Vector, *, end: Vector, boxes: int) -> float | None:
+    """A lower bound of the work of every motion from rest at `start` to rest on the goal [J]; None in soil.
+
+    0 where the goal may be as low as the start.
+
+    Parameters
+    ----------
+    start, end: (n,) where the joints are at rest, and one posture on the goal [rad or m].
+    boxes: how many may be looked at.
+    """
+    if problem.scene.soil is not None:
+        return None
+    energy = _PotentialEnergy(problem)
+    least = (1.0 - _NEAR) * (energy.at(end) - energy.at(start))
+    for goal, given in zip(goal_regions(problem), problem.goals, strict=True):
+        if least <= 0.0:
+            return 0.0
+        limits, middle = problem.limits, start if given.q is None else given.q
+        # a turn more or less is the same height
+        lower = np.where(np.isfinite(limits.lower), limits.lower, middle - np.pi) - _BESIDE
+        upper = np.where(np.isfinite(limits.upper), limits.upper, middle + np.pi) + _BESIDE
+        base = energy.at(start)
+        least = _search(energy, goal, lower[None], upper[None], base, target=least, boxes=boxes)
+    return _SAMPLED * max(least, 0.0)
+
+
+class _PotentialEnergy:
+    """Of a problem's machine with its payload [J], up to a constant."""
+
+    def __init__(self, problem: Problem) -> None:
+        robot = problem.robot
+        self._kinematics = BatchKinematics(robot)
+        self._hinge = np.where(robot.prismatic, 0.0, 1.0)
+        self._mass, self._centre = Dynamics(robot, payload=problem.scene.payload).bodies()
+
+    def at(self, q: Vector) -> float:
+        """At q (n,)."""
+        at = self._kinematics.at(q[None])
+        return GRAVITY * float((self._moments(at.rotations, at.origins)[0, :, 2]).sum())
+
+    def least(self, lower: Matrix, upper: Matrix) -> Vector:
+        """(B,) it is nowhere below this in the boxes `lower` .. `upper` (B, n)."""
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        at = self._kinematics.at(middle)
+        own = self._moments(at.rotations, at.origins)
+        # what a joint moves: its own body and all that are further out
+        mass = np.cumsum(self._mass[::-1])[::-1]
+        moment = np.cumsum(own[:, ::-1], axis=1)[:, ::-1]
+        turning = cross(at.axes, moment - mass[:, None] * at.origins)
+        first = np.where(self._hinge[:, None] > 0.0, turning, mass[:, None] * at.axes)
+        terms = vector_terms(first, at.axes, half, hinge=self._hinge)
+        lift = Quadratic(-terms.J[:, 2], -terms.H[:, 2]).greatest(-half, half)
+        return np.asarray(GRAVITY * (own[:, :, 2].sum(axis=1) - lift - terms.rest))
+
+    def _moments(self, rotations: Array, origins: Array) -> Array:
+        """(B, n, 3) first moments of the bodies about the world's origin [kg m]."""
+        return np.asarray(self._mass[:, None] * (origins + np.einsum("bnij,nj->bni", rotations, self._centre)))
+
+
+def _search(
+    energy: _PotentialEnergy, goal: GoalRegion, lower: Matrix, upper: Matrix, base: float, *, target: float, boxes: int
+) -> float:
+    """The least potential energy above `base` on the goal, within the box lower .. upper (1, n), up to `target` [J]."""
+    gain, joint = np.full(1, -np.inf), np.zeros(1, dtype=np.intp)
+    looked = 0
+    while len(gain) and looked < boxes:
+        count = min(_AT_ONCE, len(gain))
+        order = np.argpartition(gain, count - 1)
+        lowest, rest = order[:count], order[count:]
+        rows = np.arange(count)
+        low, high = lower[lowest], upper[lowest]
+        middle = 0.5 * (low[rows, joint[lowest]] + high[rows, joint[lowest]])
+        below, above = high.copy(), low.copy()
+        below[rows, joint[lowest]] = above[rows, joint[lowest]] = middle
+        low, high = np.vstack((low, above)), np.vstack((below, high))
+        looked += len(low)
+        found = np.maximum(np.tile(gain[lowest], 2), energy.least(low, high) - base)
+        features = goal.features(low, high)
+        half = 0.5 * (high - low)
+        missed = DirectionTest(features, best_directions(features, -half, half)).misses(-half, half)
+        least, most = contracted(features, half)
+        left = np.flatnonzero(~missed & (least <= most).all(axis=1) & (found < target))
+        next_joint = np.argmax(bends(features, 0.5 * (most - least)), axis=1)
+        low, high = (features.middle + least)[left], (features.middle + most)[left]
+        lower, upper = np.vstack((lower[rest], low)), np.vstack((upper[rest], high))
+        gain, joint = np.append(gain[rest], found[left]), np.append(joint[rest], next_joint[left])
+    return float(np.min(gain, initial=target))
