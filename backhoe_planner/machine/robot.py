@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -389,9 +388,9 @@ def load_robot(
 
 
 def _checked_hold(hold: Mapping[str, float]) -> Mapping[str, float]:
-    """A copy that cannot be written on, of numbers only."""
+    """A copy, of numbers only."""
     given = check_kind(hold, Mapping, key="hold")  # type: ignore[type-abstract]
-    return MappingProxyType({name: as_number(position, key=f"hold.{name}") for name, position in given.items()})
+    return {name: as_number(position, key=f"hold.{name}") for name, position in given.items()}
 
 
 def _build(
