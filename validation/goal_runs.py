@@ -52,7 +52,7 @@ class Row:
     seconds: planning time on the processor [s].
     cost: of the motion by the objective, in its unit; of verified plans only, else None.
     duration: of the motion [s]; likewise.
-    bound: proven, no motion takes less time [s]; None where the plan has none.
+    bound: proven, no motion costs less; None where the plan has none.
     digest: of the scene.
     """
 
@@ -177,6 +177,13 @@ def cost_of(plan: bp.Plan, objective: str) -> float:
     return float(plan.metrics.duration if objective == "time" else plan.metrics.energy[objective])
 
 
+def bound_of(plan: bp.Plan, objective: str) -> float | None:
+    """What no motion costs less than, by the objective; None where the plan says nothing about it."""
+    if plan.bound is None:
+        return None
+    return float(plan.bound.duration) if objective == "time" else plan.bound.energy.get(objective)
+
+
 def run_site(key: SiteKey, settings: Settings, draw: Callable[[bp.Robot, SiteKey], Site] = random_site) -> list[Row]:
     """Draw a site and plan it, with every seed of the planner."""
     robot = load_machine(key.machine)
@@ -197,8 +204,7 @@ def _run(robot: bp.Robot, scene: bp.Scene, seed: int, settings: Settings, about:
         found: dict[str, Any] = {"verdict": plan.verdict, "reason": plan.reason, "message": plan.message}
         if plan.verified:
             found |= {"cost": cost_of(plan, settings.objective), "duration": float(plan.metrics.duration)}
-            bound = getattr(plan, "bound", None)
-            found["bound"] = None if bound is None else float(bound.duration)
+            found["bound"] = bound_of(plan, settings.objective)
     except Exception as error:  # noqa: BLE001  an exception is a finding, not the end of the run
         seconds = time.process_time() - begun
         found = {"verdict": "error", "reason": "error", "message": f"{type(error).__name__}: {error}"}
@@ -233,16 +239,12 @@ def spreads(rows: Sequence[Row]) -> list[float]:
 
 
 def violations(rows: Sequence[Row], best: Best) -> list[str]:
-    """The sites with a verified motion, of any run, that is shorter than a bound proven for the same site."""
+    """The sites with a verified motion, of any run, below a bound that was proven for the same site."""
     bounds: dict[str, float] = {}
-    least: dict[str, float] = {}
     for row in rows:
         if row.bound is not None:
             bounds[row.name] = max(row.bound, bounds.get(row.name, -np.inf))
-        known = best.of(row) if row.objective == "time" else np.inf
-        for duration in (row.duration, known):
-            if duration is not None:
-                least[row.name] = min(duration, least.get(row.name, np.inf))
+    least = {row.name: best.of(row) for row in rows}
     return [name for name, bound in bounds.items() if least[name] < bound * (1.0 - _ROUNDING)]
 
 
@@ -256,7 +258,7 @@ def table(rows: Sequence[Row], best: Best) -> str:
 def _figures(name: str, rows: Sequence[Row], best: Best) -> TableRow:
     # what is not verified is within nothing
     ratios = [np.inf if row.cost is None else _ratio(row.cost, best.of(row)) for row in rows]
-    over_bound = [row.duration / row.bound for row in rows if row.duration is not None and row.bound]
+    over_bound = [row.cost / row.bound for row in rows if row.cost is not None and row.bound]
     return {
         "group": name,
         "sites": len({row.name for row in rows}),
@@ -264,7 +266,7 @@ def _figures(name: str, rows: Sequence[Row], best: Best) -> TableRow:
         "/ best: median, p90, max": _spread([ratio for ratio in ratios if np.isfinite(ratio)]),
         **{f"within {part:g}": f"{percent(ratio <= part for ratio in ratios):.0f} %" for part in WITHIN},
         "CPU s: median, p90, max": _spread([row.seconds for row in rows]),
-        "s / bound: median": float(np.median(over_bound)) if over_bound else np.nan,
+        "/ bound: median": float(np.median(over_bound)) if over_bound else np.nan,
         "below bound": len(violations(rows, best)) if over_bound else np.nan,
         "seeds, worst / best: median, p90": _spread(spreads(rows), parts=(0.5, 0.9)),
     }
