@@ -57,6 +57,20 @@ def scene_file(folder: Path, content: Data | str = REACH) -> Path:
 # --- what works -------------------------------------------------------------------
 
 
+def test_which_goal_is_reached_and_what_is_kept_are_lines_of_plan_and_check(run: Run, tmp_path: Path) -> None:
+    """A planar arm stays at z = 0: a metre above what is kept."""
+    goals = [{"position": [9.0, 0.0, 0.0]}, {"joints": {**JOINTS, "joint1": 0.4}}]
+    scene = scene_file(tmp_path, {**REACH, "task": {"goal": goals, "keep": {"above": -1.0}}})
+    status, planned, _ = run("plan", PLANAR4, scene, "-o", "out.json")
+    assert status == 0
+    for said in (planned, run("check", "out.json")[1]):
+        assert "goal          2 of 2 is reached" in said
+        assert "keep          above within what is allowed by +1.000 m at least" in said
+    content = json.loads((tmp_path / "out.json").read_text())["certificate"]
+    assert content["goal"] == 2
+    assert content["keep"][0]["margin"] == pytest.approx(1.0)
+
+
 def test_what_zones_were_passed_is_one_line_of_plan_and_a_row_of_check(run: Run, tmp_path: Path) -> None:
     sector = {"kind": "swing_sector", "name": "road", "from": -0.2, "to": 1.5, "stop": 0.1, "warn": 0.3}
     scene = scene_file(tmp_path, {**REACH, "zones": [sector]})

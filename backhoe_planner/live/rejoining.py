@@ -16,7 +16,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits, Robot
-from backhoe_planner.motion import OBJECTIVES, Problem, SmoothWay, Trajectory, drive_of, time_way
+from backhoe_planner.motion import OBJECTIVES, Problem, SmoothWay, Trajectory, drive_of, keep_of, time_way
 from backhoe_planner.planning import (
     EFFORTS,
     Brake,
@@ -108,6 +108,9 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
 
     The same query gives the same answer. OMPL's global seed is set.
     """
+    keep = keep_of(query.robot, query.scene)
+    if keep is not None and not keep.holds(query.q):
+        keep = None  # it is not kept where the machine stands: getting back onto the motion comes first
     problem = Problem(
         robot=query.robot,
         scene=query.scene,
@@ -118,6 +121,7 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
         start_target=None,
         goals=(),
         path=None,
+        keep=keep,
     )
     work = Work(_EFFORTS[min(query.attempt, len(_EFFORTS) - 1)], Brake(LONGEST))
     try:

@@ -23,6 +23,7 @@ from .path import step_lengths as step_lengths
 from .problem import Problem as Problem
 from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
+from .problem import keep_of as keep_of
 from .timing.drive import Drive as Drive
 from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of

@@ -108,7 +108,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
     return Problem(
         robot, scene, limits=scaled_limits(robot, scene), objective=objective, obstacles=build_obstacles(scene, robot),
         start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,
-        keep=_keep(robot, scene),
+        keep=keep_of(robot, scene),
         joint_steps=_joint_steps(robot, scene),
     )  # fmt: skip
 
@@ -173,7 +173,7 @@ def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
     return tuple(found)
 
 
-def _keep(robot: Robot, scene: Scene) -> Keep | None:
+def keep_of(robot: Robot, scene: Scene) -> Keep | None:
     """What is to hold along the whole motion."""
     asked = scene.task.keep
     if asked is None:

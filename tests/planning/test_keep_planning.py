@@ -133,6 +133,15 @@ def test_a_motion_that_leaves_the_band_only_between_two_postures_is_refused(back
         assert check.segment_is_clear(low, high) is clear
 
 
+@pytest.mark.parametrize("beyond", [0.0, 5e-7])
+def test_a_goal_at_the_very_edge_of_the_band_is_reached_by_sampling(backhoe: bp.Robot, beyond: float) -> None:
+    """What inverse kinematics finds there lies beside the edge by its rounding, which still counts as kept."""
+    start, goal = (*A[:3], A[3] - 0.04), (*B[:3], B[3] + 0.05 + beyond)
+    plan = bp.plan(backhoe, site(start, goal, {"pitch": BAND}, in_between()))
+    assert plan.verified, plan.message
+    assert plan.findings.way == "sampled"
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_band_of_ten_degrees_is_found_among_random_posts(backhoe: bp.Robot, seed: int) -> None:
     """Both ends are clear and in the band; the motion with the pitch free is found, so is the one in the band."""

@@ -55,6 +55,7 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
     ("name", "urdf", "refine"),
     [
         ("levelling", "example:backhoe", 0),
+        ("level_bucket", "example:backhoe", 0),
         ("loaded_swing", "example:backhoe", 0),
         ("paper_planar", "example:planar4", 10),
         ("pole", "example:backhoe", 1),

@@ -153,6 +153,17 @@ def test_the_machine_is_drawn_where_pinocchio_says(backhoe: Robot) -> None:
     assert graph.warnings == ()
 
 
+def test_every_goal_of_a_list_is_drawn_and_joints_as_the_tips_frame_there(backhoe: Robot) -> None:
+    goals = [{"position": [3.0, 1.0, 0.0]}, {"position": [3.0, -1.0, 0.0], "pitch": [-2.0, -1.5]}, {"joints": START}]
+    scene = scene_from_dict({"version": 1, "start": {"joints": START}, "task": {"goal": goals}})
+    display = Display()
+    SceneGraph(display.visualizer(), build_problem(backhoe, scene))
+    drawn = {key[1] for key in display.messages() if key[0] == "set_object"}
+    assert {f"/task/goal {number}" for number in (1, 2, 3)} <= {path.removesuffix("/<object>") for path in drawn}
+    assert {path for path in drawn if path.startswith("/task/goal 3/")} >= {f"/task/goal 3/{axis}" for axis in "xyz"}
+    assert any(path.startswith("/task/goal 2/pitch") for path in drawn)
+
+
 def test_a_timeline_ends_with_the_motion_and_knows_what_is_near(backhoe: Robot) -> None:
     scene = scene_from_dict(
         {

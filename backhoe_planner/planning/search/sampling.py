@@ -17,11 +17,12 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
+from backhoe_planner.motion import KEPT_TO
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
-_LEAST_BAND = 1e-9  # rad: OMPL takes no empty range; far below what a kept pitch may be missed by
+_BESIDE_BAND = 2.0 * KEPT_TO  # rad: an end may miss the band by `KEPT_TO`, and OMPL waits for ever for one outside
 _MOST_OF_BOX = 0.4  # part of the box's diagonal that such a motion may be at most: chosen, so that trees branch
 
 
@@ -240,7 +241,7 @@ class _Chart:
     def box(self, low: Vector, high: Vector) -> tuple[Vector, Vector]:
         """The box of samples, from that of the joint times."""
         if self._band is not None:
-            half = max(self._band.half, _LEAST_BAND) / self._rate[self._joint]
+            half = (max(self._band.half, 0.0) + _BESIDE_BAND) / self._rate[self._joint]
             low[self._joint], high[self._joint] = -half, half
         return low, high
 
