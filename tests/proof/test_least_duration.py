@@ -11,7 +11,16 @@ from scipy.spatial.transform import Rotation
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import load_robot
-from backhoe_planner.motion import SAMPLE_PERIOD, Trajectory, build_problem, drive_of, retime, time_polyline
+from backhoe_planner.motion import (
+    SAMPLE_PERIOD,
+    SmoothWay,
+    Trajectory,
+    build_problem,
+    drive_of,
+    retime,
+    time_polyline,
+    time_way,
+)
 from backhoe_planner.proof import certify_problem, least_duration
 
 Data = dict[str, Any]
@@ -148,6 +157,24 @@ def test_no_certified_motion_is_faster(
     # with the end known it is not below, but for what the levels of the search are apart
     nearer = least_duration(problem, start, known=motion.duration, end=end, boxes=ENOUGH)
     assert nearer.duration <= motion.duration
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_fastest_motions_straight_for_the_joints_are_just_above(backhoe: bp.Robot, seed: int) -> None:
+    """Timed under velocities, accelerations and pump at their limits, and hurried as far as the certificate allows."""
+    rng = np.random.default_rng([11, seed])
+    start = backhoe.random_q(rng)
+    end = start + rng.uniform(0.2, 0.8) * (backhoe.random_q(rng) - start)
+    problem = problem_of(backhoe, start, at_joints(backhoe, end))
+    length = float(np.max(np.abs(end - start) / problem.limits.velocity))
+    way = SmoothWay(np.array([start, end]), np.array([0.0, length]), np.zeros(2))
+    motion = time_way(way, problem.limits, drive=drive_of(problem))
+    found = least_duration(problem, start, known=1.5 * motion.duration, boxes=ENOUGH)
+    assert 0.8 * motion.duration < found.duration
+    for part in np.arange(0.97, 1.0001, 0.002):
+        hurried = Trajectory.from_steps(part * motion.time, motion.q)
+        if certify_problem(problem, hurried).limits_kept:
+            assert found.duration <= hurried.duration
 
 
 @pytest.mark.parametrize("seed", range(8))
