@@ -1,8 +1,9 @@
 """How well the tip keeps to its task, from the samples of a motion alone.
 
 Between two samples the tip leaves the straight line between its two positions by at most a
-sagitta, see `bend_weights`. It is added to the errors at the samples. How far the tip turns
-between two samples is bounded likewise, see `orientation`.
+sagitta, see `bend_weights`. It is added to the errors at the samples; where that is more than the
+tolerance, the errors between are measured too, see `chords`. How far the tip turns between two
+samples is bounded likewise, see `orientation`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine import Kinematics, bend_weights, tip_travel_bound
+from backhoe_planner.motion.chords import chord_errors
 from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
 from backhoe_planner.motion.orientation import angle_bounds
 from backhoe_planner.motion.path import TURN_LEVER, TipPath
@@ -150,7 +152,11 @@ def track_path(
     robot = kinematics.robot
     turning = np.where(robot.prismatic, 0.0, 1.0)
     sagitta = bend_weights(np.diff(trajectory.q, axis=0), turning) @ tip_travel_bound(robot, trajectory.q) / 8.0
-    between = np.maximum(np.append(sagitta, 0.0), np.append(0.0, sagitta))
+    bound = chord_errors(
+        path, robot, q=trajectory.q, station=station, error=error, sagitta=sagitta, tolerance=tolerance
+    )
+    chord = bound - np.maximum(error[:-1], error[1:])
+    between = np.maximum(np.append(chord, 0.0), np.append(0.0, chord))
     between[:-1] = np.maximum(between[:-1], _cut_corners(path, station, tips))
     near = error + between <= tolerance
     on = near & (angle <= angle_tolerance)

@@ -9,17 +9,24 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.motion import SAMPLE_PERIOD, Problem, TipPath, Trajectory, drive_of, time_along
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, TipPath, Trajectory, drive_of, step_lengths, time_along
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
 SHARP = np.radians(5.0)  # chosen: at a sharper corner the joints' velocities would jump noticeably
 _SHARPEST = np.radians(120.0)  # chosen: a sharper corner is nearly a way back, and stopped at
-_PART = 0.4  # of the tolerance that a rounded corner may be off the path; chosen: the rest is for the joints' chords
+_PART = 0.4  # of the tolerance that a rounded corner may be off the path; chosen: the rest is for chords and curve
+_CHORD = 0.3  # of the tolerance that the joints' chords may be off the path; chosen: some stays for the smooth curve
+_DENSEST = 0.05  # of the usual period between samples; chosen: chords are then 400 times nearer
+_REFINED = 8  # times that samples may be put between two; chosen: 256 of them
+_FINEST = 1e-4  # m between samples that get none between; chosen
+_STILL = 1e-12  # rad or m: joints that move less stand
+_ON_PATH = 1e-6  # m: nearer to the path a sample is on it, not on a rounded corner
 _LEG = 0.45  # of a leg that a corner may take: two corners share a leg, and some of it stays
 _SPACING = 0.01  # m between the samples of a rounded corner at most: as on the path itself
 _FEWEST = 9  # samples of a rounded corner; chosen: four to each side of its middle
@@ -64,7 +71,7 @@ def time_stretch(
 
     Parameters
     ----------
-    period: between the samples of the motions [s].
+    period: between the samples of the motions [s]; less where the tolerance of the path asks for it.
     stops: (C,) arc lengths to stop at [m]; by default all sharp corners of the path.
     """
     task, drive, stations, q = problem.scene.task.path, drive_of(problem), stretch.stations, stretch.q
@@ -74,13 +81,60 @@ def time_stretch(
     for corner in (path.corners(SHARP) if stops is None else stops).tolist():
         if stations[0] < corner < stations[-1]:
             marks.add(int(np.argmin(np.abs(stations - corner))))
-    return [
-        time_along(
-            stations[first : last + 1], q[first : last + 1], problem.limits,
-            speed=task.speed, kinematics=kinematics, period=period, drive=drive,
-        )
-        for first, last in pairwise(sorted(marks))
-    ]  # fmt: skip
+    found = []
+    for first, last in pairwise(sorted(marks)):
+        own = Stretch(stations[first : last + 1], q[first : last + 1])
+        own = _dense_enough(kinematics, path, own, _CHORD * task.tolerance)
+
+        def timed(own: Stretch, period: float) -> Trajectory:
+            return time_along(
+                own.stations, own.q, problem.limits,
+                speed=task.speed, kinematics=kinematics, period=period, drive=drive,
+            )  # fmt: skip
+
+        motion = timed(own, period)
+        off = _off_chords(kinematics, motion.q)
+        if off > _CHORD * task.tolerance:  # how far chords are off falls by the square of the period
+            denser = max(float(np.sqrt(0.8 * _CHORD * task.tolerance / off)), _DENSEST)
+            motion = timed(own, denser * period)
+        found.append(motion)
+    return found
+
+
+def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, allowed: float) -> Stretch:
+    """A stretch with more samples where a smooth curve through them is off the path by more than `allowed` [m]."""
+    stations, q = stretch.stations, stretch.q
+    for _ in range(_REFINED):
+        if len(stations) < 4 or float(np.max(np.abs(np.diff(q, axis=0)))) < _STILL:
+            break
+        along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
+        halfway = 0.5 * (stations[1:] + stations[:-1])
+        curve = np.asarray(CubicSpline(along, q, axis=0)(0.5 * (along[1:] + along[:-1])))
+        tips, ends = kinematics.at(curve).tip_position, kinematics.at(q).tip_position
+        on = np.linalg.norm(ends - np.array([path(float(s)) for s in stations]), axis=1) < _ON_PATH
+        chords = np.diff(ends, axis=0)  # on one leg between two samples on the path
+        squares = np.maximum(np.sum(chords * chords, axis=1), 1e-18)
+        part = np.sum((tips - ends[:-1]) * chords, axis=1) / squares
+        off = np.linalg.norm(tips - ends[:-1] - part[:, None] * chords, axis=1)
+        rows = np.flatnonzero((off > allowed) & on[:-1] & on[1:] & (np.diff(stations) > _FINEST))
+        if not len(rows):
+            break
+        targets = TargetBatch.of([path.target(float(s)) for s in halfway[rows]])
+        between, reached = solve_batch(kinematics, targets, curve[rows], iterations=12)
+        rows, between = rows[reached], between[reached]
+        stations, q = np.insert(stations, rows + 1, halfway[rows]), np.insert(q, rows + 1, between, axis=0)
+    return Stretch(stations, q)
+
+
+def _off_chords(kinematics: BatchKinematics, q: Matrix) -> float:
+    """How far the tip is off the straight lines between its positions at q (T, n), halfway between two of them [m]."""
+    if len(q) < 2:
+        return 0.0
+    tips, halfway = kinematics.at(q).tip_position, kinematics.at(0.5 * (q[1:] + q[:-1])).tip_position
+    chords, off = np.diff(tips, axis=0), halfway - tips[:-1]
+    squares = np.maximum(np.sum(chords * chords, axis=1), 1e-18)
+    along = np.sum(off * chords, axis=1) / squares
+    return float(np.max(np.linalg.norm(off - along[:, None] * chords, axis=1)))
 
 
 def _cut(path: TipPath, corner: float, off: float, low: float, high: float) -> float | None:

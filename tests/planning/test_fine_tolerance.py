@@ -1,0 +1,64 @@
+"""Paths within a tenth of a millimetre: samples as dense as the tolerance asks, and a bound as sharp."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import backhoe_planner as bp
+
+Data = dict[str, Any]
+
+TOLERANCE = 1e-4  # m
+SCENES = Path(__file__).resolve().parents[2] / "scenes"
+LINE: list[Data] = [{"position": [0.5, y, 0.4], "rpy": [np.pi, 0.0, 0.0]} for y in (-0.3, 0.3)]
+BENT: list[Data] = [
+    {"position": [0.5, -0.2, 0.4], "rpy": [np.pi, 0.0, 0.0]},
+    {"position": [0.5, 0.2, 0.4], "rpy": [np.pi, 0.0, 0.8]},
+    {"position": [0.4, 0.2, 0.5], "rpy": [np.pi, 0.0, 0.8]},
+]
+
+
+def largest_error(plan: bp.Plan) -> float:
+    """How far the tip is off the path at eight moments between any two samples [m]."""
+    path, kinematics, q = plan.problem.path, bp.Kinematics(plan.robot), plan.trajectory.q
+    assert path is not None
+    begin = int(np.searchsorted(plan.trajectory.time, plan.certificate.tracking.approach_time))
+    found, low = 0.0, 0.0
+    for a, b in zip(q[begin:-1], q[begin + 1 :], strict=True):
+        for part in np.linspace(0.0, 1.0, 9):
+            tip = kinematics.at((1.0 - part) * a + part * b).tip_position
+            low, off = path.nearest(tip, low=low, high=min(low + 0.1, path.length))
+            found = max(found, off)
+    return found
+
+
+@pytest.mark.parametrize("waypoints", [LINE, BENT], ids=["line", "bent"])
+def test_seven_joints_keep_to_a_tenth_of_a_millimetre(panda: bp.Robot, waypoints: list[Data]) -> None:
+    path = {"waypoints": waypoints, "tolerance": TOLERANCE, "detour": False}
+    plan = bp.plan(panda, bp.scene_from_dict({"version": 1, "task": {"path": path}}), effort="quick")
+    assert plan.verified, plan.message
+    assert largest_error(plan) <= plan.certificate.tracking.max_error <= TOLERANCE
+
+
+def test_a_backhoe_keeps_to_it_around_corners(backhoe: bp.Robot) -> None:
+    content = yaml.safe_load((SCENES / "trench.yaml").read_text(encoding="utf-8"))
+    content["task"]["path"] |= {"tolerance": TOLERANCE, "detour": False}
+    plan = bp.plan(backhoe, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    assert largest_error(plan) <= plan.certificate.tracking.max_error <= TOLERANCE
+
+
+def test_a_motion_that_is_near_enough_is_certified(panda: bp.Robot) -> None:
+    """With half as much again as the tip is off the path, but not with less."""
+    path = {"waypoints": LINE, "tolerance": 0.005, "detour": False}
+    plan = bp.plan(panda, bp.scene_from_dict({"version": 1, "task": {"path": path}}), effort="quick")
+    off = largest_error(plan)
+    for tolerance, done in ((1.5 * off, True), (0.9 * off, False)):
+        tight = bp.scene_from_dict({"version": 1, "task": {"path": path | {"tolerance": tolerance}}})
+        certificate = bp.certify(panda, tight, plan.trajectory)
+        assert (certificate.tracking.done and not certificate.detours) is done
