@@ -144,9 +144,12 @@ class TipPath:
         point, low = as_vector(point, 3, key="point"), as_number(low, key="low")
         high = self.length if high is None else as_number(high, key="high")
         best = (low, float(np.linalg.norm(point - self(low))))
-        for leg in range(len(self.points) - 1):
+        at_least = _distances_to_legs(self.points, point)
+        first = int(np.searchsorted(self.stations[1:], low))
+        behind = int(np.searchsorted(self.stations[:-1], high, side="right"))
+        for leg in range(first, behind):
             s0, s1 = max(float(self.stations[leg]), low), min(float(self.stations[leg + 1]), high)
-            if s1 < s0:
+            if s1 < s0 or at_least[leg] >= best[1]:
                 continue
             a, b = self(s0) if s0 > self.stations[leg] else self.points[leg], self.points[leg + 1]
             if s1 < self.stations[leg + 1]:

@@ -343,7 +343,8 @@ class _Along:
             if isinstance(piece, Stretch) and len(piece.q) > 1:
                 free_start = index == 0 and begin is None and self._stepper is None
                 pieces[index] = cheap = self._cheapen(piece, free_start=free_start, free_end=index == last)
-                if last == 0 and resolved.obstruction is None:
+                # of full poses the graph has all configurations, and making the law's way cheaper takes as long again
+                if last == 0 and resolved.obstruction is None and self._path.target(0.0).rotation is None:
                     pieces[index] = self._cheaper_than_law(cheap, free_start=free_start)
         return pieces
 

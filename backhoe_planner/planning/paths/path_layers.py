@@ -34,6 +34,9 @@ _SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning; chosen: near, f
 _AROUND = 16  # guesses for each of `_SPREADS`; chosen
 _PORTION = 1000  # configurations that are solved for between two looks at the brake; chosen
 _CURVE_GUESSES = 64  # from which branches or curves of self-motion are looked for; chosen, a power of 2
+_CURVE_ROUNDS = 2  # in which they are traced: the second from those that the first has not come by
+_CURVE_FIRST = 12  # of them in the first round, at each station; chosen: there are some eight curves
+_COARSER = 1.3  # times the distance of nodes where they are too many; chosen
 _LONGEST_CURVE = 100  # grid steps each way; chosen: more than a turn at 5 degrees
 
 
@@ -66,9 +69,10 @@ class PathLayers:
             return []
         batch = TargetBatch.of(targets)
         redundancy = redundancy_of(self._robot, targets[0])
+        on_grid = redundancy == 0 or (redundancy == 1 and self._pitch_is_free(targets))
         if redundancy >= 2:
             found = self._on_samples(batch)
-        elif redundancy == 1 and not self._pitch_is_free(targets):
+        elif not on_grid:
             found = self._on_curves(stations, batch)
         else:
             found = self._on_grid(stations, batch, pitch=redundancy == 1)
@@ -77,7 +81,7 @@ class PathLayers:
             found[0] = self._distinct(np.vstack((begin[None, :], self._around(batch, begin), found[0])))
         self._carry(batch, found, range(1, len(found)), -1)
         self._carry(batch, found, range(len(found) - 2, -1, -1), 1)
-        return found
+        return [nodes if len(nodes) <= _MOST or on_grid else self._few(nodes) for nodes in found]
 
     def _around(self, batch: TargetBatch, begin: Vector) -> Matrix:
         """(N, n) solutions for the first target near and far from `begin` (n,)."""
@@ -101,9 +105,7 @@ class PathLayers:
             before, here = found[row + back], found[row]
             if not len(before) or len(here) >= _MOST:
                 continue
-            alone = np.ones(len(before), dtype=bool)
-            if len(here):
-                alone = self._tree(here).query(self._in_box(before), p=np.inf)[0] > _FOLLOWED
+            alone = self._away(before, here, _FOLLOWED)
             if not alone.any():
                 continue
             targets = batch.take(np.full(int(alone.sum()), row))
@@ -193,18 +195,25 @@ class PathLayers:
         guesses = np.vstack([_sobol(self._box, _CURVE_GUESSES, seed) for seed in range(len(seeds))])
         q, reached = self._solve_all(batch.take(rows), guesses)
         q, rows = q[reached], rows[reached]
-        traces = [(q, rows), *(self._trace(batch, rows, q, sense) for sense in (1.0, -1.0))]
-        all_q, all_rows = np.vstack([q for q, _ in traces]), np.concatenate([rows for _, rows in traces])
         found = [np.zeros((0, self._robot.n))] * len(stations)
-        for row in seeds.tolist():
-            found[row] = self._distinct(all_q[all_rows == row], within=0.5 * self._grid)
+        for number in range(_CURVE_ROUNDS):
+            # a guess that lies on a curve that was traced already is of no use
+            use = np.zeros(len(q), dtype=bool)
+            for row in seeds.tolist():
+                own = np.flatnonzero(rows == row)
+                own = own if number else own[:_CURVE_FIRST]
+                use[own] = self._away(q[own], found[row], self._grid)
+            traces = [(q[use], rows[use]), *(self._trace(batch, rows[use], q[use], sense) for sense in (1.0, -1.0))]
+            all_q, all_rows = np.vstack([q for q, _ in traces]), np.concatenate([rows for _, rows in traces])
+            for row in seeds.tolist():
+                found[row] = self._few(np.vstack((found[row], all_q[all_rows == row])))
         between = np.setdiff1d(np.arange(len(stations)), seeds)
         if len(between):
-            beside = [(row, found[int(seed)]) for row in between.tolist() for seed in _beside(seeds, row)]
+            beside = [(row, found[int(seeds[np.argmin(np.abs(seeds - row))])]) for row in between.tolist()]
             rows = np.concatenate([np.full(len(nodes), row) for row, nodes in beside])
             q, reached = self._solve_all(batch.take(rows), np.vstack([nodes for _, nodes in beside]))
             for row in between.tolist():
-                found[row] = self._distinct(q[reached & (rows == row)], within=0.5 * self._grid)
+                found[row] = self._few(q[reached & (rows == row)])
         return found
 
     def _trace(
@@ -276,6 +285,34 @@ class PathLayers:
         repeated[pairs[:, 1]] = True
         q = q[~repeated]
         return np.asarray(q[np.lexsort(q.T[::-1])])
+
+    def _few(self, q: Matrix) -> Matrix:
+        """`q` (N, n) without those within half a grid step of one that is kept, or more where they are too many."""
+        within = 0.5 * self._grid
+        found = self._apart(self._distinct(q), within)
+        while len(found) > _MOST:
+            within *= _COARSER
+            found = self._apart(found, within)
+        return found
+
+    def _apart(self, q: Matrix, within: float) -> Matrix:
+        """Those of `q` (N, n), one after the other, that lie further than `within` [rad or m] from all kept before."""
+        if len(q) < 2:
+            return q
+        pairs = self._tree(q).query_pairs(within, p=np.inf, output_type="ndarray")
+        pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
+        ends = np.searchsorted(pairs[:, 0], np.arange(len(q) + 1))
+        kept = np.ones(len(q), dtype=bool)
+        for row in range(len(q)):
+            if kept[row]:
+                kept[pairs[ends[row] : ends[row + 1], 1]] = False
+        return q[kept]
+
+    def _away(self, q: Matrix, others: Matrix, far: float) -> Mask:
+        """(N,) whether each of `q` (N, n) is further than `far` [rad or m] from all `others` (M, n)."""
+        if not len(q) or not len(others):
+            return np.ones(len(q), dtype=bool)
+        return np.asarray(self._tree(others).query(self._in_box(q), p=np.inf)[0] > far)
 
     def _tree(self, q: Matrix) -> cKDTree:
         """The tree of `q` (N, n), in which continuous joints end where they begin; asked with `_in_box`."""
