@@ -179,7 +179,7 @@ def _one_cube(rng: np.random.Generator) -> Shape:
 
 def _two_cubes(rng: np.random.Generator) -> Shape:
     size, apart = rng.uniform(0.04, 0.05), rng.uniform(0.15, 0.17)
-    points = [(-0.25, 0), (-apart, 0.15), (0, 0), (apart, -0.15), (0.25, 0), (0.25, 0.11), (0, 0.11)]
+    points = [(-0.3, 0), (-apart, 0.15), (0, 0), (apart, -0.15), (0.3, 0), (0.3, 0.11), (0, 0.11)]
     cubes = [_cube("left cube", size, -apart, 0, 0.0), _cube("right cube", size, apart, 0, 0.0)]
     return _still(points, 600, cubes)
 
