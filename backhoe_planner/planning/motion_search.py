@@ -43,6 +43,7 @@ _STRAIGHT = 3  # postures to which straight lines are tried; chosen
 _MOTIONS = 4_000  # that one sampled way looks at, where another is known; chosen, a third of what the first may take
 _DULL = 2  # sampled ways in a row that gain nothing, after which the search ends, at normal effort
 _GAIN = 0.005  # part of the cost that counts as a gain
+_FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
 _TOUCH = 2e-5  # m by which the proof may fall short: far below a clearance, far above the rounding of a step
@@ -132,7 +133,7 @@ class MotionSearch:
         work = self._world.work
         patience = work.effort.dull_ways
         dull = number = self._reserved = 0
-        while dull < patience and not self._is_optimal():
+        while (self.best is None or dull < patience) and not self._is_optimal():
             ends = [index for index in self._order if self._is_open(index)]
             if not ends or (self.best is not None and work.descent_rounds <= 0):
                 return
@@ -176,7 +177,7 @@ class MotionSearch:
         if best is None or not self._problem.objective.is_time:
             return False
         if not self._bound:
-            known, boxes = best.motion.duration, self._world.work.effort.boxes
+            known, boxes = best.motion.duration, self._world.work.effort.boxes // _FEWER_BOXES
             self._bound = least_duration(
                 self._problem, self._start, known=known, end=best.motion.q[-1], boxes=boxes
             ).duration
@@ -209,7 +210,7 @@ class MotionSearch:
     def _refine(self) -> None:
         """The best motion once more, on a curve of more pieces."""
         best = self.best
-        if best is None:
+        if best is None or self._world.work.descent_rounds <= 0:
             return
         curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
         found = self._bend(

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.planning import sample_path
+from backhoe_planner.planning import blend, sample_path
 from backhoe_planner.planning.paths import dynamic_programming, smoothing
 from backhoe_planner.planning.search import effort
-from backhoe_planner.planning.transit import find_transit
+from backhoe_planner.proof import LeastTimes
 
 Data = dict[str, Any]
 
@@ -103,33 +103,26 @@ def test_without_a_complete_route_there_is_no_motion(
 # --- to a goal ----------------------------------------------------------------------
 
 
-def test_the_straight_try_is_shown_where_time_runs_out_while_sampling(
+def test_a_motion_that_was_found_is_kept_where_time_runs_out_for_a_better_one(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = site(BEHIND, start=BENT, obstacles=[POST])
-    found = bp.plan(planar4, scene)
-    assert (found.verdict, found.findings.way) == ("verified", "sampled")
-    monkeypatch.setattr(f"{ROOM}.transit.sample_path", clock.runs_out_at(sample_path))
+    monkeypatch.setattr(f"{ROOM}.motion_search.blend", clock.runs_out_at(blend, number=2))
     plan = bp.plan(planar4, scene)
-    assert (plan.verdict, plan.reason) == ("failed", "budget")
+    assert (plan.verdict, plan.reason) == ("verified", "")
     assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")
-    assert "of 1 attempts the closest came to" in plan.message
-    assert (plan.findings.attempts, plan.findings.way) == (1, "straight")
-    assert plan.findings.obstruction is not None
-    assert plan.findings.obstruction.name == "post"
-    off = float(np.linalg.norm(plan.tip_path()[-1] - BEHIND["goal"]["position"]))
-    assert plan.findings.closest_distance == pytest.approx(off, abs=1e-9)
-    assert plan.certificate.safe
+    assert plan.message.endswith("a better motion was not looked for any more")
 
 
-def test_the_law_that_arrived_is_kept_where_time_runs_out_for_a_faster_motion(
+def test_without_any_motion_the_start_is_shown_where_time_runs_out(
     planar4: bp.Robot, clock: HandSetClock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene = site({"goal": {"position": [2.0, 2.0, 0.0]}})
-    monkeypatch.setattr(f"{ROOM}.goal_planning.find_transit", clock.runs_out_at(find_transit))
+    scene = site(BEHIND, start=BENT, obstacles=[POST])
+    monkeypatch.setattr(f"{ROOM}.motion_search.LeastTimes", clock.runs_out_at(LeastTimes))
     plan = bp.plan(planar4, scene)
-    assert (plan.verdict, plan.reason, plan.findings.way) == ("verified", "", "straight")
-    assert plan.message.endswith("a faster motion was not looked for")
+    assert (plan.verdict, plan.reason, len(plan.trajectory)) == ("failed", "budget", 1)
+    assert plan.message.startswith("time ran out after 60 s of computing; --budget gives more")
+    assert plan.certificate.safe
 
 
 @pytest.mark.parametrize("looks", [50, 400])
