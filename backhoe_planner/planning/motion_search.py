@@ -95,7 +95,7 @@ class MotionSearch:
         self._bound = 0.0  # no motion is shorter [s]
         self._order = sorted(range(len(found.clear)), key=lambda index: float(self._least[index]))
         self._curve: JointCurve | None = None  # of the best, where it has one
-        self._reserved = 0  # rounds of descents that are kept for sampled ways
+        self._reserved = 0  # rounds of descents that are kept for what comes later
         self.best: FoundMotion | None = None
         self.looked_at = 0
 
@@ -132,10 +132,11 @@ class MotionSearch:
         """Descents from sampled ways, until several of them have gained nothing."""
         work = self._world.work
         patience = work.effort.dull_ways
-        dull = number = self._reserved = 0
+        dull = number = 0
+        self._reserved = _FINE_ROUNDS if work.effort.descent_rounds > 2 * _FINE_ROUNDS else 0
         while (self.best is None or dull < patience) and not self._is_optimal():
             ends = [index for index in self._order if self._is_open(index)]
-            if not ends or (self.best is not None and work.descent_rounds <= 0):
+            if not ends or (self.best is not None and work.descent_rounds <= self._reserved):
                 return
             before = np.inf if self.best is None else self.best.cost
             way = self._sample(ends, number)
@@ -210,7 +211,8 @@ class MotionSearch:
     def _refine(self) -> None:
         """The best motion once more, on a curve of more pieces."""
         best = self.best
-        if best is None or self._world.work.descent_rounds <= 0:
+        self._reserved = 0
+        if best is None or self._world.work.descent_rounds < _FINE_ROUNDS:
             return
         curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
         found = self._bend(

@@ -90,7 +90,7 @@ def test_the_same_way_in_less_time_with_a_limit_at_nearly_every_moment(backhoe: 
 
 def test_past_the_pole_the_machine_is_at_a_limit_and_clear(backhoe: bp.Robot) -> None:
     scene = bp.load_scene(SCENES / "pole.yaml")
-    plan = bp.plan(backhoe, scene)
+    plan = bp.plan(backhoe, scene, method="reactive")
     assert plan.verified, plan.message
     assert plan.findings.way == "straight"
     usage = limit_usage(build_problem(backhoe, scene), plan.trajectory)
