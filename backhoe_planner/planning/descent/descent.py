@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Vector
 from backhoe_planner.law import solve_program
 from backhoe_planner.machine import Kinematics, movable_rows
 from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_curve
@@ -29,8 +29,7 @@ _GROW, _SHRINK = 1.5, 0.35
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
 _KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
-_FURTHEST = 0.25  # m: margins above are not linearised, however far a step could move a link; chosen
-_NEAR = 0.05  # m: margins above are not looked at where only what is missed counts
+_NEAR = 0.25  # m: margins above are not linearised, however far a step could move a link; chosen
 _TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
 _ON_GOAL = 1e-8  # m and rad
 _ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
@@ -47,6 +46,7 @@ class Timed:
     motion: the fastest along the curve.
     cost: of the motion, by the problem's objective.
     missed: by how much the clearances with their spare are missed, at most, where it was looked [m]; 0 or more.
+    margins: at all places where it was looked.
     """
 
     curve: JointCurve
@@ -54,6 +54,7 @@ class Timed:
     motion: Trajectory
     cost: float
     missed: float
+    margins: list[Margin]
 
 
 class Descent:
@@ -121,8 +122,9 @@ class Descent:
                 break
             self._brake.check()
             self.rounds += 1
-            there = self._step(here, free, spare, density, box)
-            gain = -np.inf if there is None else here.cost - there.cost + price * (here.missed - there.missed)
+            worst = here.cost + price * here.missed
+            there = self._step(here, free, spare, density, box, below=worst)
+            gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
                 box *= _SHRINK
                 if box < _SMALLEST_BOX:
@@ -143,17 +145,15 @@ class Descent:
             return here
         return there
 
-    def _step(self, here: Timed, goal: Goal | None, spare: float, density: int, box: float) -> Timed | None:
-        """The curve after the best small step; None where there is none, or where it has no motion."""
+    def _step(
+        self, here: Timed, goal: Goal | None, spare: float, density: int, box: float, *, below: float
+    ) -> Timed | None:
+        """The curve after the best small step; None where there is none, or none that costs less than `below`."""
         curve = here.curve
         model = LinearModel(self._problem, curve, here.duration, end_moves=goal is not None, box=box * self._unit)
         model.keep_joint_limits()
         model.keep_drive_limits(self._drive)
-        places = _places(curve, density)
-        reach = min(float(np.max(self._proximity.travel @ (box * self._unit), initial=0.0)), _FURTHEST)
-        q = curve(np.linspace(0.0, 1.0, places))
-        _, margins = self._margins(q, spare, reach)
-        model.keep_clear(margins, places)
+        model.keep_clear(here.margins, _places(curve, density))
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
         solution = solve_program(model.program(here.cost, _MISSED_PRICE), most_iterations=_ITERATIONS)
@@ -167,18 +167,19 @@ class Descent:
             part = np.linspace(0.0, 1.0, len(control))[:, None]
             control += part * part * (3.0 - 2.0 * part) * (end - control[-1])  # a jump at the end would cost much
             control = np.clip(control, self._problem.limits.lower, self._problem.limits.upper)
-        return self._timed(JointCurve(control), duration, spare, density)
+        return self._timed(JointCurve(control), duration, spare, density, below=below)
 
-    def _timed(self, curve: JointCurve, duration: float, spare: float, density: int) -> Timed | None:
+    def _timed(
+        self, curve: JointCurve, duration: float, spare: float, density: int, *, below: float = np.inf
+    ) -> Timed | None:
+        """The curve with its fastest motion; None where it has none, or where that does not cost less than `below`."""
         motion = self.time(curve)
-        if motion is None:
+        cost = np.inf if motion is None else motion_cost(self._problem, motion)
+        if motion is None or cost >= below:
             return None
-        q = curve(np.linspace(0.0, 1.0, _places(curve, density)))
-        least, _ = self._margins(q, spare, _NEAR)
-        return Timed(curve, duration, motion, motion_cost(self._problem, motion), max(-least, 0.0))
-
-    def _margins(self, q: Matrix, spare: float, reach: float) -> tuple[float, list[Margin]]:
-        return find_margins(self._proximity, self._problem.keep, q, spare=spare, reach=reach, time=self._time)
+        q, keep = curve(np.linspace(0.0, 1.0, _places(curve, density))), self._problem.keep
+        least, margins = find_margins(self._proximity, keep, q, spare=spare, reach=_NEAR, time=self._time)
+        return Timed(curve, duration, motion, cost, max(-least, 0.0), margins)
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:
         """(n,) joints near `q` (n,) on a goal; None where Newton's method does not find them."""
