@@ -53,11 +53,15 @@ def solve_with_binding_rows(program: QuadraticProgram, *, first: Indices | None 
 
     first: (K,) soft rows to begin with, as those that were kept of a similar program with the same rows.
     """
-    soft = [block for block in program.rows if block.kind is Kind.SOFT]
-    count = sum(len(block.h) for block in program.rows)
-    if sum(len(block.h) for block in soft) <= MOST_SOFT_ROWS:
+    count = count_soft = 0
+    for block in program.rows:
+        count += len(block.h)
+        if block.kind is Kind.SOFT:
+            count_soft += len(block.h)
+    if count_soft <= MOST_SOFT_ROWS:
         solution = solve_program(program, most_iterations=MOST_ITERATIONS)
         return None if solution is None else BindingSolution(solution.x, _NONE, count, 1, solution.iterations)
+    soft = [block for block in program.rows if block.kind is Kind.SOFT]
     others = tuple(block for block in program.rows if block.kind is not Kind.SOFT)
     G, h = np.concatenate([block.G for block in soft]), np.concatenate([block.h for block in soft])
     # a row's miss counts by how far x has to go for it, as the cost measures that

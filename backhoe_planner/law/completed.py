@@ -82,8 +82,13 @@ class CriticalRows(NamedTuple):
 
 def activation(distance: Vector, unity: float, influence: float) -> Vector:
     """(K,) alpha_h of Maciejewski and Klein for `distance` (K,): 1 up to `unity`, a cosine to 0 at `influence` [m]."""
-    part = np.minimum(np.maximum((distance - unity) / (influence - unity), 0.0), 1.0)
-    return np.asarray(0.5 * (1.0 + np.cos(np.pi * part)))
+    part = (distance - unity) / (influence - unity)
+    np.minimum(np.maximum(part, 0.0, out=part), 1.0, out=part)
+    part *= np.pi
+    np.cos(part, out=part)
+    part += 1.0
+    part *= 0.5
+    return part
 
 
 def push_factor(distance: Vector, unity: float) -> Vector:
@@ -155,11 +160,11 @@ class CompletedLaw:
         primary = self._s_e * (task.inverse @ xdot_e)
         N = task.projector
         A = self._epsilon.copy()
-        b = np.zeros(self.robot.n)
+        b = np.zeros(len(primary))
         acts = False
         if self._s_o > 0.0 and len(nearby.margin):
             acts = self._add_obstacles(primary, nearby, N, A, b)
-        if self.directionality and self.robot.n > len(xdot_e):
+        if self.directionality and len(b) > len(xdot_e):
             acts |= self._add_holds(at, primary, N, A, b)
             if self._turns:
                 self._add_turns(at, primary, N, A, b)
@@ -261,8 +266,9 @@ class CompletedLaw:
         """Add the rows w_i (g_i (v_e + H) - c_i)^2 of critical points that depart less than c_i asks."""
         margin, gradient = nearby.margin, nearby.gradient
         acts = margin < self.influence
-        if not acts.all():
-            if not acts.any():
+        count = np.count_nonzero(acts)
+        if count < len(margin):
+            if count == 0:
                 return False
             margin, gradient = margin[acts], gradient[acts]
         if len(margin) > _FEW:
@@ -270,9 +276,10 @@ class CompletedLaw:
         else:
             weight = np.array([self._s_o * self._activation(near) for near in margin.tolist()])
         away = -nearby.drift if len(margin) == len(nearby.margin) else -nearby.drift[acts]
-        if margin.min() < self.unity:
-            away = away + self.nominal * push_factor(margin, self.unity)
-        missing = np.maximum(away - gradient @ primary, 0.0)
+        if margin[margin.argmin()] < self.unity:
+            away += self.nominal * push_factor(margin, self.unity)
+        away -= gradient @ primary
+        missing = np.maximum(away, 0.0, out=away)
         G = gradient @ N
         weighted = G.T * weight
         A += weighted @ G
@@ -290,7 +297,7 @@ class CompletedLaw:
     def _add_holds(self, at: Configuration, primary: Vector, N: Matrix, A: Matrix, b: Vector) -> bool:
         """Add the rows h_j (v_j + H_j)^2 of joints that are near a limit and move towards it."""
         near = self._near_limit(at.q, primary)
-        if not near.any():
+        if not np.count_nonzero(near):
             return False
         weighted = N * (near * near)
         A += weighted @ N

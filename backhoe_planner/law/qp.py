@@ -15,6 +15,7 @@ look at the problem, and a solution can say by itself whether it is right.
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -58,7 +59,9 @@ class Rows(NamedTuple):
 
     def are_kept_by(self, x: Vector, tolerance: float = 0.0) -> bool:
         """Whether G x <= h + tolerance at x (n,)."""
-        return len(self.h) == 0 or not np.count_nonzero(self.G @ x > self.h + tolerance)
+        if len(self.h) == 0:
+            return True
+        return not np.count_nonzero(self.G @ x > (self.h + tolerance if tolerance else self.h))
 
 
 class QuadraticProgram(NamedTuple):
@@ -126,24 +129,26 @@ def solve_program(program: QuadraticProgram, *, most_iterations: int = 1000) -> 
 
     most_iterations: of the solver; where it needs more, there is no solution either.
     """
-    n, rows = len(program.f), program.rows
-    counts = [len(block.h) for block in rows]
-    sense = np.zeros(n + sum(counts), dtype=np.int32)
-    lower = np.full(len(sense), -UNBOUNDED)
+    n = len(program.f)
+    rows = [block for block in program.rows if len(block.h)]
+    upper = np.concatenate([program.high, *[block.h for block in rows]])
+    sense = np.zeros(len(upper), dtype=np.int32)
+    lower = np.empty(len(upper))
     lower[:n] = program.low
+    lower[n:] = -UNBOUNDED
     first = n
-    for block, count in zip(rows, counts, strict=True):
+    for block in rows:
+        after = first + len(block.h)
         if block.kind is not Kind.HARD:
-            sense[first : first + count] = block.kind
+            sense[first:after] = block.kind
         if block.kind is Kind.EQUAL:
-            lower[first : first + count] = block.h
-        first += count
+            lower[first:after] = block.h
+        first = after
     G = np.concatenate([block.G for block in rows]) if rows else np.zeros((0, n))
-    upper = np.concatenate([program.high, *(block.h for block in rows)])
     x, _, flag, more = daqp.solve(program.H, program.f, G, upper, lower, sense, iter_limit=most_iterations)
-    if flag < 1 or not np.isfinite(x).all():
+    if flag < 1 or not all(map(math.isfinite, x.tolist())):
         return None
-    return Solution(program, np.asarray(x), np.asarray(more["lam"]), int(more["iterations"]))
+    return Solution(program, x, more["lam"], more["iterations"])
 
 
 def step_on_path(

@@ -88,22 +88,25 @@ class Placements:
         self.R, self.t = self.T[..., :3], self.T[..., 3]
         self.J = np.zeros((most, 6, n))
         # views of Pinocchio's own memory, which is never allocated anew
-        R, t = [pose.rotation for pose in self._data.oMi], [pose.translation for pose in self._data.oMi]
-        self._rotations, self._translations = _one_behind_the_other(R), _one_behind_the_other(t)
+        self._poses = _one_behind_the_other([(pose.rotation, pose.translation) for pose in self._data.oMi])
         self._jacobian = self._data.J.reshape(6, n)
-        self._rows = [(self.R[sample], self.t[sample], self.J[sample]) for sample in range(most)]
+        self._rows = [(self.T[sample], self.J[sample]) for sample in range(most)]
 
     def place(self, sample: int, q: Vector) -> None:
         """Fill row `sample` with the placements at q (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
-        R, t, J = self._rows[sample]
-        R[...], t[...], J[...] = self._rotations, self._translations, self._jacobian
+        T, J = self._rows[sample]
+        T[...], J[...] = self._poses, self._jacobian
 
 
-def _one_behind_the_other(views: list[Array]) -> Array:
-    """One view of arrays that are members of the items of one C++ vector, and so equally far apart in memory."""
-    first, second, *_ = (view.__array_interface__["data"][0] for view in views)
-    return as_strided(views[0], (len(views), *views[0].shape), (second - first, *views[0].strides), writeable=False)
+def _one_behind_the_other(poses: list[tuple[Array, Array]]) -> Array:
+    """One view (P, 3, 4) of the poses R, t of the items of one C++ vector, which are equally far apart in memory.
+
+    Each is three columns, and then the translation as a fourth.
+    """
+    first, second, *_ = (R.__array_interface__["data"][0] for R, _ in poses)
+    R, _ = poses[0]
+    return as_strided(R, (len(poses), 3, 4), (second - first, *R.strides), writeable=False)
 
 
 class BrakingPath:
@@ -156,11 +159,14 @@ class BrakingPath:
     @property
     def D(self) -> Matrix:
         """(n, n) derivative of the end by v [s]."""
-        D = self.look * np.eye(len(self.v))
+        n = len(self.v)
+        D = np.zeros((n, n))
+        D.reshape(-1)[:: n + 1] = self.look
         D[:, self._slowest] += self.v * self._per_rate
         return D
 
     def place(self, placements: Placements) -> None:
         """Fill the placements at the ends of the parts. Row 0, at q, must already be there."""
-        for part in range(1, self.parts + 1):
-            placements.place(part, self.q + (part / self.parts) * self.delta)
+        parts = np.arange(1, self.parts + 1)
+        for part, q in enumerate(self.q + (parts / self.parts)[:, None] * self.delta, 1):
+            placements.place(part, q)

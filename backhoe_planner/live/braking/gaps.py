@@ -14,15 +14,29 @@ class Memory:
 
     def __init__(self) -> None:
         self._columns, self._gaps = np.zeros(0), np.zeros(0)
+        self._pieces: Indices = np.zeros(0, dtype=np.intp)
 
-    def arrays(self, pairs: int, samples: int, corners: int) -> tuple[Array, Array]:
-        """Room for the corners (pairs, 4, corners) and their gaps (pairs, samples, corners); what it held is lost."""
-        if 4 * pairs * corners > len(self._columns):
-            self._columns = np.zeros(8 * pairs * corners)
-        if pairs * samples * corners > len(self._gaps):
-            self._gaps = np.zeros(2 * pairs * samples * corners)
-        columns, gaps = self._columns[: 4 * pairs * corners], self._gaps[: pairs * samples * corners]
-        return columns.reshape(pairs, 4, corners), gaps.reshape(pairs, samples, corners)
+    def columns(self, corners: Array, pieces: Indices) -> Array:
+        """(K, 4, V) of `corners` (M, 4, V), which never change, those of `pieces` (K,).
+
+        Most steps look at the same pieces as the one before, whose corners are still there.
+        """
+        most = corners.shape[2]
+        size = 4 * len(pieces) * most
+        if size > len(self._columns):
+            self._columns, self._pieces = np.zeros(2 * size), pieces[:0]
+        columns = self._columns[:size].reshape(len(pieces), 4, most)
+        if len(pieces) != len(self._pieces) or np.count_nonzero(pieces != self._pieces):
+            corners.take(pieces, axis=0, out=columns, mode="clip")
+            self._pieces = pieces
+        return columns
+
+    def gaps(self, pairs: int, samples: int, corners: int) -> Array:
+        """Room for the gaps (pairs, samples, corners); what it held is lost."""
+        size = pairs * samples * corners
+        if size > len(self._gaps):
+            self._gaps = np.zeros(2 * size)
+        return self._gaps[:size].reshape(pairs, samples, corners)
 
 
 class Gaps(NamedTuple):

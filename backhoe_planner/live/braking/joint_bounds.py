@@ -108,10 +108,14 @@ class JointBounds:
             caps = (self.acceleration * max(time - dt, 0.0)).tolist()
             highs = [min(high, cap) for high, cap in zip(highs, caps, strict=True)]
             lows = [max(low, -cap) for low, cap in zip(lows, caps, strict=True)]
-        reach = [(rate - change, rate + change) for rate, change in zip(rates, self.changes, strict=True)]
+        reached_low, reached_high = [], []
+        for low, high, rate, change in zip(lows, highs, rates, self.changes, strict=True):
+            down, up = rate - change, rate + change
+            reached_low.append(down if low < down else up if low > up else low)
+            reached_high.append(down if high < down else up if high > up else high)
         return VelocityRange(
-            low=np.array([min(max(low, down), up) for low, (down, up) in zip(lows, reach, strict=True)]),
-            high=np.array([min(max(high, down), up) for high, (down, up) in zip(highs, reach, strict=True)]),
+            low=np.array(reached_low),
+            high=np.array(reached_high),
             least=np.array(lows),
             most=np.array(highs),
             look=look,

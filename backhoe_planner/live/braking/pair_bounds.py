@@ -159,12 +159,14 @@ class PairBounds:
         """Pairs that may be within the influence distance, by the placements' row 0."""
         separation = self._separation
         odometer = self._start_odometer.take(separation.classes)
-        lower = self._distance + self._distance_at - odometer
+        lower = self._distance + self._distance_at
+        lower -= odometer
         pairs = (lower < self._within).nonzero()[0]
         if len(pairs) == 0:
             return Near(pairs, NO_GAPS, np.zeros(0), np.zeros(0))
         gaps = separation.gaps(pairs, at, 1, memory=self._memory)
-        distance = np.maximum(gaps.least[:, 0], lower.take(pairs))
+        distance = lower.take(pairs)
+        np.maximum(distance, gaps.least[:, 0], out=distance)
         self._distance[pairs] = distance
         self._distance_at[pairs] = odometer.take(pairs)
         return Near(pairs, gaps, distance, distance - separation.clearance.take(pairs))
@@ -183,7 +185,9 @@ class PairBounds:
         separation = self._separation
         budget = separation.travel @ change
         # pairs within the buffer are always looked at: else a wish would be held back every other step
-        left = self._proven + self._proven_at - self.required - BUFFER
+        left = self._proven + self._proven_at
+        left -= self.required
+        left -= BUFFER
         awake = left < (self._path_odometer + budget).take(separation.classes)
         if len(self.inside):  # the way out of these is found separately
             awake[self.inside] = False
@@ -195,9 +199,10 @@ class PairBounds:
             self._accepted = None
             return
         separation = self._separation
-        self._accepted = (awake, clearance.bound, separation.classes[awake])
-        lowest = np.where(self.stands[awake], np.maximum(self.required[awake], clearance.bound), clearance.bound)
-        self.required[awake] = np.minimum(separation.clearance[awake], lowest)
+        self._accepted = (awake, clearance.bound, separation.classes.take(awake))
+        kept = np.maximum(self.required.take(awake), clearance.bound)
+        lowest = np.where(self.stands.take(awake), kept, clearance.bound)
+        self.required[awake] = np.minimum(separation.clearance.take(awake), lowest)
 
     def advance(self, moved: Vector, end_moved: Vector | None) -> None:
         """The joints moved by `moved` (n,), and the end of the braking path by `end_moved` (n,) [rad or m].
@@ -219,7 +224,7 @@ class PairBounds:
         if len(near.pairs) == 0 or step % _NEAR_RENEWED_EVERY:
             return
         # not near.margin: some pairs were measured since the beginning of the step
-        margin = self._distance[near.pairs] - self._separation.clearance[near.pairs]
+        margin = self._distance.take(near.pairs) - self._separation.clearance.take(near.pairs)
         nearest = int(margin.argmin())
         close = margin[nearest] <= CLOSE
         if not close and step % _FAR_RENEWED_EVERY:
@@ -244,7 +249,8 @@ class PairBounds:
         if len(pairs) == 0:
             return -1, math.inf
         separation = self._separation
-        margins = self._distance[pairs] - separation.clearance[pairs] - self._moved_by[separation.classes[pairs]]
+        margins = self._distance.take(pairs) - separation.clearance.take(pairs)
+        margins -= self._moved_by.take(separation.classes.take(pairs))
         row = int(margins.argmin())
         pair, margin = int(pairs[row]), float(margins[row])
         if margin < 0.0 and self.stands[pair]:  # what is required was proven, of this step or of braking before it

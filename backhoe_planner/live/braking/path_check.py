@@ -107,45 +107,55 @@ class PathCheck:
         first: of the paths of this step the one that was checked for all pairs, and what was found. What moves
             then has the bound that follows from there, as it does not decide whether a path may be taken.
         """
-        if first is not None and not self.bounds.stands[awake.pairs].all():
-            return self._clearance_of_standing(awake, path, *first)
         separation, at, pairs = self.separation, self.at, awake.pairs
+        if first is not None:
+            stands = self.bounds.stands.take(pairs)
+            if np.count_nonzero(stands) < len(pairs):
+                return self._clearance_of_standing(awake, stands, path, *first)
         self._paths += 1
         if len(pairs) == 0:
             return _NOTHING_AWAKE
         path.place(at)
-        required, stands = self.bounds.required[pairs], self.bounds.stands
+        required, stands = self.bounds.required.take(pairs), self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
         bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
         closely = np.zeros(len(pairs), dtype=bool)
-        if (bound - required).min() >= BUFFER:
+        left = bound - required
+        if left[left.argmin()] >= BUFFER:
             return PathClearance(True, True, True, bound, gaps, closely)
-        short = (bound < required - TOLERANCE).nonzero()[0]
-        # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes longest
-        again = short[stands[pairs[short]] | (bound[short] > 0.0)]
-        if len(again):
-            self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
-            short = (bound < required - TOLERANCE).nonzero()[0]
-        stands_clear = not stands[pairs[short]].any()
-        free = len(short) == 0 and bool((bound >= required + BUFFER).all())
+        short = (left < -TOLERANCE).nonzero()[0]
+        if len(short):
+            # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes
+            # longest
+            again = short[stands[pairs[short]] | (bound[short] > 0.0)]
+            if len(again):
+                self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
+                left = bound - required
+                short = (left < -TOLERANCE).nonzero()[0]
+        stands_clear = len(short) == 0 or not np.count_nonzero(stands[pairs[short]])
+        free = len(short) == 0 and bool(left[left.argmin()] >= BUFFER)
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
     def _clearance_of_standing(
-        self, awake: Awake, path: BrakingPath, before: BrakingPath, found: PathClearance
+        self, awake: Awake, stands: Flags, path: BrakingPath, before: BrakingPath, found: PathClearance
     ) -> PathClearance:
         """The same where what moves has a bound by what was `found` of the path `before`.
+
+        stands: (K,) of which pairs the obstacle stands still.
 
         On both paths it is met after the same part of the way, so that they differ by no more than their ends.
         """
         separation, (pairs, budget) = self.separation, awake
-        stands = self.bounds.stands[pairs]
         now = self.clearance(Awake(pairs[stands], budget), path)
-        nearer = (separation.travel @ np.abs(path.end - before.end))[separation.classes[pairs]]
-        nearer += abs(path.time - before.time) * np.sqrt((separation.velocity[pairs] ** 2).sum(axis=1))
+        nearer = (separation.travel @ np.abs(path.end - before.end)).take(separation.classes.take(pairs))
+        velocity = separation.velocity.take(pairs, axis=0)
+        velocity *= velocity
+        nearer += abs(path.time - before.time) * np.sqrt(np.add.reduce(velocity, axis=1))
         bound = found.bound - nearer
         bound[stands] = now.bound
-        clear = now.clear and bool((bound >= self.bounds.required[pairs] - TOLERANCE).all())
-        return now._replace(free=False, clear=clear, bound=bound)
+        kept = bound >= self.bounds.required.take(pairs) - TOLERANCE
+        clear = now.clear and np.count_nonzero(kept) == len(kept)
+        return PathClearance(False, clear, now.stands_clear, bound, now.gaps, now.closely)
 
     def _look_again(
         self,
@@ -196,43 +206,50 @@ class PathCheck:
         separation, (pairs, budget) = self.separation, awake
         if len(pairs) == 0:
             return (Rows.none("braking", len(path.v)),)
-        stands = self.bounds.stands[pairs]
-        classes = separation.classes[pairs]
-        wanted = self.bounds.required[pairs] + BUFFER
+        stands = self.bounds.stands.take(pairs)
+        classes = separation.classes.take(pairs)
+        wanted = self.bounds.required.take(pairs) + BUFFER
         needed = path.off_chord(separation.travel).take(classes) + wanted
         within = needed + 2.0 * budget.take(classes)
         # where the machine is, the first sample, it is at any velocity
         all_gaps, nearest, least, _ = found.gaps
         gaps, corners_each = all_gaps[:, 1:], all_gaps.shape[2]
         tight = least[:, 1:].argmin(axis=1)
-        if found.closely.any():
+        if np.count_nonzero(found.closely):
             within[found.closely & (found.bound >= within - needed + wanted)] = -np.inf
             # a pair that was measured closely keeps one plane, which is right where the pair is tightest
             gaps = gaps.copy()
             for row in found.closely.nonzero()[0].tolist():
                 tight[row] = least[row, 1:].argmax()
                 gaps[row, np.arange(path.parts) != tight[row]] = np.inf
-        each = np.arange(len(pairs))
-        room = least[each, tight + 1] - needed
-        within[room >= within - needed] = -np.inf
-        columns = corners_each * tight + nearest[each, tight + 1]
+        column = np.arange(1, least.size, least.shape[1]) + tight
+        least = least.reshape(-1).take(column)
+        room = least - needed
+        within[least >= within] = -np.inf
+        columns = corners_each * tight + nearest.reshape(-1).take(column)
         binding = Candidates(gaps.reshape(len(pairs), -1), within, columns, room, (within > -np.inf).nonzero()[0])
         if len(binding.pairs) == 0:
             return (Rows.none("braking", len(path.v)),)
         chosen = binding.all_of(MOST_CANDIDATES)
-        if chosen is None and firm and not stands.all():
+        if chosen is None and firm and np.count_nonzero(stands) < len(pairs):
             own, other = binding.among(stands).tightest(_OF_STANDING), binding.among(~stands)
             k, columns = map(np.append, own, other.tightest(MOST_CANDIDATES - _OF_STANDING))
         else:
             k, columns = chosen or binding.tightest(MOST_CANDIDATES)
         samples, corners = np.divmod(columns, corners_each)
         samples += 1
-        part = samples / path.parts
-        G = separation.rows(pairs[k], samples, corners, self.at) @ path.D / path.look
-        h = (binding.gaps[k, columns] - needed[k]) / (part * path.look) + G @ path.v
+        G = separation.rows(pairs.take(k), samples, corners, self.at) @ path.D
+        G /= path.look
+        h = binding.gaps[k, columns]
+        h -= needed.take(k)
+        h /= samples / path.parts * path.look
+        h += G @ path.v
         # never ask for more than the start itself is short of
-        short = np.maximum(wanted[k] - found.gaps.all[k, 0, corners], 0.0)
-        h = np.maximum(h, -2.0 * short)
+        short = wanted.take(k)
+        short -= all_gaps[k, 0, corners]
+        np.maximum(short, 0.0, out=short)
+        short *= -2.0
+        np.maximum(h, short, out=h)
         if not firm:
             return (Rows("braking", G, h),)
         hard = stands[k]
@@ -283,15 +300,16 @@ class Candidates(NamedTuple):
         """
         pairs = self.pairs
         if len(pairs) > most:
-            pairs = pairs[np.argpartition(self.room[pairs], most - 1)[:most]]
+            pairs = pairs[self.room.take(pairs).argpartition(most - 1)[:most]]
         if 2 * len(pairs) > most:
-            return pairs, self.nearest[pairs]
-        gaps = self.gaps[pairs]
+            return pairs, self.nearest.take(pairs)
+        gaps = self.gaps.take(pairs, axis=0)
         each = min(most // max(len(pairs), 1), gaps.shape[1])
-        columns = np.argpartition(gaps, each - 1, axis=1)[:, :each].reshape(-1)
-        k = np.repeat(np.arange(len(pairs)), each)
-        real = gaps[k, columns] < self.within[pairs[k]]
-        return pairs[k[real]], columns[real]
+        columns = gaps.argpartition(each - 1, axis=1)[:, :each].reshape(-1)
+        k = np.arange(len(pairs)).repeat(each)
+        pairs = pairs.take(k)
+        real = gaps[k, columns] < self.within.take(pairs)
+        return pairs[real], columns[real]
 
 
 _NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), NO_GAPS, np.zeros(0, dtype=np.bool_))

@@ -170,6 +170,7 @@ class Separation:
         self.other = np.where(self.other_piece >= 0, self._joint_of[self.other_piece], 0)
         self.mask = self.robot.support[self.joint] - self.robot.support[self.other]
         self.some_relative = bool(self.other.any())
+        self._fat_of_pair = self._fat[self.piece]
 
     # --- measuring -------------------------------------------------------------------
 
@@ -252,29 +253,30 @@ class Separation:
         memory: to which they are written; new arrays where there is none.
         """
         T = at.T[samples if isinstance(samples, slice) else slice(samples)]
+        count = len(T)
         n = self.normal.take(pairs, axis=0)[:, None, :]
-        pieces = self.piece.take(pairs)
-        offset = self.offset.take(pairs) - self._fat.take(pieces)
-        other = self.other.take(pairs) if self.some_relative else pairs[:0]
-        if np.count_nonzero(other):
+        offset = self.offset.take(pairs)
+        offset -= self._fat_of_pair.take(pairs)
+        if self.some_relative and np.count_nonzero(other := self.other.take(pairs)):
             frames = T.take(other, axis=1)
-            moved = np.matmul(n, frames.transpose(0, 1, 3, 2)[:, :, :3])
-            offset = offset + np.matmul(moved, frames[..., 3:])[:, :, 0, 0]
-            n = moved
+            n = np.matmul(n, frames.transpose(0, 1, 3, 2)[:, :, :3])
+            offset = offset + np.matmul(n, frames[..., 3:])[:, :, 0, 0]
         if drift_time > 0.0:
             drift = np.minimum(self.drift.take(pairs), 0.0)
             if np.count_nonzero(drift):
-                offset = offset + (drift_time / (len(T) - 1) * np.arange(len(T)))[:, None] * drift
-        # the planes as seen from the links: -n R, and the offset less n t, which the 1 below each corner takes
+                offset = offset + (drift_time / (count - 1) * np.arange(count))[:, None] * drift
+        # the planes as seen from the links: n R, and n t less the offset, which the 1 below each corner takes
         local = np.matmul(n, T.take(self.joint.take(pairs), axis=1))[:, :, 0]
+        local[..., 3] -= offset
         np.negative(local, out=local)
-        local[..., 3] += offset
-        columns, gaps = (Memory() if memory is None else memory).arrays(len(pairs), len(T), self._columns4.shape[2])
-        self._columns4.take(pieces, axis=0, out=columns, mode="clip")
+        memory = Memory() if memory is None else memory
+        columns = memory.columns(self._columns4, self.piece.take(pairs))
+        gaps = memory.gaps(len(pairs), count, columns.shape[2])
         np.matmul(local.transpose(1, 0, 2), columns, out=gaps)
         nearest = gaps.argmin(axis=2)  # several times faster than the minimum itself
-        first = gaps.shape[2] * np.arange(nearest.size)
-        return Gaps(gaps, nearest, gaps.reshape(-1).take(first.reshape(nearest.shape) + nearest), columns)
+        place = np.arange(0, gaps.size, gaps.shape[2]).reshape(nearest.shape)
+        place += nearest
+        return Gaps(gaps, nearest, gaps.reshape(-1).take(place), columns)
 
     def least_on(
         self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float, *, memory: Memory | None = None
@@ -285,8 +287,9 @@ class Separation:
         `drift_time` [s] is how long the obstacles move on along the path; 0 where none moves.
         """
         gaps = self.gaps(pairs, at, path.parts + 1, drift_time=drift_time, memory=memory)
-        off = path.off_chord(self.travel).take(self.classes.take(pairs))
-        return gaps.least.min(axis=1) - off, gaps
+        bound = np.minimum.reduce(gaps.least, axis=1)
+        bound -= path.off_chord(self.travel).take(self.classes.take(pairs))
+        return bound, gaps
 
     def proven_on(self, pairs: Indices, path: BrakingPath, at: Placements, drift_time: float) -> Vector:
         """(K,) the same bound, with a closer look where it is below the clearance [m]."""
@@ -365,14 +368,19 @@ class Separation:
     def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
         """The same for points (R, 4) in the links' frames, with a 1 behind each."""
         n = self.normal.take(pairs, axis=0)
-        other = self.other.take(pairs) if self.some_relative else pairs[:0]
-        if np.count_nonzero(other):
-            n = np.matmul(at.R[samples, other], n[:, :, None])[..., 0]
-        x = np.matmul(at.T[samples, self.joint.take(pairs)], corner[:, :, None])[..., 0]
-        products = x.take(_NEXT_LAST, axis=1) * n.take(_LAST_NEXT, axis=1)
-        both = np.concatenate((n, products[:, :3] - products[:, 3:]), axis=1)  # n, and x cross n
+        joints = self.joint.take(pairs)
+        at_once = isinstance(samples, int)
+        if self.some_relative and np.count_nonzero(other := self.other.take(pairs)):
+            n = np.matmul(at.R[samples].take(other, axis=0) if at_once else at.R[samples, other], n[:, :, None])[..., 0]
+        frames = at.T[samples].take(joints, axis=0) if at_once else at.T[samples, joints]
+        x = np.matmul(frames, corner[:, :, None])[..., 0]
+        products = x.take(_NEXT_LAST, axis=1)
+        products *= n.take(_LAST_NEXT, axis=1)
+        both = np.empty((len(pairs), 6))  # n, and x cross n
+        both[:, :3] = n
+        np.subtract(products[:, :3], products[:, 3:], out=both[:, 3:])
         rows: Matrix = self.mask.take(pairs, axis=0)
-        rows *= both @ at.J[samples] if isinstance(samples, int) else np.matmul(both[:, None, :], at.J[samples])[:, 0]
+        rows *= both @ at.J[samples] if at_once else np.matmul(both[:, None, :], at.J[samples])[:, 0]
         return rows
 
     def world_normal(self, pair: int, at: Placements) -> Vector:

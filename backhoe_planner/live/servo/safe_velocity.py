@@ -77,7 +77,13 @@ class SafeVelocity(NamedTuple):
 
 
 def velocity_program(
-    wish: VelocityWish, target: Vector, low: Vector, high: Vector, rows: tuple[Rows, ...]
+    wish: VelocityWish,
+    target: Vector,
+    low: Vector,
+    high: Vector,
+    rows: tuple[Rows, ...],
+    *,
+    serves: Matrix | None = None,
 ) -> QuadraticProgram:
     """The problem whose solution is the velocity nearest to `target` (n,), as the tip notices it.
 
@@ -89,13 +95,17 @@ def velocity_program(
     wish: gives the task and the null space.
     low, high: (n,) bounds of the velocity [rad/s or m/s].
     rows: that it must keep.
+    serves: (n, n) task^T task, where it is known already.
     """
     n = len(target)
     if wish.task is None:
         return QuadraticProgram(np.eye(n), -target, low, high, rows)
-    serves = wish.task.T @ wish.task
+    if serves is None:
+        serves = wish.task.T @ wish.task
     f = -(serves @ target) - _FREE * wish.null
-    return QuadraticProgram(_FREE * np.eye(n) + serves, f, low, high, rows)
+    H = serves.copy()
+    H.reshape(-1)[:: n + 1] += _FREE
+    return QuadraticProgram(H, f, low, high, rows)
 
 
 class VelocityFilter:
@@ -124,7 +134,9 @@ class VelocityFilter:
         held_back = evading = False
         first = straight = None
         # what moves may ask for what something that stands forbids
-        torn = self._bounds.anything_moves and (len(evasion.h) > 0 or not self._bounds.stands[awake.pairs].all())
+        torn = self._bounds.anything_moves and (
+            len(evasion.h) > 0 or int(np.count_nonzero(self._bounds.stands.take(awake.pairs))) < len(awake.pairs)
+        )
         most = _ATTEMPTS_IF_TORN if torn else ATTEMPTS
         for attempt in range(most):
             late = not evasion.are_kept_by(v, TOLERANCE)
@@ -143,7 +155,7 @@ class VelocityFilter:
                 nearer = self._within_rows(state, wish, (*check.rows(awake, path, found, firm=torn), evasion))
                 evading |= late
                 held_back = True
-            if np.abs(nearer - v).max() < _UNCHANGED:
+            if np.count_nonzero(np.abs(nearer - v) < _UNCHANGED) == len(v):
                 if found.stands_clear:
                     return self._accept(path, awake, found, evading=evading)
                 break
@@ -220,15 +232,18 @@ class VelocityFilter:
         step, within the joints' accelerations, need not lead there.
         """
         low, high, least, most, *_ = wish.range
-        steady, kept = self._solve(state, velocity_program(wish, wish.v, least, most, rows))
-        slower = steady / self._joints.over_rates(state.q, steady)
-        if all(block.are_kept_by(slower, TOLERANCE) for block in rows):
-            steady = slower
+        serves = None if wish.task is None else wish.task.T @ wish.task
+        steady, kept = self._solve(state, velocity_program(wish, wish.v, least, most, rows, serves=serves))
+        over = self._joints.over_rates(state.q, steady)
+        if over > 1.0:
+            slower = steady / over
+            if all(block.are_kept_by(slower, TOLERANCE) for block in rows):
+                steady = slower
         target = self._joints.towards(steady, state.v)
         v = np.minimum(np.maximum(target, low), high)
         if not np.count_nonzero(v != target) and all(block.are_kept_by(v) for block in rows):
             return v
-        return self._solve(state, velocity_program(wish, target, low, high, rows), first=kept)[0]
+        return self._solve(state, velocity_program(wish, target, low, high, rows, serves=serves), first=kept)[0]
 
     def _solve(
         self, state: JointState, program: QuadraticProgram, *, first: Indices | None = None
@@ -244,27 +259,31 @@ class VelocityFilter:
         separation = self._separation
         if len(near.pairs) == 0:
             return self._nothing_comes
-        clearance = separation.clearance[near.pairs]
-        too_close = np.maximum(near.distance, self._bounds.required[near.pairs]) < clearance - _VIOLATED
-        too_close &= ~self._bounds.stands[near.pairs]
-        drift = separation.drift[near.pairs]
-        chosen = ((drift < 0.0) | too_close).nonzero()[0]
+        clearance = separation.clearance.take(near.pairs)
+        too_close = np.maximum(near.distance, self._bounds.required.take(near.pairs)) < clearance - _VIOLATED
+        too_close &= ~self._bounds.stands.take(near.pairs)
+        drift = separation.drift.take(near.pairs)
+        too_close |= drift < 0.0
+        chosen = too_close.nonzero()[0]
         if len(chosen) == 0:
             return self._nothing_comes
-        least, gaps = near.gaps.least[:, 0], near.gaps.all[:, 0]
-        within = np.full(len(near.pairs), -np.inf)
-        within[chosen] = np.maximum(least[chosen], clearance[chosen]) + _AS_NEAR
+        pairs, clearance, drift = near.pairs.take(chosen), clearance.take(chosen), drift.take(chosen)
+        gaps, least = near.gaps.all.take(chosen, axis=0)[:, 0], near.gaps.least.take(chosen)
+        within = np.maximum(least, clearance)
+        within += _AS_NEAR
         # by the time that is left until the clearance is cut
         room = (least - clearance) / np.maximum(-drift, _SLOW)
-        binding = Candidates(gaps, within, near.gaps.nearest[:, 0], room, chosen)
+        binding = Candidates(gaps, within, near.gaps.nearest.take(chosen), room, np.arange(len(chosen)))
         k, corners = binding.all_of(MOST_CANDIDATES) or binding.tightest(MOST_CANDIDATES)
-        G = separation.rows(near.pairs[k], 0, corners, self._at)
-        comes = drift[k]
+        G = separation.rows(pairs.take(k), 0, corners, self._at)
+        comes = drift.take(k)
         moves = comes < 0.0
-        margin = gaps[k, corners] - clearance[k] - np.where(moves, 2.0 * BUFFER, 0.0)
+        margin = gaps[k, corners]
+        margin -= clearance.take(k)
+        margin -= moves * (2.0 * BUFFER)
         authority = 0.5 * np.abs(G) @ self._acceleration
         allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
         h = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)
-        could = np.maximum(G * low, G * high).sum(axis=1) > h
+        could = np.add.reduce(np.maximum(G * low, G * high), axis=1) > h
         return Rows("evasion", G[could], h[could])

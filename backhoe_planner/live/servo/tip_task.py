@@ -120,10 +120,12 @@ class TipTask:
 
     def _critical_points(self, near: Near) -> CriticalRows:
         """The rows that the law takes: one for each near pair, at its nearest point."""
-        if near.margin.min(initial=np.inf) >= self.law.influence:
+        margin = near.margin
+        if len(margin) == 0 or margin[margin.argmin()] >= self.law.influence:
             return _NOBODY
-        gradient = -self._separation.nearest_rows(near.pairs, near.gaps, self._at)
-        return CriticalRows(near.margin, gradient, self._separation.drift.take(near.pairs))
+        gradient = self._separation.nearest_rows(near.pairs, near.gaps, self._at)
+        np.negative(gradient, out=gradient)
+        return CriticalRows(margin, gradient, self._separation.drift.take(near.pairs))
 
     def _around(self, tip: Vector) -> Vector:
         """The wish for the tip (3,), turned along the surface that blocks it."""

@@ -278,11 +278,13 @@ class Gauge:
             return self._result
 
         result = measure()
-        if in_doubt(result.min_distance):
+        distance = result.min_distance
+        if not distance > _CONTACT and in_doubt(distance):
             result = measure_again(self._request, measure)
+            distance = result.min_distance
         # copies: coal's own memory is overwritten by the next measurement
         return (
-            result.min_distance,
+            distance,
             np.array(result.normal),
             np.array(result.getNearestPoint1()),
             np.array(result.getNearestPoint2()),
