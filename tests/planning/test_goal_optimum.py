@@ -195,3 +195,15 @@ def test_a_descent_only_goes_down_and_its_end_stays_on_the_goal(backhoe: bp.Robo
     position, _ = goal.distances(world.kinematics.at(found.curve.control[-1]))
     assert position < 1e-7
     assert found.cost + 20.0 * costs[0] * found.missed <= costs[0] * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("objective", ["time", "work"])
+@pytest.mark.parametrize("way", [0.0, 1e-9, 5e-4, 2e-3])
+def test_a_goal_that_is_nearer_than_one_sample(planar4: bp.Robot, way: float, objective: str) -> None:
+    """At 1,000 rad/s^2 no time at all is proven to be needed for 0.4 rad, and the machine gets there."""
+    fast = {"acceleration": dict.fromkeys(NAMES, 1e3)}
+    scene = planar([way, 0.0, way, 0.0], limits=fast, objective=objective)
+    plan = bp.plan(planar4, scene, effort="quick")
+    assert plan.verified, plan.message
+    assert plan.bound is not None
+    assert plan.bound.duration == 0.0

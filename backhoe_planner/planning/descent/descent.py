@@ -16,7 +16,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector
 from backhoe_planner.law import solve_program
 from backhoe_planner.machine import Kinematics, movable_rows
-from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_curve
+from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory, drive_of, motion_cost, time_curve
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin, find_margins
 from backhoe_planner.planning.search.effort import Brake
@@ -96,7 +96,7 @@ class Descent:
         Parameters
         ----------
         curve: from where the machine stands to a goal; it need not be clear.
-        duration: about how long it takes [s].
+        duration: about how long it takes [s]; a sample's period at least is counted.
         goal: on which the end may move; None where it stays.
         most_rounds: after which the descent ends.
         spare: to be kept beyond every clearance [m].
@@ -113,7 +113,7 @@ class Descent:
         OutOfTime: the budget is used up.
         """
         free = goal if goal is not None and goal.q is None else None
-        here = self._timed(curve, duration, spare, density)
+        here = self._timed(curve, max(duration, SAMPLE_PERIOD), spare, density)
         if here is None:
             return None
         price = _MISSED_PRICE * here.cost
