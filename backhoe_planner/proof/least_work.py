@@ -7,6 +7,11 @@ and bound over boxes as in `least_duration`, with the potential energy to second
     U(q) = U(c) + grad U . d + d^T H d / 2 + R,    d = q - c,
 
 from the first moments of what each joint carries, as of one point (`goal_features`).
+
+What a motion costs is summed up over its samples, where v is the mean of the segments beside
+them, and 0 at the ends. With the period S of `SAMPLE_PERIOD` the first and the last segment are
+no faster than a S, so that half of each, a S^2 / 2, and the kinetic energy of the first, are not
+counted. That is taken off.
 """
 
 from __future__ import annotations
@@ -15,12 +20,13 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine import GRAVITY, BatchKinematics, Dynamics
-from backhoe_planner.motion import Problem
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem
 from backhoe_planner.proof.box_tests import DirectionTest, Quadratic, bends, best_directions, contracted
 from backhoe_planner.proof.goal_features import GoalRegion, cross, goal_regions, vector_terms
+from backhoe_planner.proof.limits import JOINTS_WITHIN
 
 _NEAR = 0.01  # part of the gain to a known posture: a bound nearer to it is near enough; chosen
-_SAMPLED = 0.99  # of the bound: the work of samples 0.02 s apart is that of the motion to within a thousandth
+_SAMPLED = 0.99  # of the bound: between the ends the work of the samples is that of the motion to within a thousandth
 _BESIDE = 1e-6  # rad or m by which the certificate lets a joint be outside of its range
 _AT_ONCE = 64  # boxes that are halved together; chosen, as in `least_duration`
 
@@ -48,7 +54,7 @@ def least_work(problem: Problem, start: Vector, *, end: Vector, boxes: int) -> f
         upper = np.where(np.isfinite(limits.upper), limits.upper, middle + np.pi) + _BESIDE
         base = energy.at(start)
         least = _search(energy, goal, lower[None], upper[None], base, target=least, boxes=boxes)
-    return _SAMPLED * max(least, 0.0)
+    return max(_SAMPLED * least - energy.unsampled(problem, start), 0.0)
 
 
 class _PotentialEnergy:
@@ -58,7 +64,8 @@ class _PotentialEnergy:
         robot = problem.robot
         self._kinematics = BatchKinematics(robot)
         self._hinge = np.where(robot.prismatic, 0.0, 1.0)
-        self._mass, self._centre = Dynamics(robot, payload=problem.scene.payload).bodies()
+        self._dynamics = Dynamics(robot, payload=problem.scene.payload)
+        self._mass, self._centre = self._dynamics.bodies()
 
     def at(self, q: Vector) -> float:
         """At q (n,)."""
@@ -78,6 +85,20 @@ class _PotentialEnergy:
         terms = vector_terms(first, at.axes, half, hinge=self._hinge)
         lift = Quadratic(-terms.J[:, 2], -terms.H[:, 2]).greatest(-half, half)
         return np.asarray(GRAVITY * (own[:, :, 2].sum(axis=1) - lift - terms.rest))
+
+    def unsampled(self, problem: Problem, start: Vector) -> float:
+        """What the samples of a motion from `start` (n,) may leave out at its ends [J]."""
+        limits, model = problem.limits, problem.robot.model
+        speed = np.minimum(limits.velocity, limits.acceleration * SAMPLE_PERIOD) * (1.0 + JOINTS_WITHIN)
+        offset = np.array([float(np.linalg.norm(model.jointPlacements[k + 1].translation)) for k in range(len(start))])
+        slide = np.where(self._hinge > 0.0, 0.0, np.maximum(np.abs(limits.lower), np.abs(limits.upper)))
+        before = np.cumsum(offset) + np.cumsum(slide)  # from the base to each joint's frame, at most
+        away = np.linalg.norm(self._centre, axis=1) + before
+        # how much the potential energy changes at most with each joint [J/rad or N]
+        arm = np.where(self._hinge[:, None] > 0.0, away - before[:, None], 1.0)
+        load = GRAVITY * np.triu(arm * self._mass).sum(axis=1)
+        inertia = np.abs(self._dynamics.mass_matrices(start[None])[0])
+        return float(load @ speed) * SAMPLE_PERIOD + 0.5 * float(speed @ inertia @ speed)
 
     def _moments(self, rotations: Array, origins: Array) -> Array:
         """(B, n, 3) first moments of the bodies about the world's origin [kg m]."""

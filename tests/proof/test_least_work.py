@@ -62,3 +62,18 @@ def test_no_posture_on_the_goal_lifts_less(backhoe: bp.Robot, seed: int) -> None
         other = bp.solve_inverse_kinematics(backhoe, target, start=backhoe.random_q(rng))
         if other.reached:
             assert found <= max(energy(other.q) - energy(start), 0.0)
+
+
+@pytest.mark.parametrize("way", [0.002, 0.005, 0.007])
+def test_a_motion_of_few_samples_is_not_said_to_be_impossible(tmp_path: Path, way: float) -> None:
+    """What the first and the last segment lift is not in the sum over the samples."""
+    end = np.array([0.1 + way])
+    problem = to_height(tmp_path, 0.1, float(end[0]), limits={"acceleration": {"hinge": 20.0}}, objective="work")
+    found = least_work(problem, np.array([0.1]), end=end, boxes=100)
+    step = 1.001 * float(np.sqrt(way / (2.0 * 20.0)))  # s: both segments reach their speed at 20 rad/s^2
+    motion = bp.Trajectory.from_steps(np.array([0.0, step, 2.0 * step]), np.array([[0.1], [0.1 + 0.5 * way], end]))
+    certificate = bp.certify(problem.robot, problem.scene, motion)
+    assert certificate.velocity.kept
+    assert certificate.acceleration.kept
+    assert found is not None
+    assert found <= trajectory_costs(problem, motion)["work"]
