@@ -41,7 +41,7 @@ _FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
 _DEARER = 1.3  # times the best cost: hopeless then
 _STRAIGHT = 3  # postures to which straight lines are tried; chosen
 _MOTIONS = 4_000  # that one sampled way looks at, where another is known; chosen, a third of what the first may take
-_DULL = 2  # sampled ways in a row that gain nothing, after which the search ends, at normal effort
+_WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
@@ -96,6 +96,7 @@ class MotionSearch:
         self._order = sorted(range(len(found.clear)), key=lambda index: float(self._least[index]))
         self._curve: JointCurve | None = None  # of the best, where it has one
         self._reserved = 0  # rounds of descents that are kept for what comes later
+        self._knows_line = False  # whether a straight line to a posture is clear
         self.best: FoundMotion | None = None
         self.looked_at = 0
 
@@ -129,48 +130,62 @@ class MotionSearch:
                 return
 
     def _go_round(self) -> None:
-        """Descents from sampled ways, until several of them have gained nothing."""
+        """Descents from sampled ways, the cheapest of several first, until several times nothing was gained."""
         work = self._world.work
-        patience = work.effort.dull_ways
-        dull = number = 0
+        number = dull = 0
         self._reserved = _FINE_ROUNDS if work.effort.descent_rounds > 2 * _FINE_ROUNDS else 0
-        while (self.best is None or dull < patience) and not self._is_optimal():
-            ends = [index for index in self._order if self._is_open(index)]
-            if not ends or (self.best is not None and work.descent_rounds <= self._reserved):
+        while (self.best is None or dull < work.effort.dull_searches) and not self._is_optimal():
+            if self.best is not None and work.descent_rounds <= self._reserved:
                 return
             before = np.inf if self.best is None else self.best.cost
-            way = self._sample(ends, number)
-            number += 1
-            if way is not None:
-                motion, goal = way
-                self._offer(motion, goal, "sampled", None)
-                self._descend(
-                    JointCurve.fitted(motion, _PIECES, self._problem.limits), motion.duration, goal, "sampled"
-                )
-            elif work.motions <= 0 or (self.best is None and number >= len(_SPARES)):
+            ways = self._sample_several(number)
+            number += work.effort.ways_at_once
+            for way in ways:
+                self._offer(way.motion, way.goal, "sampled", None)
+            for way in ways:
+                if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
+                    curve = JointCurve.fitted(way.motion, _PIECES, self._problem.limits)
+                    self._descend(curve, way.motion.duration, way.goal, "sampled")
+            if self.best is None and (work.motions <= 0 or number >= len(_SPARES)):
                 return
             gained = self.best is not None and self.best.cost < (1.0 - _GAIN) * before
             dull = 0 if gained else dull + 1
 
-    def _sample(self, ends: Sequence[int], number: int) -> tuple[Trajectory, Goal] | None:
+    def _sample_several(self, number: int) -> list[FoundMotion]:
+        """Motions along sampled ways, the cheapest first; `number` were sampled before."""
+        found: list[FoundMotion] = []
+        for turn in range(number, number + self._world.work.effort.ways_at_once):
+            ends = [index for index in self._order if self._is_open(index)]
+            way = self._sample(ends, turn) if ends else None
+            if way is not None:
+                found.append(way)
+            if self._knows_line:
+                break  # straight lines are tried first: from every seed the way would be the same
+        return sorted(found, key=lambda way: way.cost)
+
+    def _sample(self, ends: Sequence[int], turn: int) -> FoundMotion | None:
         """The motion along a sampled and shortened way to one of the postures `ends`."""
         work, start = self._world.work, self._start
         goals = [self._postures[index] for index in ends]
         check = MotionCheck(
             self._problem, self._world.proximity, [start, *goals],
-            spare=_SPARES[number % len(_SPARES)], time=self._time, brake=work.brake,
+            spare=_SPARES[turn % len(_SPARES)], time=self._time, brake=work.brake,
         )  # fmt: skip
-        seed = (self._world.seed + number * _SEEDS_APART) % 2**32
+        seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
         before = work.motions
-        most = None if self.best is None else min(_MOTIONS, work.effort.motions_per_search)
-        path = sample_path(check, start, goals, seed=seed, work=work, most_motions=most)
+        most, longest = None, np.inf
+        if self.best is not None:
+            most = min(_MOTIONS, work.effort.motions_per_search)
+            longest = self.best.motion.duration if self._problem.objective.is_time else np.inf
+        path = sample_path(check, start, goals, seed=seed, work=work, most_motions=most, longest=longest)
         if path is None:
             self.looked_at += before - work.motions
             return None
+        self._knows_line = len(path.q) == 2
         path = shorten(check, path, seed=seed)
         motion = time_way(blend(check, path), self._problem.limits, drive=self._drive)
         end = min(range(len(goals)), key=lambda k: float(np.max(np.abs(goals[k] - path.q[-1]))))
-        return motion, self._goals[ends[end]]
+        return FoundMotion(motion, motion_cost(self._problem, motion), self._goals[ends[end]], "sampled")
 
     def _is_optimal(self) -> bool:
         """Whether no motion can be better by more than `_LEAST_GAIN`."""

@@ -41,7 +41,8 @@ class Effort:
     boxes: of configurations, from which the bound of all motions to a goal follows (30,000 a second). They are
         looked at beside the search, which does not wait for them.
     descent_rounds: of all descents of the plan (20 to 50 a second); half of the descents take less than 7.
-    dull_ways: sampled ways in a row that gain nothing, after which a search for better ones ends.
+    ways_at_once: sampled ways of which the cheapest are brought down.
+    dull_searches: how often in a row that may gain nothing before the search for better motions ends.
     """
 
     motions_per_search: int
@@ -54,7 +55,8 @@ class Effort:
     detours: int
     boxes: int
     descent_rounds: int
-    dull_ways: int
+    ways_at_once: int
+    dull_searches: int
 
 
 _NORMAL = Effort(
@@ -68,7 +70,8 @@ _NORMAL = Effort(
     detours=24,
     boxes=4_000,
     descent_rounds=50,
-    dull_ways=2,
+    ways_at_once=3,
+    dull_searches=1,
 )
 
 
@@ -82,10 +85,15 @@ EFFORTS: Mapping[str, Effort] = MappingProxyType(
         # inverse kinematics costs little and decides much: with a fifth of it goals count as out of reach;
         # with a fifth of the boxes the bound is of little use
         "quick": replace(
-            _scaled(0.2), starting_points=_NORMAL.starting_points, boxes=800, descent_rounds=6, dull_ways=0
+            _scaled(0.2),
+            starting_points=_NORMAL.starting_points,
+            boxes=800,
+            descent_rounds=6,
+            ways_at_once=1,
+            dull_searches=0,
         ),
         "normal": _NORMAL,
-        "thorough": replace(_scaled(4.0), descent_rounds=500, dull_ways=10),
+        "thorough": replace(_scaled(4.0), descent_rounds=500, ways_at_once=6, dull_searches=3),
     }
 )
 

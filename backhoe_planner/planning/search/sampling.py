@@ -53,6 +53,7 @@ def sample_path(
     seed: int,
     work: Work,
     most_motions: int | None = None,
+    longest: float = np.inf,
 ) -> JointPath | None:
     """A way that provably keeps every clearance and joint limit, or None.
 
@@ -67,6 +68,7 @@ def sample_path(
     work: every motion that the sampling looks at is taken from it.
     most_motions: after so many the sampling is given up; by default `Effort.motions_per_search`,
         0 for the straight motions alone.
+    longest: configurations are left out through which every motion from the start to an end takes longer [s].
 
     Returns
     -------
@@ -92,7 +94,7 @@ def sample_path(
     most_motions = work.effort.motions_per_search if most_motions is None else most_motions
     if not open_goals or min(most_motions, work.motions) <= 0:
         return None
-    return _Search(check, work, most_motions).run(start, open_goals, seed)
+    return _Search(check, work, most_motions, longest).run(start, open_goals, seed)
 
 
 # OMPL has one seed and one log level for the whole process: one search at a time
@@ -106,8 +108,11 @@ class _Search:
     afterwards. Nothing that OMPL owns is kept here, or it would never be freed.
     """
 
-    def __init__(self, check: MotionCheck, work: Work, most_motions: int) -> None:
+    def __init__(self, check: MotionCheck, work: Work, most_motions: int, longest: float) -> None:
         self._check = check
+        self._longest = longest
+        self._ends = np.zeros((0, len(check.rate)))  # (G, n)
+        self._start = np.zeros(len(check.rate))
         self._work = work
         self._until = max(work.motions - most_motions, 0)  # motions left at which the search ends
         self._rate = check.rate
@@ -135,6 +140,7 @@ class _Search:
         util.RNG.setSeed(seed + 1)  # 0 would mean: whatever the clock says
         n = len(start)
         self._chart.begin_at(start)
+        self._start, self._ends = start, np.array(goals)
         low, high = self._box([start, *goals])
         space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
@@ -186,10 +192,19 @@ class _Search:
         if self._raised is not None:
             return False
         try:
-            return self._check.segment_is_clear(self._chart.joints(np.array(a)), self._chart.joints(np.array(b)))
+            q = self._chart.joints(np.array(b))
+            return self._can_lead_on(q) and self._check.segment_is_clear(self._chart.joints(np.array(a)), q)
         except BaseException as raised:  # noqa: BLE001 - raised again after OMPL has stopped
             self._raised = raised
             return False
+
+    def _can_lead_on(self, q: Vector) -> bool:
+        """Whether a motion through `q` (n,) can be short enough; every joint needs its way at full rate."""
+        if self._longest == np.inf:
+            return True
+        before = float(np.max(np.abs(q - self._start) / self._rate))
+        after = np.max(np.abs(self._ends - q) / self._rate, axis=1)
+        return before + float(np.min(after)) < self._longest
 
     def _ended(self) -> bool:
         """Whether OMPL is to stop."""
