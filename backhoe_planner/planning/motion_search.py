@@ -42,6 +42,7 @@ _DEARER = 1.3  # times the best cost: hopeless then
 _STRAIGHT = 3  # postures to which straight lines are tried; chosen
 _MOTIONS = 4_000  # that one sampled way looks at, where another is known; chosen, a third of what the first may take
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
+_FAR, _MORE_PATIENCE = 1.4, 2  # times the bound, from which on there is more patience, by this factor; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
@@ -134,7 +135,7 @@ class MotionSearch:
         work = self._world.work
         number = dull = 0
         self._reserved = _FINE_ROUNDS if work.effort.descent_rounds > 2 * _FINE_ROUNDS else 0
-        while (self.best is None or dull < work.effort.dull_searches) and not self._is_optimal():
+        while (self.best is None or dull < self._patience()) and not self._is_optimal():
             if self.best is not None and work.descent_rounds <= self._reserved:
                 return
             before = np.inf if self.best is None else self.best.cost
@@ -150,6 +151,12 @@ class MotionSearch:
                 return
             gained = self.best is not None and self.best.cost < (1.0 - _GAIN) * before
             dull = 0 if gained else dull + 1
+
+    def _patience(self) -> int:
+        """How often in a row a search may gain nothing."""
+        usual = self._world.work.effort.dull_searches
+        far = self.best is not None and self.best.motion.duration > _FAR * self._bound > 0.0
+        return _MORE_PATIENCE * usual if far else usual
 
     def _sample_several(self, number: int) -> list[FoundMotion]:
         """Motions along sampled ways, the cheapest first; `number` were sampled before."""

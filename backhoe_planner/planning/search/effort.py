@@ -69,7 +69,7 @@ _NORMAL = Effort(
     node_pairs=2_000_000_000,
     detours=24,
     boxes=4_000,
-    descent_rounds=50,
+    descent_rounds=70,
     ways_at_once=3,
     dull_searches=1,
 )
