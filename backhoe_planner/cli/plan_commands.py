@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.status import Status
 
 import backhoe_planner as bp
 from backhoe_planner import motion, planning, show, site
@@ -53,6 +54,7 @@ def plan(
         if target is not None:
             check_output(target, (*robot.files, *loaded.files))
     print_warnings((*robot.warnings, *loaded.warnings(), *site.limit_warnings(robot, loaded)))
+    unit = motion.OBJECTIVES[loaded.objective or "time"].unit  # of what is shown on the way to a goal
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)
     with show.Viewer() if view else contextlib.nullcontext() as viewer:
         if viewer is not None:
@@ -60,8 +62,8 @@ def plan(
             _wait_for_browser(viewer)
             found = compute(watch=lambda step: viewer.show_step(step.q, step.time))
         else:
-            with ERR.status("planning ...") if ERR.is_terminal and not as_json else contextlib.nullcontext():
-                found = compute()
+            with ERR.status("planning ...") if ERR.is_terminal and not as_json else contextlib.nullcontext() as status:
+                found = compute(watch=None if status is None else lambda step: _show_best(status, step, unit))
         found.save(output)
         if html is not None:  # before anything is printed: what is printed may not be read to its end
             print_warnings(show.write_page(found, html))
@@ -72,6 +74,12 @@ def plan(
             print_warnings(viewer.play(found))
             _play_until_interrupted(viewer)
     return VERIFIED if found.verified else FAILED
+
+
+def _show_best(status: Status, step: planning.PlannerStep, unit: str) -> None:
+    """What the best motion to a goal so far costs."""
+    if step.best is not None and step.time == 0.0:
+        status.update(f"planning ... the best so far: {step.best:,.4g} {unit}")
 
 
 def view(

@@ -95,7 +95,7 @@ class MotionSearch:
         self._least: Vector = LeastTimes(world.problem, start, longest=_LONGEST).to_boxes(ends, ends)
         self._bound = 0.0  # no motion is shorter [s]
         self._order = sorted(range(len(found.clear)), key=lambda index: float(self._least[index]))
-        self._curve: JointCurve | None = None  # of the best, where it has one
+        self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
         self._knows_line = False  # whether a straight line to a posture is clear
         self.best: FoundMotion | None = None
@@ -142,7 +142,7 @@ class MotionSearch:
             ways = self._sample_several(number)
             number += work.effort.ways_at_once
             for way in ways:
-                self._offer(way.motion, way.goal, "sampled", None)
+                self._offer(way.motion, way.goal, "sampled")
             for way in ways:
                 if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
                     curve = JointCurve.fitted(way.motion, _PIECES, self._problem.limits)
@@ -224,7 +224,7 @@ class MotionSearch:
             found = self._bend(curve, duration, goal, rounds, spare=spare, density=density, box=box)
             if found is None or found.missed > 0.5 * spare:
                 return False
-            if self._is_dear(found.cost) or self._offer(found.motion, goal, way, found.curve):
+            if self._is_dear(found.cost) or self._offer(found.motion, goal, way):
                 return True
             curve, duration, rounds, box = found.curve, found.duration, _FEW_ROUNDS, _SMALL_BOX
             spare, density = spare + _MORE_SPARE, 2 * density
@@ -241,7 +241,7 @@ class MotionSearch:
             curve, best.motion.duration, best.goal, _FINE_ROUNDS, spare=_SPARE, density=2, box=_SMALL_BOX
         )
         if found is not None and found.missed <= 0.5 * _SPARE and not self._is_dear(found.cost):
-            self._offer(found.motion, best.goal, best.way, found.curve)
+            self._offer(found.motion, best.goal, best.way)
 
     def _bend(
         self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
@@ -265,13 +265,15 @@ class MotionSearch:
     def _is_dear(self, cost: float) -> bool:
         return self.best is not None and cost >= self.best.cost
 
-    def _offer(self, motion: Trajectory, goal: Goal, way: str, curve: JointCurve | None) -> bool:
+    def _offer(self, motion: Trajectory, goal: Goal, way: str) -> bool:
         """Keep a motion where it is better than the best; whether it is proven clear."""
         cost = motion_cost(self._problem, motion)
         if not self._is_dear(cost):
             if not (self._world.keeps(motion) and self._is_proven(motion)):
                 return False
-            self.best, self._curve = FoundMotion(motion, cost, goal, way), curve
+            self.best = FoundMotion(motion, cost, goal, way)
+            self._bests += 1
+            self._world.show(motion, attempt=self._bests, best=cost)
         return True
 
     def _is_proven(self, motion: Trajectory) -> bool:

@@ -12,10 +12,12 @@ from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import Problem, TipPath, Trajectory
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.stretch import Stretch
-from backhoe_planner.planning.reactive.stepping import Stepper, Watcher
+from backhoe_planner.planning.reactive.stepping import PlannerStep, Stepper, Watcher
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.search.postures import Postures
 from backhoe_planner.site import Obstacle, Proximity
+
+_SHOWN = 5  # samples of a motion that is shown, of which one is; ten a second
 
 
 class World:
@@ -48,6 +50,13 @@ class World:
     def stepper(self, q: Vector) -> Stepper:
         """A motion that begins at `q` (n,), at rest."""
         return Stepper(self.problem, q, proximity=self.proximity, kinematics=self.kinematics, watch=self._watch)
+
+    def show(self, motion: Trajectory, *, attempt: int, best: float) -> None:
+        """Show whoever watches the planner the best motion to a goal so far, and what it costs."""
+        if self._watch is None:
+            return
+        for time, q in zip(motion.time[::_SHOWN], motion.q[::_SHOWN], strict=True):
+            self._watch(PlannerStep(float(time), q, attempt, best))
 
     def keeps(self, motion: Trajectory) -> bool:
         """Whether a motion is proven to keep what the problem asks for; true where that is nothing."""

@@ -207,3 +207,13 @@ def test_a_goal_that_is_nearer_than_one_sample(planar4: bp.Robot, way: float, ob
     assert plan.verified, plan.message
     assert plan.bound is not None
     assert plan.bound.duration == 0.0
+
+
+def test_whoever_watches_sees_the_best_get_better(backhoe: bp.Robot) -> None:
+    seen: list[float] = []
+    plan = bp.plan(
+        backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL), effort="quick",
+        watch=lambda step: seen.append(step.best) if step.best is not None else None,
+    )  # fmt: skip
+    assert seen == sorted(seen, reverse=True)
+    assert seen[-1] == pytest.approx(plan.trajectory.duration, rel=1e-3)

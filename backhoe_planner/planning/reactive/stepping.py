@@ -37,11 +37,13 @@ class PlannerStep:
     time: [s] in the motion.
     q: (n,) joint positions [rad or m].
     attempt: the attempt of the planner that the step belongs to, from 1.
+    best: what the best motion to a goal so far costs, by the problem's objective; None before there is one.
     """
 
     time: float
     q: Vector
     attempt: int
+    best: float | None = None
 
 
 Watcher = Callable[[PlannerStep], object]
