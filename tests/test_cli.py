@@ -65,7 +65,7 @@ def test_which_goal_is_reached_and_what_is_kept_are_lines_of_plan_and_check(run:
     assert status == 0
     for said in (planned, run("check", "out.json")[1]):
         assert "goal          2 of 2 is reached" in said
-        assert "keep          above within what is allowed by +1.000 m at least" in said
+        assert "keep          above: +1.000 m left at least" in said
     content = json.loads((tmp_path / "out.json").read_text())["certificate"]
     assert content["goal"] == 2
     assert content["keep"][0]["margin"] == pytest.approx(1.0)
@@ -216,6 +216,7 @@ def test_inspect_tells_the_working_envelope(run: Run) -> None:
     assert status == 0
     for word in ("swing", "stick", "bucket_tip", "Denavit-Hartenberg", "working envelope", "digging depth"):
         assert word in said
+    assert "greatest height of the teeth  5.50 m" in said
 
 
 def test_inspect_shows_a_machine_as_a_scene_has_it(run: Run, tmp_path: Path) -> None:
@@ -366,6 +367,14 @@ def test_interrupted_while_it_still_imports_there_is_no_traceback(tmp_path: Path
         _, told = running.communicate(timeout=PATIENCE)
     assert (running.returncode, told.strip()) == (130, "interrupted")
     assert not plan_file.exists()
+
+
+def test_without_a_command_the_help_is_shown_and_no_error(run: Run) -> None:
+    status, said, errors = run()
+    assert status == 2
+    assert not said
+    assert errors.startswith("Usage: ")
+    assert "teleop" in errors
 
 
 def test_help_does_not_wait_for_the_robot_libraries() -> None:

@@ -67,7 +67,11 @@ def main() -> NoReturn:
     except Exception as error:
         if not _is_usage_error(error):
             raise
-        print_error(error.format_message())  # type: ignore[attr-defined]
+        message = error.format_message()  # type: ignore[attr-defined]
+        if type(error).__name__ == "NoArgsIsHelpError":  # typer has its own copy of click, and does not export it
+            ERR.print(message)
+        else:
+            print_error(message)
         sys.exit(BAD_INPUT)
     if status == INTERRUPTED:  # typer turns Ctrl-C into a return value
         ERR.print("interrupted")

@@ -151,7 +151,7 @@ def _print_envelope(robot: bp.Robot) -> None:
     OUT.print("\nworking envelope")
     for name, value, unit in rows:
         if value is not None:
-            OUT.print(f"  {name:<28}{value:.2f} {unit}")
+            OUT.print(f"  {name:<30}{value:.2f} {unit}")
 
 
 def _print_hydraulics(robot: bp.Robot) -> None:

@@ -42,7 +42,7 @@ def plan(
         Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the plan offline.")
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print the result as JSON (all of the plan file but the trajectory).")
+        bool, typer.Option("--json", help="Print the result as JSON (all of the plan file but the samples).")
     ] = False,
 ) -> int:
     """Plan the task of a scene, and write the plan."""

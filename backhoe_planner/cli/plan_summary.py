@@ -69,7 +69,7 @@ def _print_keep(found: bp.Plan) -> None:
     """What is left of every condition that is to be kept; nothing where there is none."""
     for use in found.certificate.keep:
         figures = f"{DEGREES * use.margin:+.2f} deg" if use.unit == "rad" else f"{use.margin:+.3f} m"
-        OUT.print(f"keep          {use.name} within what is allowed by {figures} at least (at {use.time:.2f} s)")
+        OUT.print(f"keep          {use.name}: {figures} left at least (at {use.time:.2f} s)")
 
 
 def _print_motion(found: bp.Plan) -> None:
@@ -175,8 +175,9 @@ def _print_bound(found: bp.Plan) -> None:
         longer = f"this one takes {bound.longer_percent:.0f} % longer"
         OUT.print(f"bound         no motion can take less than {bound.duration:.2f} s ({longer})")
         if bound.energy.get(objective.name, 0.0) > 0.0:
-            least = describe_quantity(bound.energy[objective.name], objective.unit)
-            OUT.print(f"              nor with less {objective.name} than {least}")
+            least, takes = bound.energy[objective.name], found.metrics.energy[objective.name]
+            more = f"{objective.name}; this one takes {100.0 * (takes / least - 1.0):.0f} % more"
+            OUT.print(f"              no motion can take less than {describe_quantity(least, objective.unit)} ({more})")
 
 
 def _print_comparison(compared: planning.LawComparison | None) -> None:
@@ -188,7 +189,7 @@ def _print_comparison(compared: planning.LawComparison | None) -> None:
     if compared.law is not None:
         line += f"; the local law {describe_quantity(compared.law, unit)}"
         if compared.saving_percent is not None:
-            line += f" (saves {compared.saving_percent:.0f} %)"
+            line += f" (this one takes {planning.describe_saving(compared.saving_percent)})"
         if compared.law_breaks is not None:
             line += f", and it breaks {compared.law_breaks}"
     elif compared.law_breaks is not None:
@@ -198,7 +199,7 @@ def _print_comparison(compared: planning.LawComparison | None) -> None:
         line = f"{describe_quantity(compared.whole, unit)} with the approach to it"
         if compared.law_whole is not None and compared.saving_percent_whole is not None:
             line += f"; the local law after the same approach {describe_quantity(compared.law_whole, unit)}"
-            line += f" (saves {compared.saving_percent_whole:.0f} %)"
+            line += f" (this one takes {planning.describe_saving(compared.saving_percent_whole)})"
         OUT.print(f"              {line}")
 
 

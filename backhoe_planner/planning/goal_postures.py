@@ -87,7 +87,10 @@ def _postures_on(world: World, goal: Goal, near: Vector, time: float) -> tuple[V
     if isinstance(within, Outcome) and within.reason == "goal_in_collision":
         return within
     nearest = max(free, key=lambda q: float(np.min(keep.margins(q))))
-    return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", f"at the {goal.name} {keep.broken(nearest)}")
+    message = f"at the {goal.name} {keep.broken(nearest)}"
+    if narrowed is not None:  # the goal leaves room for it, as far as its own angles go
+        message = f"no posture was found on the {goal.name} that keeps it: at best {keep.broken(nearest)}"
+    return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", message)
 
 
 def _on_target(world: World, target: TipTarget, goal: Goal, near: Vector, time: float) -> tuple[Vector, ...] | Outcome:

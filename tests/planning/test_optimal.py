@@ -22,6 +22,7 @@ from backhoe_planner.planning import (
     PathResolver,
     Stretch,
     cheapen_stretch,
+    describe_saving,
     join_motions,
     law_motion,
     least_norm_resolution,
@@ -356,3 +357,8 @@ def test_the_plan_file_holds_torque_and_power_over_time(backhoe: bp.Robot, tmp_p
     assert dynamics["hydraulic"][-1] == pytest.approx(content["metrics"]["energy"]["hydraulic"], rel=1e-9)
     again = bp.load_plan(tmp_path / "plan.json")
     assert again.metrics.objective == plan.metrics.objective
+
+
+@pytest.mark.parametrize(("percent", "words"), [(94.75, "95 % less"), (0.0, "0 % less"), (-5.17, "5 % more")])
+def test_a_saving_is_told_without_a_sign(percent: float, words: str) -> None:
+    assert describe_saving(percent) == words

@@ -95,6 +95,11 @@ class LawComparison(Record):
         return _saving(self.whole, self.law_whole)
 
 
+def describe_saving(percent: float) -> str:
+    """How a plan is beside the law, by what it saves [%] of what the law needs, such as ``95 % less``."""
+    return f"{abs(percent):.0f} % {'less' if percent >= 0.0 else 'more'}"
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A plan's motion beside the law's.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Vector
 from backhoe_planner.live import is_recording
 from backhoe_planner.motion import Problem, Trajectory, limit_usage, trajectory_energy
-from backhoe_planner.planning import Plan, compare_with_law
+from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
 from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure
@@ -162,6 +163,9 @@ def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
 
 def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     usage = limit_usage(problem, plan.trajectory)
+    on_the_way = usage.moments.time < plan.certificate.tracking.approach_time  # there no tip speed is asked for
+    asked = np.array([kind == "tip speed" for kind, _ in usage.limits])
+    usage = replace(usage, ratio=np.where(np.outer(on_the_way, asked), 0.0, usage.ratio))
     binding, time = usage.binding, usage.moments.time
     used = 100.0 * np.minimum(usage.greatest, 1.5)
     binds = usage.greatest >= _BINDS
@@ -232,7 +236,7 @@ def _power(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
         curves.append((compared.begun + compared.law_motion.time, law, "0.35", (0, (1.5, 1.5)), name))
         figures = compared.figures
         if figures.saving_percent is not None:
-            title += f"; {figures.name} along the path {figures.saving_percent:.0f} % below the local law's"
+            title += f"; {figures.name} along the path {describe_saving(figures.saving_percent)} than the local law's"
     highest = max(float(values[-1]) for _, values, *_ in curves)
     prefix, scale = _prefix(highest)
     lines = [
