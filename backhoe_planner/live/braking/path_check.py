@@ -213,7 +213,8 @@ class PathCheck:
         within = needed + 2.0 * budget.take(classes)
         # where the machine is, the first sample, it is at any velocity
         all_gaps, nearest, least, _ = found.gaps
-        gaps, corners_each = all_gaps[:, 1:], all_gaps.shape[2]
+        corners_each = all_gaps.shape[2]
+        gaps = all_gaps.reshape(len(pairs), -1)[:, corners_each:]
         tight = least[:, 1:].argmin(axis=1)
         if np.count_nonzero(found.closely):
             within[found.closely & (found.bound >= within - needed + wanted)] = -np.inf
@@ -221,13 +222,13 @@ class PathCheck:
             gaps = gaps.copy()
             for row in found.closely.nonzero()[0].tolist():
                 tight[row] = least[row, 1:].argmax()
-                gaps[row, np.arange(path.parts) != tight[row]] = np.inf
+                gaps[row].reshape(path.parts, -1)[np.arange(path.parts) != tight[row]] = np.inf
         column = np.arange(1, least.size, least.shape[1]) + tight
         least = least.reshape(-1).take(column)
         room = least - needed
         within[least >= within] = -np.inf
         columns = corners_each * tight + nearest.reshape(-1).take(column)
-        binding = Candidates(gaps.reshape(len(pairs), -1), within, columns, room, (within > -np.inf).nonzero()[0])
+        binding = Candidates(gaps, within, columns, room, (within > -np.inf).nonzero()[0])
         if len(binding.pairs) == 0:
             return (Rows.none("braking", len(path.v)),)
         chosen = binding.all_of(MOST_CANDIDATES)
@@ -303,7 +304,7 @@ class Candidates(NamedTuple):
             pairs = pairs[self.room.take(pairs).argpartition(most - 1)[:most]]
         if 2 * len(pairs) > most:
             return pairs, self.nearest.take(pairs)
-        gaps = self.gaps.take(pairs, axis=0)
+        gaps = self.gaps[pairs]
         each = min(most // max(len(pairs), 1), gaps.shape[1])
         columns = gaps.argpartition(each - 1, axis=1)[:, :each].reshape(-1)
         k = np.arange(len(pairs)).repeat(each)
