@@ -39,7 +39,6 @@ _SMALL_BOX = 0.1  # the same of a descent that goes on
 _TRIED = 4  # rounds after which a descent is judged
 _FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
 _DEARER = 1.3  # times the best cost: hopeless then
-_STRAIGHT = 3  # postures to which straight lines are tried; chosen
 _MOTIONS = 4_000  # that one sampled way looks at, where another is known; chosen, a third of what the first may take
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
 _FAR, _MORE_PATIENCE = 1.4, 2  # times the bound, from which on there is more patience, by this factor; chosen
@@ -120,8 +119,9 @@ class MotionSearch:
 
     def _go_straight(self) -> None:
         """Descents from straight lines to the nearest postures, until one of them does not get clear."""
-        self._reserved = self._world.work.descent_rounds // 2
-        for index in self._order[:_STRAIGHT]:
+        work = self._world.work
+        self._reserved = work.descent_rounds // 2
+        for index in self._order[: work.effort.ways_at_once]:
             if self._is_optimal():
                 return
             if not self._is_open(index):

@@ -41,7 +41,8 @@ class Effort:
     boxes: of configurations, from which the bound of all motions to a goal follows (30,000 a second). They are
         looked at beside the search, which does not wait for them.
     descent_rounds: of all descents of the plan (20 to 50 a second); half of the descents take less than 7.
-    ways_at_once: sampled ways of which the cheapest are brought down.
+    ways_at_once: straight lines to postures on a goal that are tried, and sampled ways of which the cheapest
+        are brought down.
     dull_searches: how often in a row that may gain nothing before the search for better motions ends.
     """
 
