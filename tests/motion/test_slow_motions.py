@@ -37,6 +37,18 @@ def test_a_plan_at_a_tenth_of_a_millimetre_a_second_ends(backhoe: bp.Robot) -> N
     assert found.certificate.tracking.max_error < 0.005
 
 
+@pytest.mark.parametrize("rate", [1e-2, 1e-3])
+def test_a_slow_joint_takes_the_time_of_its_way_and_no_more(planar4: bp.Robot, rate: float) -> None:
+    """0.8 rad at the full rate, which is reached at once."""
+    names = planar4.joint_names
+    start, goal = dict.fromkeys(names, 0.0), dict.fromkeys(names, 0.1) | {names[0]: 0.8}
+    limits = {"velocity": {names[0]: rate}}
+    content = {"version": 1, "start": {"joints": start}, "task": {"goal": {"joints": goal}}, "limits": limits}
+    plan = bp.plan(planar4, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    assert 0.8 / rate <= plan.trajectory.duration <= 1.02 * 0.8 / rate
+
+
 A, B = {"position": [4.6, 0.0, -0.3]}, {"position": [3.9, 0.0, -0.6]}
 
 

@@ -35,6 +35,7 @@ _SAME_PLACE = 1e-9  # part of a way's length: corners nearer to each other are o
 _PER_PIECE = 12  # intervals on every leg and corner of a way; chosen, as are the next two
 _PER_WAY = 300  # intervals on a way between two stops, about; `path_limits` corrects what lies between
 _LEAST_GRID = 1000  # intervals on a path, about
+_COARSE = 1.05  # times a limit that samples of a curve may show before its grid is made denser; chosen, rarely needed
 _HALVINGS = 6  # of the first and last interval, within which a slow machine may reach its full speed; chosen
 
 # part of a limit of the drive that a sampled motion may exceed: its accelerations are differences of velocities
@@ -121,6 +122,15 @@ def time_curve(
     limits: of the joints.
     drive: what moves the joints; None for no limits but those of the joints.
     """
+    motion = _over_curve(curve, grid, limits, drive)
+    if motion is not None and _over(motion, limits) > _COARSE:  # full speed is reached within the first interval
+        motion = _over_curve(curve, _denser_at_ends(grid), limits, drive) or motion
+    return None if motion is None else _slow_to_limits(motion, limits, drive)
+
+
+def _over_curve(
+    curve: Callable[[Vector, int], Matrix], grid: Vector, limits: JointLimits, drive: Drive | None
+) -> Trajectory | None:
     q, slope, bend = (curve(grid, derivative) for derivative in range(3))
     law = time_path(PathShape(grid, q, slope, bend[:-1], bend[1:]), limits, drive=drive, rests=False)
     if law is None:
@@ -132,8 +142,7 @@ def time_curve(
         _LEAST_CHANGE * SAMPLE_PERIOD * limits.acceleration,
     )
     samples[0], samples[-1] = q[0], q[-1]
-    motion = Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
-    return _slow_to_limits(motion, limits, drive)
+    return Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
 
 
 def _tip_rates(kinematics: BatchKinematics, q: Matrix, rates: Matrix) -> Vector:
