@@ -149,9 +149,18 @@ class Scene(Record):
                 file = self.folder / path.file
                 waypoints = read_path_file(file).waypoints
                 PathTask.model_validate({"waypoints": waypoints, "origin": path.origin})
-            return waypoints if path.origin is None else tuple(map(path.origin.moved, waypoints))
         except ValidationError as error:
             raise SceneError(describe(error.errors()[0]), file=file) from None
+        if path.origin is None:
+            return waypoints
+        moved: list[Waypoint] = []
+        for waypoint in waypoints:
+            try:
+                moved.append(path.origin.moved(waypoint))
+            except ValidationError as error:
+                problem = f"puts waypoint {len(moved) + 1} too far away: {describe(error.errors()[0])}"
+                raise SceneError(problem, file=self.file, key="task.path.origin") from None
+        return tuple(moved)
 
     def warnings(self) -> tuple[str, ...]:
         """What of the files that the scene names is not used, in words.

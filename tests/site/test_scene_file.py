@@ -632,6 +632,12 @@ def test_a_pitch_is_not_tilted(tmp_path: Path) -> None:
     assert len(moved(*POINTS, rpy=tilted).waypoints()) == 2
 
 
+def test_an_origin_that_is_too_far_away_is_named() -> None:
+    far = moved({"position": [1, 0, 0]}, {"position": [1, 2, 5]}, position=[1e5 - 1.5, 99_999, 0.0])
+    with pytest.raises(SceneError, match=r"task\.path\.origin: puts waypoint 2 too far away: .*100000; found 100001"):
+        far.waypoints()
+
+
 def test_an_origin_says_where_or_how() -> None:
     with pytest.raises(SceneError, match=r"task\.path\.origin: .*position, rpy or both"):
         moved(*POINTS)
