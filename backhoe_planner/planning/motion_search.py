@@ -142,8 +142,6 @@ class MotionSearch:
             ways = self._sample_several(number)
             number += work.effort.ways_at_once
             for way in ways:
-                self._offer(way.motion, way.goal, "sampled")
-            for way in ways:
                 if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
                     curve = JointCurve.fitted(way.motion, _PIECES, self._problem.limits)
                     self._descend(curve, way.motion.duration, way.goal, "sampled")
@@ -165,6 +163,7 @@ class MotionSearch:
             ends = [index for index in self._order if self._is_open(index)]
             way = self._sample(ends, turn) if ends else None
             if way is not None:
+                self._offer(way.motion, way.goal, way.way)
                 found.append(way)
             if self._knows_line:
                 break  # straight lines are tried first: from every seed the way would be the same
