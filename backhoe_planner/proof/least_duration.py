@@ -65,14 +65,15 @@ def least_duration(
     times = LeastTimes(problem, start, longest=known)
     if end is not None:
         known = float(times.to_boxes(end[None], end[None])[0])
-    found, looked, settled = (1.0 - _NEAR) * known, 0, True
-    for goal in goal_regions(problem):
-        search = _Search(times, goal, found)
-        search.run(boxes - looked)
-        looked += search.looked
-        settled = settled and not len(search.open)
-        found = search.least
-    return LeastDuration(found, settled, looked)
+    searches = [_Search(times, goal, (1.0 - _NEAR) * known) for goal in goal_regions(problem)]
+    looked = sum(search.looked for search in searches)
+    while looked < boxes and any(len(search.open) for search in searches):
+        lowest = min(searches, key=lambda search: search.least)
+        before = lowest.looked
+        lowest.run(before + 1)
+        looked += lowest.looked - before
+    least = min((search.least for search in searches), default=(1.0 - _NEAR) * known)
+    return LeastDuration(least, not any(len(search.open) for search in searches), looked)
 
 
 @dataclass(frozen=True, eq=False)

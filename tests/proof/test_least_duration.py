@@ -218,3 +218,17 @@ def test_more_boxes_raise_the_bound(panda: bp.Robot) -> None:
     assert few.duration < some.duration < many.duration
     assert not few.settled
     assert many.boxes > some.boxes >= 1_000
+
+
+def test_the_order_of_several_goals_does_not_matter(backhoe: bp.Robot) -> None:
+    """The boxes are spent where the bound is lowest, not on the goals that stand first."""
+    rng = np.random.default_rng([7, 1])
+    start, ends = backhoe.random_q(rng), [backhoe.random_q(rng) for _ in range(4)]
+    goals = [{"position": bp.Kinematics(backhoe).at(q).tip_position.tolist()} for q in ends]
+    joints = dict(zip(backhoe.joint_names, start.tolist(), strict=True))
+    found = []
+    for order in (goals, goals[::-1]):
+        scene = bp.scene_from_dict({"version": 1, "start": {"joints": joints}, "task": {"goal": order}})
+        found.append(least_duration(build_problem(backhoe, scene), start, known=4.0, boxes=1_500).duration)
+    assert found[0] == pytest.approx(found[1], rel=1e-12)
+    assert found[0] > 0.0
