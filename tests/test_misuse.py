@@ -412,7 +412,7 @@ RESULTS = {
     "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
     "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
     "Obstruction", "Piece", "Plan", "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "Step",
-    "TaskInverse", "Tracking", "Transgression", "Wish",
+    "TaskInverse", "Tracking", "Transgression", "WaypointStep", "Wish",
 }  # fmt: skip
 PUBLIC = {name: getattr(bp, name) for name in dir(bp) if not name.startswith("_")}
 RECORDS = [name for name, thing in PUBLIC.items() if inspect.isclass(thing) and issubclass(thing, Record)]

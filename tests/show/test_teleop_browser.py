@@ -30,6 +30,7 @@ def open_page(browser: Any, url: str, *, password: str = "", height: int = 420) 
         assert page.url == f"{url}login"
         page.locator("#password:focus").fill(password)
         page.keyboard.press("Enter")
+        page.wait_for_url(url)  # the page that asks for the password lets nothing be evaluated
     page.wait_for_function("window.backhoe && backhoe.teleop && backhoe.teleop.state && backhoe.teleop.page !== null")
     page.evaluate("document.querySelector('[data-node=shadows]').click()")  # they cost most without a graphics card
     return page, complaints
