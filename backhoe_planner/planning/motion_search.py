@@ -45,6 +45,7 @@ _FAR, _MORE_PATIENCE = 1.4, 2  # times the bound, from which on there is more pa
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
+_END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
 _TOUCH = 2e-5  # m by which the proof may fall short: far below a clearance, far above the rounding of a step
 _DEPTH = 9  # halvings of a segment in a proof
@@ -96,7 +97,7 @@ class MotionSearch:
         self._order = sorted(range(len(found.clear)), key=lambda index: float(self._least[index]))
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
-        self._knows_line = False  # whether a straight line to a posture is clear
+        self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
         self.best: FoundMotion | None = None
         self.looked_at = 0
 
@@ -165,8 +166,6 @@ class MotionSearch:
             if way is not None:
                 self._offer(way.motion, way.goal, way.way)
                 found.append(way)
-            if self._knows_line:
-                break  # straight lines are tried first: from every seed the way would be the same
         return sorted(found, key=lambda way: way.cost)
 
     def _sample(self, ends: Sequence[int], turn: int) -> FoundMotion | None:
@@ -183,11 +182,23 @@ class MotionSearch:
         if self.best is not None:
             most = min(_MOTIONS, work.effort.motions_per_search)
             longest = self.best.motion.duration if self._problem.objective.is_time else np.inf
-        path = sample_path(check, start, goals, seed=seed, work=work, most_motions=most, longest=longest)
+        path = sample_path(
+            check,
+            start,
+            goals,
+            seed=seed,
+            work=work,
+            most_motions=most,
+            longest=longest,
+            straight=self._line is None,
+        )
         if path is None:
             self.looked_at += before - work.motions
             return None
-        self._knows_line = len(path.q) == 2
+        if len(path.q) == 2:
+            if self._line is not None and np.array_equal(path.q[-1], self._line):
+                return None
+            self._line = path.q[-1]
         path = shorten(check, path, seed=seed)
         motion = time_way(blend(check, path), self._problem.limits, drive=self._drive)
         end = min(range(len(goals)), key=lambda k: float(np.max(np.abs(goals[k] - path.q[-1]))))
@@ -207,9 +218,10 @@ class MotionSearch:
 
     def _is_open(self, index: int) -> bool:
         """Whether a motion to this posture can still be better than the best."""
-        if self.best is None or not self._problem.objective.is_time or self._end_moves(self._goals[index]):
+        if self.best is None or not self._problem.objective.is_time:
             return True
-        return self.best.motion.duration > (1.0 + _LEAST_GAIN) * float(self._least[index])
+        worth = 1.0 - _END_GAIN if self._end_moves(self._goals[index]) else 1.0 + _LEAST_GAIN
+        return self.best.motion.duration > worth * float(self._least[index])
 
     def _end_moves(self, goal: Goal) -> bool:
         return goal.q is None and self._problem.robot.n > 3 + (3 if goal.target.rotation is not None else 0)

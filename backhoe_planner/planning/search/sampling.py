@@ -54,6 +54,7 @@ def sample_path(
     work: Work,
     most_motions: int | None = None,
     longest: float = np.inf,
+    straight: bool = True,
 ) -> JointPath | None:
     """A way that provably keeps every clearance and joint limit, or None.
 
@@ -68,6 +69,7 @@ def sample_path(
     work: every motion that the sampling looks at is taken from it.
     most_motions: after so many the sampling is given up; by default `Effort.motions_per_search`,
         0 for the straight motions alone.
+    straight: whether straight motions to the goals are tried first.
     longest: configurations are left out through which every motion from the start to an end takes longer [s].
 
     Returns
@@ -88,7 +90,7 @@ def sample_path(
     open_goals = [goals[index] for index in order]
     if band is not None:  # a whole turn of the pitch from the start: within the band there is no way
         open_goals = [goal for goal in open_goals if abs(float(band.row @ (goal - start))) < np.pi]
-    for goal in open_goals:
+    for goal in open_goals if straight else ():
         if check.segment_is_clear(start, goal):
             return JointPath(np.array([start, goal]))
     most_motions = work.effort.motions_per_search if most_motions is None else most_motions
