@@ -11,7 +11,6 @@ from .paths.smoothing import smooth_stretch as smooth_stretch
 from .paths.stretch import Stretch as Stretch
 from .planner import plan as plan
 from .reactive.law_timing import places_on as places_on
-from .reactive.law_timing import shortest_time as shortest_time
 from .reactive.law_timing import speed_up as speed_up
 from .reactive.reaching import approach_goal as approach_goal
 from .reactive.stepping import PlannerStep as PlannerStep

@@ -8,7 +8,7 @@ best so far. Every motion that counts is proven clear.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from backhoe_planner.planning.search.motion_check import MotionCheck
 from backhoe_planner.planning.search.sampling import sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world import World
-from backhoe_planner.proof import LeastTimes, least_duration, segment_is_clear
+from backhoe_planner.proof import LeastTimes, least_duration, motion_is_clear
 
 _PIECES = 12  # of a curve; chosen: 20 gain 1 % more and take twice as long
 _FINE_PIECES = 20  # of the best curve at the end
@@ -47,14 +47,12 @@ _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
 _END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
-_TOUCH = 2e-5  # m by which the proof may fall short: far below a clearance, far above the rounding of a step
-_DEPTH = 9  # halvings of a segment in a proof
 _SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different ways
 
 
 @dataclass(frozen=True, eq=False)
 class FoundMotion:
-    """A proven motion to a goal.
+    """A motion to a goal.
 
     Attributes
     ----------
@@ -164,7 +162,7 @@ class MotionSearch:
             ends = [index for index in self._order if self._is_open(index)]
             way = self._sample(ends, turn) if ends else None
             if way is not None:
-                self._offer(way.motion, way.goal, way.way)
+                self._offer(way)
                 found.append(way)
         return sorted(found, key=lambda way: way.cost)
 
@@ -235,7 +233,7 @@ class MotionSearch:
             found = self._bend(curve, duration, goal, rounds, spare=spare, density=density, box=box)
             if found is None or found.missed > 0.5 * spare:
                 return False
-            if self._is_dear(found.cost) or self._offer(found.motion, goal, way):
+            if self._offer(FoundMotion(found.motion, found.cost, goal, way)):
                 return True
             curve, duration, rounds, box = found.curve, found.duration, _FEW_ROUNDS, _SMALL_BOX
             spare, density = spare + _MORE_SPARE, 2 * density
@@ -251,8 +249,8 @@ class MotionSearch:
         found = self._bend(
             curve, best.motion.duration, best.goal, _FINE_ROUNDS, spare=_SPARE, density=2, box=_SMALL_BOX
         )
-        if found is not None and found.missed <= 0.5 * _SPARE and not self._is_dear(found.cost):
-            self._offer(found.motion, best.goal, best.way)
+        if found is not None and found.missed <= 0.5 * _SPARE:
+            self._offer(replace(best, motion=found.motion, cost=found.cost))
 
     def _bend(
         self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
@@ -276,21 +274,17 @@ class MotionSearch:
     def _is_dear(self, cost: float) -> bool:
         return self.best is not None and cost >= self.best.cost
 
-    def _offer(self, motion: Trajectory, goal: Goal, way: str) -> bool:
-        """Keep a motion where it is better than the best; whether it is proven clear."""
-        cost = motion_cost(self._problem, motion)
-        if not self._is_dear(cost):
-            if not (self._world.keeps(motion) and self._is_proven(motion)):
+    def _offer(self, found: FoundMotion) -> bool:
+        """Keep a motion where it is better than the best; whether it is proven clear, or too dear to be looked at."""
+        if not self._is_dear(found.cost):
+            if not (self._world.keeps(found.motion) and self._is_proven(found.motion)):
                 return False
-            self.best = FoundMotion(motion, cost, goal, way)
+            self.best = found
             self._bests += 1
-            self._world.show(motion, attempt=self._bests, best=cost)
+            self._world.show(found.motion, attempt=self._bests, best=found.cost)
         return True
 
     def _is_proven(self, motion: Trajectory) -> bool:
         proximity = self._world.proximity
         proximity.cover_unchecked(motion.q)
-        return all(
-            segment_is_clear(proximity, motion.q[k], motion.q[k + 1], time=self._time, depth=_DEPTH, spare=-_TOUCH)
-            for k in range(len(motion) - 1)
-        )
+        return motion_is_clear(proximity, np.full(len(motion), self._time), motion.q)

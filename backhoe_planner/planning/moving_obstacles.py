@@ -26,7 +26,7 @@ from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings, Reaction
 from backhoe_planner.planning.transit import find_transit
 from backhoe_planner.planning.world import World
-from backhoe_planner.proof import segment_is_clear
+from backhoe_planner.proof import STEP_ROUNDING, motion_is_clear, segment_is_clear
 from backhoe_planner.site import Obstacle, Obstruction, Proximity, sweep
 
 _Reply = tuple[Outcome, str, float | None]  # how the motion goes on, in a word, and when the machine stands [s]
@@ -38,7 +38,6 @@ _REFUGES = 150  # random postures that may be refuges; chosen
 _ROOM = 0.02  # m of margin in a refuge; chosen
 _HALVINGS = 4  # of the time between a wait that is too short and one that is not; chosen
 _SLOWEST_BRAKING = 0.05  # 1/s: where its own clock would take more than 20 s to stop, a motion is not braked; chosen
-_TOUCH = 2e-5  # m by which the proof may fall short; chosen: far below a clearance, far above the rounding of a step
 
 
 def plan_over_time(world: World, task: ToGoal | AlongPath, stepper: Stepper) -> Outcome:
@@ -192,7 +191,9 @@ def _wait(known: Proximity, direct: Outcome, stepper: Stepper) -> Outcome | None
 
     before = 0.0
     for wait in _WAITS:
-        if not segment_is_clear(known, stepper.q, stepper.q, time=stepper.time, dt=wait, depth=12, spare=-_TOUCH):
+        if not segment_is_clear(
+            known, stepper.q, stepper.q, time=stepper.time, dt=wait, depth=12, spare=-STEP_ROUNDING
+        ):
             return None
         if clear(wait):
             break
@@ -266,10 +267,4 @@ def _from_the_beginning(obstacle: Obstacle) -> Obstacle:
 def _is_clear(proximity: Proximity, motion: Trajectory, since: float) -> bool:
     """Whether a motion is proven clear from `since` [s] on."""
     time = np.append(since, motion.time[motion.time > since + 1e-9])
-    q = motion.at(time)
-    return all(
-        segment_is_clear(
-            proximity, q[k], q[k + 1], time=float(time[k]), dt=float(time[k + 1] - time[k]), depth=9, spare=-_TOUCH
-        )
-        for k in range(len(time) - 1)
-    )
+    return motion_is_clear(proximity, time, motion.at(time))

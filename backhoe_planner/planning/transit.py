@@ -21,14 +21,13 @@ _DETOURS = 4  # of which the shortest is taken; chosen
 _TUBE_PART, _FREE_PART = 8, 2  # parts of `Effort.motions_per_search` for a detour in a tube, and one without; chosen
 
 
-def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector], *, straight: bool = False) -> Stepper | str:
+def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector]) -> Stepper | str:
     """A motion from rest to one of several configurations.
 
     Parameters
     ----------
     stepper: a motion that is at rest; it stays as it is.
     goals: (n,) each [rad or m].
-    straight: whether only straight motions of the joints are tried.
 
     Returns
     -------
@@ -46,7 +45,7 @@ def find_transit(world: World, stepper: Stepper, goals: Sequence[Vector], *, str
         check = MotionCheck(
             world.problem, world.proximity, [stepper.q, *goals], spare=spare, time=stepper.time, brake=work.brake
         )
-        path = sample_path(check, stepper.q, goals, seed=world.seed, work=work, most_motions=0 if straight else None)
+        path = sample_path(check, stepper.q, goals, seed=world.seed, work=work)
         if path is not None:
             branch = stepper.branch(attempt=stepper.attempt + 1)
             _play_checked(check, branch, shorten(check, path, seed=world.seed))

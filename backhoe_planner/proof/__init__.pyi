@@ -2,7 +2,9 @@ from .certificate import Certificate as Certificate
 from .certificate import certify as certify
 from .certificate import certify_problem as certify_problem
 from .certificate import describe_step as describe_step
+from .clearances import STEP_ROUNDING as STEP_ROUNDING
 from .clearances import TOUCH as TOUCH
+from .clearances import motion_is_clear as motion_is_clear
 from .clearances import path_segment_is_clear as path_segment_is_clear
 from .clearances import segment_is_clear as segment_is_clear
 from .keeping import KeepUse as KeepUse

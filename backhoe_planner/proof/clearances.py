@@ -27,6 +27,9 @@ _EFFORT = (
 )
 _EFFORT_REFUTED = 2_000  # the same where the motion is already known not to keep its clearance; chosen
 TOUCH = 0.5 * RESOLUTION  # m: a path at exactly its clearance is clear to within this
+STEP_ROUNDING = (
+    2e-5  # m by which the proof of a motion may fall short; chosen: far below a clearance, far above rounding
+)
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`
 _NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
 
@@ -195,3 +198,21 @@ def path_segment_is_clear(proximity: Proximity, q_a: Vector, q_b: Vector, *, tim
     Such a path may run at exactly its clearance. Parameters are those of `segment_is_clear`.
     """
     return segment_is_clear(proximity, q_a, q_b, time=time, depth=_TOUCHING_DEPTH, spare=-TOUCH)
+
+
+def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
+    """Whether every clearance provably holds, to within `STEP_ROUNDING`, on straight motions through samples.
+
+    Parameters
+    ----------
+    proximity: of the machine and the obstacles.
+    time: (T,) of the samples, not decreasing [s]; where all are equal, obstacles stand as they are then.
+    q: (T, n) joints there [rad or m].
+    """
+    return all(
+        segment_is_clear(
+            proximity, q[k], q[k + 1], time=float(time[k]), dt=float(time[k + 1] - time[k]),
+            depth=_TOUCHING_DEPTH, spare=-STEP_ROUNDING,
+        )
+        for k in range(len(q) - 1)
+    )  # fmt: skip

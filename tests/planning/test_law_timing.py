@@ -11,8 +11,9 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array
+from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Problem, build_problem, limit_usage
-from backhoe_planner.planning import Stepper, Work, World, approach_goal, places_on, shortest_time, speed_up
+from backhoe_planner.planning import Stepper, Work, World, approach_goal, places_on, speed_up
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 CAGE = """<robot name="lift">
@@ -39,6 +40,11 @@ def free_goal(robot: bp.Robot, seed: int) -> tuple[Array, bp.Scene]:
     start = dict(zip(robot.joint_names, q.tolist(), strict=True))
     content: dict[str, Any] = {"version": 1, "start": {"joints": start}, "task": {"goal": {"position": goal.tolist()}}}
     return q, bp.scene_from_dict(content)
+
+
+def shortest_time(q: Array, limits: JointLimits) -> float:
+    """A lower bound of the time along the polyline q (T, n) [s], by the velocity limits of the joints alone."""
+    return float(np.sum(np.max(np.abs(np.diff(q, axis=0)) / limits.velocity, axis=1)))
 
 
 def off(q: Array, corners: Array) -> float:

@@ -48,8 +48,12 @@ class JointCurve:
     @classmethod
     def straight(cls, start: Vector, end: Vector, pieces: int) -> JointCurve:
         """The straight line from `start` to `end` (n,)."""
-        part = np.linspace(0.0, 1.0, pieces + 1)[:, None]
-        return cls(start + part * part * (3.0 - 2.0 * part) * (end - start))
+        return cls(np.tile(start, (pieces + 1, 1))).ending_at(end)
+
+    def ending_at(self, end: Vector) -> JointCurve:
+        """The curve with its end moved to `end` (n,), and the rest along with it, ever less towards the start."""
+        part = np.linspace(0.0, 1.0, len(self.control))[:, None]
+        return JointCurve(self.control + part * part * (3.0 - 2.0 * part) * (end - self.control[-1]))
 
     @classmethod
     def fitted(cls, motion: Trajectory, pieces: int, limits: JointLimits) -> JointCurve:

@@ -82,13 +82,8 @@ class Descent:
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
         self.rounds = 0
 
-    def time(self, curve: JointCurve) -> Trajectory | None:
-        """The fastest motion along a curve, None where there is none."""
-        grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
-        return time_curve(curve, grid, self._problem.limits, drive=self._drive)
-
     def run(
-        self, curve: JointCurve, duration: float, goal: Goal | None, *,
+        self, curve: JointCurve, duration: float, goal: Goal, *,
         most_rounds: int, spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
     ) -> Timed | None:  # fmt: skip
         """Bend a curve until its cost falls no more.
@@ -97,7 +92,7 @@ class Descent:
         ----------
         curve: from where the machine stands to a goal; it need not be clear.
         duration: about how long it takes [s]; a sample's period at least is counted.
-        goal: on which the end may move; None where it stays.
+        goal: on which the end may move; one given by joints holds it.
         most_rounds: after which the descent ends.
         spare: to be kept beyond every clearance [m].
         density: places at which clearances are looked at, for each at which limits are.
@@ -112,7 +107,7 @@ class Descent:
         ------
         OutOfTime: the budget is used up.
         """
-        free = goal if goal is not None and goal.q is None else None
+        free = goal if goal.q is None else None
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), spare, density)
         if here is None:
             return None
@@ -164,16 +159,17 @@ class Descent:
             end = self._onto(goal, control[-1])
             if end is None:
                 return None
-            part = np.linspace(0.0, 1.0, len(control))[:, None]
-            control += part * part * (3.0 - 2.0 * part) * (end - control[-1])  # a jump at the end would cost much
-            control = np.clip(control, self._problem.limits.lower, self._problem.limits.upper)
+            limits = self._problem.limits
+            # a jump at the end would cost much
+            control = np.clip(JointCurve(control).ending_at(end).control, limits.lower, limits.upper)
         return self._timed(JointCurve(control), duration, spare, density, below=below)
 
     def _timed(
         self, curve: JointCurve, duration: float, spare: float, density: int, *, below: float = np.inf
     ) -> Timed | None:
         """The curve with its fastest motion; None where it has none, or where that does not cost less than `below`."""
-        motion = self.time(curve)
+        grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
+        motion = time_curve(curve, grid, self._problem.limits, drive=self._drive)
         cost = np.inf if motion is None else motion_cost(self._problem, motion)
         if motion is None or cost >= below:
             return None

@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Trajectory, drive_of, retime, time_along
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.proof import segment_is_clear
@@ -57,11 +56,6 @@ def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
             branch.play(quick)
             return branch
     return arrived
-
-
-def shortest_time(q: Matrix, limits: JointLimits) -> float:
-    """A lower bound of the time along the polyline q (T, n) [s], by the velocity limits of the joints alone."""
-    return float(np.sum(np.max(np.abs(np.diff(q, axis=0)) / limits.velocity, axis=1)))
 
 
 def places_on(q: Matrix, rate: Vector, spacing: float) -> tuple[Vector, Matrix]:

@@ -83,15 +83,9 @@ def _scaled(factor: float) -> Effort:
 
 EFFORTS: Mapping[str, Effort] = MappingProxyType(
     {
-        # inverse kinematics costs little and decides much: with a fifth of it goals count as out of reach;
-        # with a fifth of the boxes the bound is of little use
+        # inverse kinematics costs little and decides much: with a fifth of it goals count as out of reach
         "quick": replace(
-            _scaled(0.2),
-            starting_points=_NORMAL.starting_points,
-            boxes=800,
-            descent_rounds=6,
-            ways_at_once=1,
-            dull_searches=0,
+            _scaled(0.2), starting_points=_NORMAL.starting_points, descent_rounds=6, ways_at_once=1, dull_searches=0
         ),
         "normal": _NORMAL,
         "thorough": replace(_scaled(4.0), descent_rounds=500, ways_at_once=6, dull_searches=3),
