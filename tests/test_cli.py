@@ -136,15 +136,18 @@ def test_quantities_are_told_with_a_prefix(value: float, unit: str, said: str) -
 
 
 def test_plan_check_export(run: Run, tmp_path: Path) -> None:
-    status, said, _ = run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json")
+    chosen = ("--seed", "3", "--effort", "quick")
+    status, said, _ = run("plan", PLANAR4, scene_file(tmp_path), "-o", "out.json", *chosen)
     assert status == 0
     assert said.startswith("verified\n")
     for word in ("clearance", "tip error", "duration", "work", "planned in", "out.json"):
         assert word in said
-    assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["verdict"] == "verified"
+    assert "(method auto, seed 3, effort quick)\n" in said
+    content = json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))
+    assert (content["verdict"], content["effort"]) == ("verified", "quick")
     status, said, _ = run("check", "out.json")
     assert status == 0
-    assert said.startswith("verified\n")
+    assert said.startswith("verified\nplanned with method auto, seed 3, effort quick\n")
     assert re.search(r"velocity +\d+\.\d % of its limit", said)
     for name in ("motion.csv", "motion.npz", "motion.yaml"):
         status, said, _ = run("export", "out.json", name)

@@ -43,7 +43,7 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     _print_tracking_error(found)
     if len(found.trajectory) > 1:
         _print_motion(found)
-    OUT.print(f"planned in    {metrics.planning_time:.2f} s")
+    OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
     OUT.print(f"plan          {output}")
 
 
@@ -111,6 +111,8 @@ def print_certificate(plan: bp.Plan) -> None:
         OUT.print(Text("not verified", style="bold red"))
         for problem in certificate.problems:
             OUT.print(f"  {problem}")
+    if not live.is_recording(plan):
+        OUT.print(f"{'planned with':<13}{plan.settings}")
     table = Table("obstacle", "link", "distance [m]", "margin [m]", "at [s]", box=None, pad_edge=False)
     for row in certificate.clearances:
         table.add_row(row.name, row.link, f">= {row.distance:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}")

@@ -79,7 +79,8 @@ def plan(
         raise InputError("is too large", key="seed", found=seed, allowed=f"0 to {_LARGEST_SEED}")
     if watch is not None and not callable(watch):
         raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
-    if not isinstance(effort, str) or effort not in EFFORTS:
+    asked = next((known for known in EFFORTS if known == effort), None)
+    if asked is None:
         raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
     begun = clock.monotonic()
     brake = Brake(budget)
@@ -89,7 +90,7 @@ def plan(
         allowed = ", ".join(name for name in METHODS if name != checked)
         problem_text = f"needs a goal given by the tip's pose; this scene has a {has}"
         raise InputError(problem_text, key="method", found=checked, allowed=allowed)
-    outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch)
+    outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=EFFORTS[asked], brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message
     if note and not outcome.reason and not certificate.verified:
@@ -111,7 +112,8 @@ def plan(
         findings=outcome.findings,
         failure=outcome.reason,
         note=note,
-        bound=measure_bound(problem, outcome.trajectory, certificate, boxes=EFFORTS[effort].boxes),
+        bound=measure_bound(problem, outcome.trajectory, certificate, boxes=EFFORTS[asked].boxes),
+        effort=asked,
     )
 
 

@@ -7,7 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -16,7 +16,8 @@ from reasons import comparison
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.planning import export_plan
+from backhoe_planner.planning import EFFORTS, export_plan
+from backhoe_planner.planning.search.effort import EffortName
 from backhoe_planner.site import Obstruction
 
 Data = dict[str, Any]
@@ -56,6 +57,7 @@ def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     assert again.certificate == solved.certificate
     assert again.scene.to_dict() == solved.scene.to_dict()
     assert (again.method, again.seed, again.message) == (solved.method, solved.seed, solved.message)
+    assert again.effort == solved.effort == "normal"
     assert again.metrics == solved.metrics
     energy = solved.energy()
     assert energy.torque.shape == solved.trajectory.q.shape
@@ -63,6 +65,19 @@ def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     other = tmp_path / "again.json"
     again.save(other)
     assert other.read_bytes() == file.read_bytes()
+
+
+def test_an_older_file_does_not_say_its_effort(solved: bp.Plan, tmp_path: Path) -> None:
+    file, content = saved(solved, tmp_path)
+    assert content.pop("effort") == "normal"
+    file.write_text(json.dumps(content), encoding="utf-8")
+    again = bp.load_plan(file)
+    assert again.verified
+    assert (again.effort, again.settings) == (None, "method auto, seed 0")
+
+
+def test_the_efforts_of_the_file_are_those_of_the_planner() -> None:
+    assert get_args(EffortName) == tuple(EFFORTS)
 
 
 def test_layout_is_the_contracts(solved: bp.Plan, tmp_path: Path) -> None:
@@ -93,6 +108,7 @@ def test_layout_is_the_contracts(solved: bp.Plan, tmp_path: Path) -> None:
         (["method"], "magic", "method"),
         (["verdict"], "perhaps", "verdict"),
         (["seed"], True, "seed"),
+        (["effort"], "some", "effort: is not one of the allowed values; found 'some'; allowed: 'quick'"),
         (["metrics"], 1.0, "metrics"),
         (["metrics", "duration"], "long", "metrics.duration"),
         (["metrics", "duration"], 1e308, "metrics.duration: is 1e+308; allowed: at most 1e+30"),

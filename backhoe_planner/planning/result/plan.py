@@ -31,6 +31,7 @@ from backhoe_planner.planning.result.plan_file import (
     TrajectoryRecord,
     read_plan_file,
 )
+from backhoe_planner.planning.search.effort import EffortName
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
@@ -59,6 +60,7 @@ class Plan:
     note: the same in a sentence, with its numbers; also that time ran out while the motion was made better.
     bound: what no motion to the goal could fall short of; None along a path, and where the plan is not verified.
         Of a plan that was read, what its file says.
+    effort: as it was given; None of a motion driven by hand, and of an older file.
     """
 
     problem: Problem
@@ -71,6 +73,7 @@ class Plan:
     failure: Reason = ""
     note: str = ""
     bound: Bound | None = None
+    effort: EffortName | None = None
 
     @property
     def robot(self) -> Robot:
@@ -108,6 +111,14 @@ class Plan:
     def message(self) -> str:
         """`reason` in a sentence, with its numbers; of a verified plan what the planner has to add, mostly nothing."""
         return self.note or "; ".join(self.certificate.problems)
+
+    @property
+    def settings(self) -> str:
+        """With what it was made, in words: ``method auto, seed 0, effort normal``."""
+        if self.method == "teleop":
+            return "driven by hand"
+        effort = "" if self.effort is None else f", effort {self.effort}"
+        return f"method {self.method}, seed {self.seed}{effort}"
 
     @property
     def input_files(self) -> tuple[Path, ...]:
@@ -195,6 +206,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
         failure=record.reason,
         note=note,
         bound=record.bound if certificate.verified else None,
+        effort=record.effort,
     )
 
 
@@ -215,6 +227,7 @@ def _record(plan: Plan, folder: Path | None) -> PlanRecord:
         scene_folder=_relative(plan.scene.folder, folder),
         method=plan.method,
         seed=plan.seed,
+        effort=plan.effort,
         versions=_versions(),
         trajectory=TrajectoryRecord(time=motion.time.tolist(), q=motion.q.tolist(), v=motion.v.tolist()),
         dynamics=DynamicsRecord(

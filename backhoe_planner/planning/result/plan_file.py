@@ -20,6 +20,7 @@ from backhoe_planner.motion import Detour, Trajectory
 from backhoe_planner.planning.result.bound import Bound
 from backhoe_planner.planning.result.findings import Findings
 from backhoe_planner.planning.result.metrics import Metrics
+from backhoe_planner.planning.search.effort import EffortName
 from backhoe_planner.proof import Certificate
 from backhoe_planner.site import Finite, Obstruction
 
@@ -219,6 +220,8 @@ class PlanRecord(Record):
     """Where the files lie that the scene names, relative to the plan file."""
     method: Method
     seed: StrictInt
+    effort: EffortName | None = None
+    """How much was searched; None of a motion driven by hand, and in older files."""
     versions: dict[str, str] = Field(default_factory=dict)
     """Of the program and its libraries."""
     trajectory: TrajectoryRecord

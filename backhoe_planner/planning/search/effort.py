@@ -10,8 +10,11 @@ import time as clock
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
+
+EffortName = Literal["quick", "normal", "thorough"]
 
 DEFAULT_BUDGET = 60.0  # s: several times what `normal` takes on one core, so that plans end by their counts
 
@@ -81,7 +84,7 @@ def _scaled(factor: float) -> Effort:
     return Effort(**{name: round(factor * count) for name, count in asdict(_NORMAL).items()})
 
 
-EFFORTS: Mapping[str, Effort] = MappingProxyType(
+EFFORTS: Mapping[EffortName, Effort] = MappingProxyType(
     {
         # inverse kinematics costs little and decides much: with a fifth of it goals count as out of reach
         "quick": replace(

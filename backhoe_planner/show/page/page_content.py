@@ -125,7 +125,7 @@ def _facts(plan: Plan) -> list[tuple[str, str, str]]:
     if is_recording(plan):
         facts.append(("Recording", "driven by hand", "; ".join(unrecorded_changes(plan))))
     else:
-        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", f"method {plan.method}, seed {plan.seed}"))
+        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
     return facts
 
 

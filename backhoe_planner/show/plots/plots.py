@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.live import is_recording
 from backhoe_planner.motion import Problem, Trajectory, limit_usage, trajectory_energy
 from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
@@ -67,8 +66,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
     figure.set_size_inches(_WIDTH, _PANEL * sum(heights) + 0.9)
     figure.set_layout_engine("constrained", hspace=0.06)
-    driven = "driven by hand, " if is_recording(plan) else ""
-    verdict = "verified" if plan.verified else f"failed ({plan.reason.replace('_', ' ')})"
+    verdict = "verified" if plan.verified else f"failed: {plan.reason.replace('_', ' ')}"
     all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axes, panel in zip(all_axes, panels, strict=True):
         dress(axes)
@@ -78,7 +76,7 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     if plan.trajectory.duration > 0.0:
         all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
     figure.align_ylabels(list(all_axes))
-    save_figure(figure, path, f"{plain_text(plan.scene.name or plan.robot.name)}: {driven}{verdict}")
+    save_figure(figure, path, f"{plain_text(plan.scene.name or plan.robot.name)}: {verdict} ({plan.settings})")
 
 
 def _positions(
