@@ -51,6 +51,7 @@ from .planning import Findings as Findings
 from .planning import LawComparison as LawComparison
 from .planning import Metrics as Metrics
 from .planning import NearestPose as NearestPose
+from .planning import ObjectiveCost as ObjectiveCost
 from .planning import Plan as Plan
 from .planning import PlannerStep as PlannerStep
 from .planning import Reaction as Reaction

@@ -19,7 +19,8 @@ import pytest
 import yaml
 from waiting import PATIENCE
 
-from backhoe_planner.cli import describe_quantity, main
+from backhoe_planner.cli import main
+from backhoe_planner.planning import describe_quantity
 
 Data = dict[str, Any]
 Run = Callable[..., tuple[int, str, str]]
@@ -133,6 +134,26 @@ def test_the_machine_itself_and_what_is_asked_of_the_tip_are_said_in_words(run: 
 )
 def test_quantities_are_told_with_a_prefix(value: float, unit: str, said: str) -> None:
     assert describe_quantity(value, unit) == said
+
+
+@pytest.mark.parametrize(
+    ("objective", "line"),
+    [
+        (None, r"duration +\d+\.\d\d s \(\d+ samples\), the objective\n"),
+        ("work", r"work +[\d.]+ J \(gravity and inertia\), the objective\n"),
+        ("velocity_norm", r"objective +velocity_norm [\d.]+ rad\^2/s\n"),
+        ("kinetic", r"objective +kinetic [\d.]+ J s\n"),
+        ("effort", r"objective +effort [\d.]+ \(kN m\)\^2 s\n"),
+    ],
+)
+def test_the_objective_of_a_motion_to_a_goal_is_told_with_its_unit(
+    run: Run, tmp_path: Path, objective: str | None, line: str
+) -> None:
+    content = REACH if objective is None else REACH | {"objective": objective}
+    status, said, _ = run("plan", PLANAR4, scene_file(tmp_path, content), "--effort", "quick")
+    assert status == 0
+    assert re.search(line, said), said
+    assert said.count("objective") == 1
 
 
 def test_plan_check_export(run: Run, tmp_path: Path) -> None:

@@ -95,9 +95,11 @@ def _print_motion(found: bp.Plan) -> None:
     if visits:
         more = f" (and {len(visits) - 1} more)" if len(visits) > 1 else ""
         OUT.print(f"zones         {visits[0]}{more}")
-    OUT.print(f"duration      {metrics.duration:.2f} s ({len(found.trajectory)} samples)")
+    OUT.print(f"duration      {metrics.duration:.2f} s ({len(found.trajectory)} samples){_minimised(found, 'time')}")
     _print_bound(found)
-    OUT.print(f"work          {describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})")
+    work = f"{planning.describe_quantity(metrics.energy['work'], 'J')} ({_loads(found)})"
+    OUT.print(f"work          {work}{_minimised(found, 'work')}")
+    _print_cost(found)
     _print_comparison(metrics.objective)
     _print_asked_speed(metrics.asked_speed)
 
@@ -172,14 +174,29 @@ def _loads(found: bp.Plan) -> str:
 
 def _print_bound(found: bp.Plan) -> None:
     """What no motion to the goal could fall short of, and how far above it the plan is; nothing along a path."""
-    bound, objective = found.bound, found.problem.objective
+    bound, cost = found.bound, found.metrics.cost
     if bound is not None:
         longer = f"this one takes {bound.longer_percent:.0f} % longer"
         OUT.print(f"bound         no motion can take less than {bound.duration:.2f} s ({longer})")
-        if bound.energy.get(objective.name, 0.0) > 0.0:
-            least, takes = bound.energy[objective.name], found.metrics.energy[objective.name]
-            more = f"{objective.name}; this one takes {100.0 * (takes / least - 1.0):.0f} % more"
-            OUT.print(f"              no motion can take less than {describe_quantity(least, objective.unit)} ({more})")
+        least = None if cost is None else bound.least_energy(cost.objective)
+        if cost is not None and least is not None:
+            more = f"{cost.objective}; this one takes {planning.describe_excess(cost.value, least)}"
+            OUT.print(
+                f"              no motion can take less than {planning.describe_quantity(least, cost.unit)} ({more})"
+            )
+
+
+def _minimised(found: bp.Plan, name: str) -> str:
+    """End of the line of a figure to a goal, where that is the objective."""
+    cost = found.metrics.cost
+    return ", the objective" if found.problem.goals and cost is not None and cost.objective == name else ""
+
+
+def _print_cost(found: bp.Plan) -> None:
+    """The objective of a motion to a goal; nothing where its line is there already, or along a path."""
+    cost = found.metrics.cost
+    if found.problem.goals and cost is not None and cost.objective not in ("time", "work"):
+        OUT.print(f"objective     {cost.objective} {planning.describe_quantity(cost.value, cost.unit)}")
 
 
 def _print_comparison(compared: planning.LawComparison | None) -> None:
@@ -187,9 +204,9 @@ def _print_comparison(compared: planning.LawComparison | None) -> None:
     if compared is None:
         return
     unit = motion.OBJECTIVES[compared.name].unit
-    line = f"{compared.name} {describe_quantity(compared.value, unit)} along the path"
+    line = f"{compared.name} {planning.describe_quantity(compared.value, unit)} along the path"
     if compared.law is not None:
-        line += f"; the local law {describe_quantity(compared.law, unit)}"
+        line += f"; the local law {planning.describe_quantity(compared.law, unit)}"
         if compared.saving_percent is not None:
             line += f" (this one takes {planning.describe_saving(compared.saving_percent)})"
         if compared.law_breaks is not None:
@@ -198,9 +215,9 @@ def _print_comparison(compared: planning.LawComparison | None) -> None:
         line += f"; the local law does not get along it: {compared.law_breaks}"
     OUT.print(f"objective     {line}")
     if compared.whole > compared.value * (1.0 + 1e-3):
-        line = f"{describe_quantity(compared.whole, unit)} with the approach to it"
+        line = f"{planning.describe_quantity(compared.whole, unit)} with the approach to it"
         if compared.law_whole is not None and compared.saving_percent_whole is not None:
-            line += f"; the local law after the same approach {describe_quantity(compared.law_whole, unit)}"
+            line += f"; the local law after the same approach {planning.describe_quantity(compared.law_whole, unit)}"
             line += f" (this one takes {planning.describe_saving(compared.saving_percent_whole)})"
         OUT.print(f"              {line}")
 
@@ -213,17 +230,6 @@ def _print_asked_speed(kept: planning.AskedSpeed | None) -> None:
     more = f" and {len(kept.slower) - _MOST_PARTS} more" if len(kept.slower) > _MOST_PARTS else ""
     slower = f"; slower from {', '.join(parts)}{more}" if parts else ""
     OUT.print(f"asked speed   {kept.asked:g} m/s kept on {kept.kept_percent:.0f} % of the path{slower}")
-
-
-def describe_quantity(value: float, unit: str) -> str:
-    """A `value` in four digits with its `unit`, with a prefix where that helps: 11.39 kJ, 1357 (kN m)^2 s."""
-    if unit == "N^2 m^2 s" and abs(value) >= 1e4:
-        value, unit = 1e-6 * value, "(kN m)^2 s"
-    elif unit.startswith("J"):
-        for prefix, factor in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
-            if abs(value) >= factor:
-                return f"{value / factor:.4g} {prefix}{unit}"
-    return f"{value:.4g} {unit}" if abs(value) < 1e4 else f"{value:,.0f} {unit}"
 
 
 def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:

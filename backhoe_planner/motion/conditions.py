@@ -90,6 +90,11 @@ class Condition(Protocol):
         """A value as people count it [unit]."""
         return value
 
+    @property
+    @abstractmethod
+    def allowed(self) -> str:
+        """What is allowed, in words: ``0 to 20 deg``."""
+
     @abstractmethod
     def describe(self, value: float, when: str = "") -> str:
         """What is and what is allowed, in words; `when` stands between them."""
@@ -150,12 +155,14 @@ class PitchBand(Condition):
         """The pitch above the horizontal [rad]."""
         return value + 0.5 * (self.low + self.high)
 
+    @property
+    def allowed(self) -> str:
+        """``0 to 20 deg``"""
+        return f"{np.degrees(self.low):.4g} to {np.degrees(self.high):.4g} deg{_less(self)}"
+
     def describe(self, value: float, when: str = "") -> str:
         """``the pitch of the bucket is 31.0 deg at 2.40 s, allowed 0 to 20 deg``"""
-        return (
-            f"the pitch of the bucket is {np.degrees(self.absolute(value)):.1f} deg{when}, "
-            f"allowed {np.degrees(self.low):.4g} to {np.degrees(self.high):.4g} deg{_less(self)}"
-        )
+        return f"the pitch of the bucket is {np.degrees(self.absolute(value)):.1f} deg{when}, allowed {self.allowed}"
 
 
 class HeightBound(Condition):
@@ -196,10 +203,14 @@ class HeightBound(Condition):
         at = self._batch.at(q[None, :])
         return self.margins(at.tip_position[:, 2]), self.sense * at.position_jacobian()[:, 2]
 
+    @property
+    def allowed(self) -> str:
+        """``at least 0.50 m``"""
+        return f"at {'least' if self.sense > 0.0 else 'most'} {self.limit:.4g} m{_less(self)}"
+
     def describe(self, value: float, when: str = "") -> str:
         """``the tip is 0.30 m high at 2.40 s, allowed at least 0.50 m``"""
-        side = "least" if self.sense > 0.0 else "most"
-        return f"the tip is {value:.3f} m high{when}, allowed at {side} {self.limit:.4g} m{_less(self)}"
+        return f"the tip is {value:.3f} m high{when}, allowed {self.allowed}"
 
 
 class RotationCone(Condition):
@@ -245,11 +256,16 @@ class RotationCone(Condition):
         axis = turn / angle if angle > 0.0 else turn
         return self.margins(np.array([angle])), (axis @ at.rotation_jacobian()[0])[None, :]
 
+    @property
+    def allowed(self) -> str:
+        """``5 deg``"""
+        return f"{np.degrees(self.tolerance):.4g} deg{_less(self)}"
+
     def describe(self, value: float, when: str = "") -> str:
         """``the tip is turned by 12.0 deg from the orientation to be kept at 2.40 s, allowed 5 deg``"""
         return (
             f"the tip is turned by {np.degrees(value):.1f} deg from the orientation to be kept{when}, "
-            f"allowed {np.degrees(self.tolerance):.4g} deg{_less(self)}"
+            f"allowed {self.allowed}"
         )
 
 

@@ -26,6 +26,8 @@ from .report.comparison import law_motion as law_motion
 from .report.comparison import least_norm_resolution as least_norm_resolution
 from .report.comparison import part_on_path as part_on_path
 from .report.comparison import stations_of as stations_of
+from .report.quantities import describe_excess as describe_excess
+from .report.quantities import describe_quantity as describe_quantity
 from .result.bound import Bound as Bound
 from .result.export import export_plan as export_plan
 from .result.findings import Findings as Findings
@@ -34,6 +36,7 @@ from .result.findings import Reaction as Reaction
 from .result.findings import RecordingNotes as RecordingNotes
 from .result.metrics import DetourTotal as DetourTotal
 from .result.metrics import Metrics as Metrics
+from .result.metrics import ObjectiveCost as ObjectiveCost
 from .result.metrics import measure_motion as measure_motion
 from .result.plan import Plan as Plan
 from .result.plan import load_plan as load_plan

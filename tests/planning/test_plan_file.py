@@ -67,6 +67,16 @@ def test_round_trip(solved: bp.Plan, tmp_path: Path) -> None:
     assert other.read_bytes() == file.read_bytes()
 
 
+def test_the_objective_has_its_value_and_unit(solved: bp.Plan, tmp_path: Path) -> None:
+    _, content = saved(solved, tmp_path)
+    assert solved.scene.objective is None  # to a goal that is the time
+    assert content["metrics"]["cost"] == {"objective": "time", "value": solved.trajectory.duration, "unit": "s"}
+    scene = bp.scene_from_dict(solved.scene.to_dict() | {"objective": "velocity_norm"})
+    cost = bp.plan(solved.robot, scene, effort="quick").metrics.cost
+    assert cost is not None
+    assert (cost.objective, cost.unit) == ("velocity_norm", "rad^2/s")
+
+
 def test_an_older_file_does_not_say_its_effort(solved: bp.Plan, tmp_path: Path) -> None:
     file, content = saved(solved, tmp_path)
     assert content.pop("effort") == "normal"

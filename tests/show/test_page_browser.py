@@ -20,7 +20,7 @@ from waiting import PATIENCE
 from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.machine import Robot
 from backhoe_planner.motion import Trajectory, build_problem
-from backhoe_planner.planning import Plan, measure_motion
+from backhoe_planner.planning import Bound, ObjectiveCost, Plan, measure_motion
 from backhoe_planner.proof import certify_problem
 from backhoe_planner.show import Viewer, plan_page, write_page
 from backhoe_planner.site import Scene, scene_from_dict
@@ -138,6 +138,39 @@ def test_the_page_shows_the_plan_without_a_network(backhoe: Robot, tab: Tab, tmp
     ]  # fmt: skip
     assert tab.complaints == []
     assert [url for url in tab.requests if not url.startswith(("file:", "data:"))] == []
+
+
+def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
+    backhoe: Robot, tab: Tab, tmp_path: Path
+) -> None:
+    """The pitch goes from -2.1 to -1.2 rad; of two goals the second is where the motion ends."""
+    plan = the_plan(backhoe)
+    content = plan.scene.to_dict()
+    end = {"joints": dict(zip(backhoe.joint_names, END, strict=True))}
+    goals = [{"position": [4.0, -1.0, 1.0]}, end]
+    content |= {"name": "full", "objective": "kinetic", "task": {"goal": goals, "keep": {"pitch": [-2.3, -1.1]}}}
+    problem = build_problem(backhoe, scene_from_dict(content))
+    certificate = certify_problem(problem, plan.trajectory)
+    assert certificate.goal == 2
+    bound = Bound(duration=2.5, longer_percent=60.0, settled=True)
+    metrics = measure_motion(problem, plan.trajectory, certificate).model_copy(
+        update={"cost": ObjectiveCost(objective="kinetic", value=12345.0, unit="J s")}
+    )
+    write_page(
+        replace(plan, problem=problem, certificate=certificate, bound=bound, metrics=metrics), tmp_path / "plan.html"
+    )
+    tab.open((tmp_path / "plan.html").as_uri())
+    facts = tab.page.locator("#facts").inner_text()
+    assert "no motion can take less than 2.50 s: this one takes 60 % longer" in facts
+    assert "kinetic 12.35 kJ s" in facts
+    assert "Goal reached\n2 of 2" in facts
+    assert "Kept: pitch\n5.73° left" in facts  # 0.1 rad at the end
+    assert tab.page.locator("#names .reached").inner_text() == "goal 2, reached"
+    tab.ask("backhoe.seek(0)")
+    assert tab.page.locator("#kept").inner_text().split("\n") == ["pitch −131.8 to −63.03°", "−120.3°"]
+    tab.ask("backhoe.seek(4)")
+    assert tab.page.locator("#kept .value").inner_text() == "−68.8°"
+    assert tab.complaints == []
 
 
 def test_play_and_the_switches(backhoe: Robot, tab: Tab, tmp_path: Path) -> None:

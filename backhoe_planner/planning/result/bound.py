@@ -26,6 +26,11 @@ class Bound(Record):
     energy: dict[str, Figure] = Field(default_factory=dict)
     """What no motion costs less than, by the objectives for which something is proven, in their units."""
 
+    def least_energy(self, objective: str) -> float | None:
+        """What is proven to be needed by the objective of this name [its unit]; None where that is nothing."""
+        least = self.energy.get(objective, 0.0)
+        return least if least > 0.0 else None
+
 
 def measure_bound(problem: Problem, trajectory: Trajectory, certificate: Certificate, *, boxes: int) -> Bound | None:
     """The bound of the motions from where a plan begins; None along a path, and where the plan is not verified.

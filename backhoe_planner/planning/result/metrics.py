@@ -29,6 +29,16 @@ class DetourTotal(Record):
     """Largest distance from the path [m]."""
 
 
+class ObjectiveCost(Record):
+    """What a motion costs by the objective for which it was planned."""
+
+    objective: str
+    """Its name, as in the scene file; ``time`` to a goal and ``work`` along a path where that does not say."""
+    value: Figure
+    """Of the whole motion [unit]."""
+    unit: str
+
+
 class Metrics(Record):
     """The figures of a motion."""
 
@@ -42,6 +52,8 @@ class Metrics(Record):
     """Of the way in joint space, the Euclidean norm of rad and m."""
     energy: dict[str, Figure]
     """What the motion costs by every objective, in its own unit."""
+    cost: ObjectiveCost | None = None
+    """What it costs by the one that was made small; None in older files."""
     detour: DetourTotal
     """All detours together."""
     detours: tuple[Detour, ...] = ()
@@ -80,12 +92,14 @@ def measure_motion(
     speed = None
     if problem.path is not None and certificate.tracking.done:
         speed = measure_speed(problem, trajectory, begun=certificate.tracking.approach_time)
+    energy, objective = trajectory_costs(problem, trajectory), problem.objective
     return Metrics(
         duration=trajectory.duration,
         planning_time=planning_time,
         tip_length=float(np.sum(np.linalg.norm(np.diff(tips, axis=0), axis=1))),
         joint_length=float(np.sum(np.linalg.norm(np.diff(trajectory.q, axis=0), axis=1))),
-        energy=trajectory_costs(problem, trajectory),
+        energy=energy,
+        cost=ObjectiveCost(objective=objective.name, value=energy[objective.name], unit=objective.unit),
         detour=DetourTotal(
             count=len(found),
             length=sum(detour.length for detour in found),

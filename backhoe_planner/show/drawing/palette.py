@@ -13,6 +13,7 @@ def _rgb(code: str) -> Rgb:
 PATH = _rgb("1f6fd6")
 TRACE = _rgb("f07f13")
 GOAL = _rgb("1fa35c")
+PASSED_BY = _rgb("9aa5ad")  # goals of which another is reached
 SOIL = _rgb("917659")
 MACHINE = _rgb("e9ad25")  # where the URDF gives no colour
 

@@ -36,7 +36,7 @@ from backhoe_planner.show.drawing.drawing import (
 from backhoe_planner.show.drawing.framing import View, frame
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
-from backhoe_planner.show.drawing.palette import FAR, GOAL, PATH, TRACE, Rgba, margin_rgb
+from backhoe_planner.show.drawing.palette import FAR, GOAL, PASSED_BY, PATH, TRACE, Rgb, Rgba, margin_rgb
 from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline
@@ -187,16 +187,22 @@ class SceneGraph:
         for goal in problem.goals:
             self._draw_goal(task[goal.name], goal.target)
 
-    def _draw_goal(self, node: Any, goal: TipTarget) -> None:
+    def mark_goal(self, reached: int) -> None:
+        """Draw all goals but that of the number `reached`, counted from 1, in the colour of what does not count."""
+        for number, goal in enumerate(self.problem.goals, start=1):
+            if number != reached:
+                self._draw_goal(self._tree["task"][goal.name], goal.target, colour=PASSED_BY)
+
+    def _draw_goal(self, node: Any, goal: TipTarget, *, colour: Rgb = GOAL) -> None:
         """A ball at the tip's place, with a triad for its orientation or a fan for its pitch."""
         ball = trimesh.creation.icosphere(subdivisions=3, radius=0.085 * self._scale)
         ball.apply_translation(goal.position)
-        node.set_object(mesh(facets(ball), (*GOAL, 1.0)))
+        node.set_object(mesh(facets(ball), (*colour, 1.0)))
         if goal.rotation is not None:
             self._draw_triad(node, goal.rotation, goal.position)
         elif goal.pitch is not None:
             fan = _pitch_fan(self.problem, goal.position, goal.pitch, 0.55 * self._scale)
-            draw(node["pitch"], mesh(facets(fan), (*GOAL, 0.4), lit=False), shadow=False)
+            draw(node["pitch"], mesh(facets(fan), (*colour, 0.4), lit=False), shadow=False)
 
     def _draw_triad(self, node: Any, rotation: Matrix, position: Vector) -> None:
         length = 0.3 * self._scale

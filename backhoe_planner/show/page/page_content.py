@@ -6,14 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.live import is_recording, problem_to_show, unrecorded_changes
-from backhoe_planner.motion import Problem
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.live import problem_to_show
+from backhoe_planner.motion import Condition, Problem
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
 from backhoe_planner.show.drawing.timeline import CriticalPoint, timeline
 from backhoe_planner.show.page.display import Display
+from backhoe_planner.show.page.plan_facts import plan_facts
+
+_DEGREES = float(np.degrees(1.0))  # in a radian
+_KEPT = {"pitch": "pitch", "above": "height", "below": "height", "rotation": "turned by at most"}
 
 
 def show_plan(display: Display, plan: Plan) -> SceneGraph:
@@ -23,6 +28,9 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
     frames = timeline(problem, plan.trajectory)
     graph = SceneGraph(visualizer, problem, q=plan.trajectory.q[0])
     graph.draw_trace(frames.tip)
+    goal = plan.certificate.goal if problem.goals else None
+    if goal is not None:
+        graph.mark_goal(goal)
     view = graph.look_at_motion(frames)
     visualizer.set_animation(graph.animation(frames), play=False)
     tell_problem(display, problem, graph, view, frames.obstacles)
@@ -31,7 +39,9 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
         "verdict": plan.verdict,
         "reason": plan.reason,
         "message": plan.message,
-        "facts": _facts(plan),
+        "facts": plan_facts(plan),
+        "goal": goal,
+        "kept": [] if problem.keep is None else [_kept(one, frames.q) for one in problem.keep.conditions],
         "time": frames.time - frames.time[0],
         "q": frames.q.T,
         "margins": [margins for margins, _ in numbers],
@@ -75,6 +85,7 @@ def tell_problem(
         "title": scene.name or "untitled scene",
         "subtitle": f"{robot.name}, {task or of_problem}",
         "obstacles": list(listed.values()),
+        "goals": [{"name": goal.name, "anchor": goal.target.position} for goal in problem.goals[1:] and problem.goals],
         "joints": joints,
         "links": robot.link_names,
         "influence": scene.influence,
@@ -101,40 +112,17 @@ def tell_step(
     display.tell("step", {"time": time, "q": q, "margins": margins, "links": numbers})
 
 
-def _facts(plan: Plan) -> list[tuple[str, str, str]]:
-    """The facts that the page lists of a plan: name, value and remark of each."""
-    certificate, metrics = plan.certificate, plan.metrics
-    facts = []
-    tightest = certificate.min_clearance
-    if tightest is not None:
-        required = tightest.distance - tightest.margin
-        remark = f"{tightest.link} to {tightest.name} at {tightest.time:.1f} s; {_metres(tightest.distance)} m apart"
-        remark += f", {required:.2f} m required" if required > 1e-9 else ""
-        facts.append(("Tightest margin", f"{_metres(tightest.margin)} m", remark))
-    tracking = certificate.tracking
-    mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
-    if not is_recording(plan):
-        facts.append(("Tip error", _length(tracking.max_error), mean))
-    if certificate.detours:
-        longest = max(detour.max_deviation for detour in certificate.detours)
-        facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
-    facts.append(("Duration", f"{plan.trajectory.duration:.1f} s", ""))
-    work = metrics.energy.get("work")
-    if work is not None:
-        facts.append(("Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", ""))
-    if is_recording(plan):
-        facts.append(("Recording", "driven by hand", "; ".join(unrecorded_changes(plan))))
-    else:
-        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
-    return facts
-
-
-def _metres(value: float) -> str:
-    return f"{value:.3f}".replace("-", "\N{MINUS SIGN}")
-
-
-def _length(value: float) -> str:
-    return f"{1000.0 * value:.1f} mm" if value < 0.1 else f"{value:.2f} m"
+def _kept(condition: Condition, q: Matrix) -> dict[str, Any]:
+    """What the page shows of a condition at every frame `q` (F, n): its value and margin, in degrees or metres."""
+    scale = _DEGREES if condition.unit == "rad" else 1.0
+    values = condition.values(q)
+    return {
+        "name": _KEPT[condition.name],
+        "allowed": condition.allowed.replace(" deg", "\N{DEGREE SIGN}").replace("-", "\N{MINUS SIGN}"),
+        "angular": condition.unit == "rad",
+        "values": scale * np.array([condition.absolute(value) for value in values.tolist()]),
+        "margins": scale * condition.margins(values),
+    }
 
 
 def _numbers(nearest: tuple[CriticalPoint | None, ...], links: tuple[str, ...]) -> tuple[list[float | None], list[int]]:

@@ -59,7 +59,7 @@ function show(recording) {
     document.title = content.title;
     get("title").textContent = content.title;
     get("subtitle").textContent = content.subtitle;
-    get("verdict").hidden = get("facts-section").hidden = get("bar").hidden = true;
+    get("verdict").hidden = get("facts-section").hidden = get("kept-section").hidden = get("bar").hidden = true;
     get("margin-hint").textContent = content.obstacles.length ? "distance beyond the required clearance" : "nothing on the site";
     const margins = get("margins");
     margins.replaceChildren();
@@ -94,6 +94,10 @@ function show(recording) {
       if (!obstacle.anchor) continue;
       obstacle.label = element("span", "", obstacle.name);
       names.append(obstacle.label);
+    }
+    for (const goal of content.goals) {
+      goal.label = element("span", "goal", goal.name);
+      names.append(goal.label);
     }
     const switches = get("switches");
     switches.replaceChildren();
@@ -137,6 +141,11 @@ function show(recording) {
       if (more) facts.append(element("dd", "more", more));
     }
     get("facts-section").hidden = false;
+    problem.goals.forEach((goal, k) => {
+      goal.label.textContent = content.goal === k + 1 ? `${goal.name}, reached` : goal.name;
+      goal.label.classList.toggle("reached", content.goal === k + 1);
+    });
+    showKept(content.kept);
     const end = content.time[content.time.length - 1];
     get("bar").hidden = !(end > 0);
     get("scrubber").max = end;
@@ -147,6 +156,32 @@ function show(recording) {
     seek(0);
     drawHeat();
     if (end > 0 && !matchMedia("(prefers-reduced-motion: reduce)").matches) play();
+  }
+
+  function showKept(kept) {
+    const rows = get("kept");
+    rows.replaceChildren();
+    for (const one of kept) {
+      const row = element("div", "margin"), bar = element("div", "bar");
+      row.title = `allowed ${one.allowed}`;
+      one.value = element("span", "value");
+      one.fill = element("div", "fill");
+      one.most = Math.max(...one.margins, 1e-9);
+      bar.append(one.fill);
+      row.append(element("span", "name", `${one.name} ${one.allowed}`), one.value, bar);
+      rows.append(row);
+    }
+    get("kept-section").hidden = kept.length === 0;
+  }
+
+  function showKeptAt(frame) {
+    for (const one of plan.kept) {
+      const margin = one.margins[frame];
+      one.value.textContent = one.angular ? `${number(one.values[frame], 1)}°` : `${number(one.values[frame], 2)} m`;
+      one.value.className = margin < 0 ? "value inside" : "value";
+      one.fill.style.transform = `scaleX(${Math.min(Math.max(margin / one.most, 0.015), 1)})`;
+      one.fill.style.background = colour(margin < 0 ? 0 : 0.5 * problem.influence * Math.min(margin / one.most, 1));
+    }
   }
 
   function showNumbers(q, margins, links) {
@@ -180,6 +215,7 @@ function show(recording) {
     const near = Math.round(frame);
     showNumbers(plan.q.map((row) => row[a] + part * (row[b] - row[a])), plan.margins.map((row) => row[near]),
       plan.links.map((row) => row[near]));
+    showKeptAt(near);
     get("scrubber").value = time;
     get("clock").textContent = `${time.toFixed(2)} / ${end.toFixed(2)} s`;
   }
@@ -243,12 +279,12 @@ function show(recording) {
   function placeNames() {
     if (problem === null || !shown.names) return;
     const width = pane.clientWidth, height = pane.clientHeight, taken = [];
-    for (const obstacle of problem.obstacles) {
+    for (const obstacle of [...problem.goals, ...problem.obstacles]) {
       if (obstacle.label === null) continue;
       const [x, y, z] = obstacle.anchor, age = obstacle.velocity ? Math.max(time - obstacle.appears_at, 0) : 0;
       const [vx, vy, vz] = obstacle.velocity || [0, 0, 0];
       spot.set(x + vx * age, z + vz * age, -(y + vy * age)).project(viewer.camera);
-      const inside = Math.abs(spot.x) < 0.98 && Math.abs(spot.y) < 1 && spot.z < 1 && time >= obstacle.appears_at;
+      const inside = Math.abs(spot.x) < 0.98 && Math.abs(spot.y) < 1 && spot.z < 1 && time >= (obstacle.appears_at || 0);
       obstacle.label.style.visibility = inside ? "visible" : "hidden";
       if (!inside) continue;
       const across = obstacle.label.offsetWidth, tall = obstacle.label.offsetHeight;

@@ -1,0 +1,95 @@
+"""The facts that the page lists of a plan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.live import is_recording, unrecorded_changes
+from backhoe_planner.motion import OBJECTIVES
+from backhoe_planner.planning import Plan, describe_excess, describe_quantity, describe_saving
+from backhoe_planner.proof import KeepUse
+
+
+def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
+    """The facts that the page lists of a plan: name, value and remark of each."""
+    certificate, metrics = plan.certificate, plan.metrics
+    facts = []
+    tightest = certificate.min_clearance
+    if tightest is not None:
+        required = tightest.distance - tightest.margin
+        remark = f"{tightest.link} to {tightest.name} at {tightest.time:.1f} s; {_metres(tightest.distance)} m apart"
+        remark += f", {required:.2f} m required" if required > 1e-9 else ""
+        facts.append(("Tightest margin", f"{_metres(tightest.margin)} m", remark))
+    least = "least over the whole motion, proven"
+    facts += [(f"Kept: {use.name}", f"{_left(use)} left", f"{least}; {use.words}") for use in certificate.keep]
+    if certificate.goal is not None and len(plan.problem.goals) > 1:
+        facts.append(("Goal reached", f"{certificate.goal} of {len(plan.problem.goals)}", ""))
+    tracking = certificate.tracking
+    mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
+    if not is_recording(plan):
+        facts.append(("Tip error", _length(tracking.max_error), mean))
+    if certificate.detours:
+        longest = max(detour.max_deviation for detour in certificate.detours)
+        facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
+    facts.append(("Duration", f"{plan.trajectory.duration:.1f} s", _about_duration(plan)))
+    facts += _costs(plan)
+    if is_recording(plan):
+        facts.append(("Recording", "driven by hand", "; ".join(unrecorded_changes(plan))))
+    else:
+        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
+    return facts
+
+
+def _about_duration(plan: Plan) -> str:
+    """Whether it is the objective, and how far above the least possible it is."""
+    words = ["the objective"] if _minimised(plan) == "time" else []
+    if plan.bound is not None:
+        least, longer = plan.bound.duration, plan.bound.longer_percent
+        words.append(f"no motion can take less than {least:.2f} s: this one takes {longer:.0f} % longer")
+    return "; ".join(words)
+
+
+def _minimised(plan: Plan) -> str:
+    """The objective of a motion to a goal by its name; empty along a path, and of a motion driven by hand."""
+    cost = plan.metrics.cost
+    return "" if cost is None or not plan.problem.goals or is_recording(plan) else cost.objective
+
+
+def _costs(plan: Plan) -> list[tuple[str, str, str]]:
+    """The work, and the objective where that is something else, with what is proven to be needed."""
+    facts, metrics, minimised = [], plan.metrics, _minimised(plan)
+    work, cost, compared = metrics.energy.get("work"), metrics.cost, metrics.objective
+    least = None
+    if cost is not None and minimised and plan.bound is not None:
+        least = plan.bound.least_energy(minimised)
+    needed = ""
+    if cost is not None and least is not None:
+        needed = f"no motion can take less than {describe_quantity(least, cost.unit)}: this one takes "
+        needed += describe_excess(cost.value, least)
+    if work is not None:
+        words = [word for word in ("the objective", needed) if word and minimised == "work"]
+        facts.append(("Work", f"{work / 1000.0:.1f} kJ" if work >= 1000.0 else f"{work:.1f} J", "; ".join(words)))
+    if cost is not None and minimised not in ("", "time", "work"):
+        facts.append(("Objective", f"{minimised} {describe_quantity(cost.value, cost.unit)}", needed))
+    if compared is not None:
+        unit = OBJECTIVES[compared.name].unit
+        law = ""
+        if compared.law is not None and compared.saving_percent is not None:
+            saving = describe_saving(compared.saving_percent)
+            law = f"; the local law {describe_quantity(compared.law, unit)}, this one takes {saving}"
+        value = f"{compared.name} {describe_quantity(compared.value, unit)}"
+        facts.append(("Objective", value, f"along the path{law}"))
+    return facts
+
+
+def _left(use: KeepUse) -> str:
+    """What is left of a condition, with its unit."""
+    return f"{np.degrees(use.margin):.2f}°" if use.unit == "rad" else f"{_metres(use.margin)} m"
+
+
+def _metres(value: float) -> str:
+    return f"{value:.3f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _length(value: float) -> str:
+    return f"{1000.0 * value:.1f} mm" if value < 0.1 else f"{value:.2f} m"
