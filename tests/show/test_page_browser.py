@@ -220,6 +220,8 @@ def test_a_plan_of_one_sample_has_a_page(backhoe: Robot) -> None:
     metrics = measure_motion(whole.problem, trajectory, certificate)
     page, _ = plan_page(replace(whole, trajectory=trajectory, certificate=certificate, metrics=metrics))
     assert "<script>window.pwned" not in page
+    assert "the picture shows the posture at the start" in page
+    assert '"Tip error"' not in page
 
 
 def test_the_live_view(backhoe: Robot, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:

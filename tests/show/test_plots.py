@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,9 +75,38 @@ def test_labels_carry_units_and_names(backhoe: Robot, tmp_path: Path) -> None:
     assert "bucket" in text
 
 
-def test_a_plan_that_never_moved_is_plotted(backhoe: Robot, tmp_path: Path) -> None:
-    plot_plan(a_plan(backhoe, samples=1), tmp_path / "plan.svg")
-    assert (tmp_path / "plan.svg").stat().st_size > 1000
+def svg(plan: Plan, folder: Path) -> str:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        plot_plan(plan, folder / "plan.svg")
+    return (folder / "plan.svg").read_text()
+
+
+def test_a_plan_without_a_motion_has_a_sentence_and_its_posture_and_no_axes_of_time(
+    backhoe: Robot, tmp_path: Path
+) -> None:
+    text = svg(replace(a_plan(backhoe, samples=1, name="ball"), note="the path is behind a wall"), tmp_path)
+    assert "There is no motion: the path is behind a wall" in text
+    assert "stick  -91.67 deg" in text  # -1.6 rad
+    assert "ball" in text
+    for absent in ("time [s]", "power", "joint rate"):
+        assert absent not in text
+
+
+def test_a_motion_that_ends_too_soon_says_why(backhoe: Robot, tmp_path: Path) -> None:
+    text = svg(replace(a_plan(backhoe), note="a wall is in the way"), tmp_path)
+    assert "The motion ends before its task is done: a wall is in the way" in text
+    assert "time [s]" in text
+
+
+def test_what_is_kept_has_a_panel_for_each_unit(backhoe: Robot, tmp_path: Path) -> None:
+    plan = a_plan(backhoe)
+    content = plan.scene.to_dict()
+    content["task"]["keep"] = {"pitch": [-2.3, -1.1], "above": -2.0, "below": 4.0}
+    text = svg(replace(plan, problem=build_problem(backhoe, scene_from_dict(content))), tmp_path)
+    for words in ("left to keep [deg]", "left to keep [m]", "-131.8 to -63.03 deg", "at least -2 m", "at most 4 m"):
+        assert words in text
 
 
 @pytest.mark.parametrize("name", ["plan.jpg", "plan", "plan.json"])

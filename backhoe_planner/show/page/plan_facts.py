@@ -24,9 +24,18 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     facts += [(f"Kept: {use.name}", f"{_left(use)} left", f"{least}; {use.words}") for use in certificate.keep]
     if certificate.goal is not None and len(plan.problem.goals) > 1:
         facts.append(("Goal reached", f"{certificate.goal} of {len(plan.problem.goals)}", ""))
+    if len(plan.trajectory) < 2 and not plan.verified:
+        facts.append(("Motion", "none", "the picture shows the posture at the start"))
+        facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
+        return facts
     tracking = certificate.tracking
+    if plan.failure and plan.problem.path is not None:
+        got = f"{tracking.followed:.2f} m of {tracking.path_length:.2f} m"
+        facts.append(("Followed", got, "of the path, before the motion ends"))
+    elif plan.failure and plan.problem.goals and not is_recording(plan):
+        facts.append(("Motion ends", f"{_length(tracking.max_error)} off", "before the goal; the picture shows it"))
     mean = "" if plan.scene.task.path is None else f"mean {_length(tracking.mean_error)}"
-    if not is_recording(plan):
+    if not is_recording(plan) and not (plan.failure and plan.problem.goals):
         facts.append(("Tip error", _length(tracking.max_error), mean))
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,7 @@ from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
 from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure
+from backhoe_planner.show.plots.posture_plot import draw_posture, posture_heights
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +33,8 @@ _STRIP = 0.55  # part of a panel's height that the panel of limits has; chosen, 
 _BINDS = 0.98  # part of a limit from which on it is called binding: sampled accelerations are known to about 1 %
 _MOST_NAMED = 5  # limits: as many as fit beside the panel
 _DASHES = (0, (5, 4))  # points drawn and left out, of lines that are limits
+_WRONG = "#b3261e"
+_LETTERS = 115  # of a line above the panels: as many as fit
 _SHARED = {"pump flow": "#5f6b76", "engine power": "#b3261e", "tip speed": "#1d2731"}
 _HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
 
@@ -38,7 +42,9 @@ _HATCHES = {"acceleration": "////", "torque": "xxxx", "rod speed": "...."}
 def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     """Write a figure of a plan: joints, rates, clearance, torques, which limit binds, power and work over time.
 
-    For a task along a path also how far the tip is from it, and the local law's work.
+    For a task along a path also how far the tip is from it, and the local law's work; what is left of `keep`,
+    where something is kept. Of a plan that failed it says why. Where there is no motion, the figure shows the
+    posture at the start instead, within the joints' ranges and beside the obstacles.
 
     Parameters
     ----------
@@ -52,6 +58,18 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     figure = new_figure(path, _WIDTH, _PANEL, inputs=plan.input_files)
     problem = plan.problem
     frames = timeline(problem, plan.trajectory)
+    verdict = "verified" if plan.verified else f"failed: {plan.reason.replace('_', ' ')}"
+    title = f"{plain_text(plan.scene.name or plan.robot.name)}: {verdict} ({plan.settings})"
+    if plan.trajectory.duration == 0.0:
+        heights = posture_heights(problem, frames)
+        figure.set_size_inches(_WIDTH, sum(heights) + 0.9)
+        standing = figure.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
+        for axes in standing:
+            dress(axes)
+        draw_posture(list(standing), plan, problem, frames)
+        _explain(standing[0], plan, "There is no motion: ")
+        save_figure(figure, path, title)
+        return
     panels: list[_Panel] = []
     slides = plan.robot.prismatic
     for which, unit, name in ((~slides, np.degrees(1.0), "angle [deg"), (slides, 1.0, "slide [m")):
@@ -60,23 +78,33 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
             panels.append(partial(_velocities, which=which, unit=unit, label=f"joint rate [{name.split('[')[1]}/s]"))
     if frames.obstacles:
         panels.append(_clearance)
+    kept = () if problem.keep is None else problem.keep.conditions
+    panels += [partial(_kept, unit=unit) for unit in ("rad", "m") if any(one.unit == unit for one in kept)]
     if problem.path is not None:
         panels.append(_deviation)
     panels += [_torques, _limits, _power]
     heights = [_STRIP if panel is _limits else 1.0 for panel in panels]
     figure.set_size_inches(_WIDTH, _PANEL * sum(heights) + 0.9)
     figure.set_layout_engine("constrained", hspace=0.06)
-    verdict = "verified" if plan.verified else f"failed: {plan.reason.replace('_', ' ')}"
     all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     for axes, panel in zip(all_axes, panels, strict=True):
         dress(axes)
         panel(axes, plan, problem, frames)
         axes.yaxis.label.set_size(9)
     all_axes[-1].set_xlabel("time [s]", fontsize=9)
-    if plan.trajectory.duration > 0.0:
-        all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
+    all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
     figure.align_ylabels(list(all_axes))
-    save_figure(figure, path, f"{plain_text(plan.scene.name or plan.robot.name)}: {verdict} ({plan.settings})")
+    _explain(all_axes[0], plan, "The motion ends before its task is done: " if plan.failure else "")
+    save_figure(figure, path, title)
+
+
+def _explain(axes: Axes, plan: Plan, what: str) -> None:
+    """Above all panels, why the plan failed; nothing of one that did not."""
+    if plan.verified:
+        return
+    words = textwrap.fill(plain_text(f"{what}{plan.message}"), _LETTERS)
+    below = axes.get_title("left")
+    axes.set_title(f"{words}\n\n{below}", loc="left", fontsize=9.5, color=_WRONG if not below else "black")
 
 
 def _positions(
@@ -119,7 +147,7 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
         lowest = min(lowest, float(np.nanmin(margin)))
         _curve(axes, frames.time, margin, _colour(index), name)
     axes.axhspan(0.0, influence, color="0.5", alpha=0.09, linewidth=0.0)
-    axes.axhline(0.0, color="#b3261e", linewidth=1.1)
+    axes.axhline(0.0, color=_WRONG, linewidth=1.1)
     tightest = plan.certificate.min_clearance
     if tightest is not None:
         lowest = min(lowest, tightest.margin)
@@ -136,6 +164,20 @@ def _clearance(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
     _say(axes, "distance beyond the required clearance; shaded: obstacles act")
 
 
+def _kept(axes: Axes, plan: Plan, problem: Problem, frames: Timeline, *, unit: str) -> None:
+    """What is left of the conditions of this unit."""
+    assert problem.keep is not None
+    scale, shown = (np.degrees(1.0), "deg") if unit == "rad" else (1.0, "m")
+    for number, condition in enumerate(problem.keep.conditions):
+        if condition.unit == unit:
+            left = scale * condition.margins(condition.values(frames.q))
+            _curve(axes, frames.time, left, _colour(number), f"{condition.name},\n{condition.allowed}")
+    axes.axhline(0.0, color=_WRONG, linewidth=1.1)
+    axes.set_ylabel(f"left to keep [{shown}]")
+    _legend(axes)
+    _say(axes, "how far within what is to be kept")
+
+
 def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     assert problem.path is not None
     assert plan.scene.task.path is not None
@@ -150,7 +192,7 @@ def _deviation(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> No
     if approach > 0.0:
         axes.axvspan(frames.time[0], approach, color="0.5", alpha=0.12, linewidth=0.0, label="on its way there")
     _curve(axes, frames.time, off, "#1f6fd6", "tip")
-    axes.axhline(tolerance, color="#b3261e", linewidth=1.0, linestyle=_DASHES, label="tolerance")
+    axes.axhline(tolerance, color=_WRONG, linewidth=1.0, linestyle=_DASHES, label="tolerance")
     far = off.max() > 20.0 * tolerance
     if far:
         axes.set_yscale("symlog", linthresh=2.0 * tolerance)
@@ -178,7 +220,7 @@ def _limits(axes: Axes, plan: Plan, problem: Problem, frames: Timeline) -> None:
     for name in sorted(filter(None, named), key=lambda name: -named[name])[:_MOST_NAMED]:
         colour, hatch = _limit_look(name, plan.robot.joint_names)
         axes.fill_between([], [], facecolor=colour, edgecolor="white", hatch=hatch, linewidth=0.0, label=name)
-    axes.axhline(100.0, color="#b3261e", linewidth=1.0, linestyle=_DASHES)
+    axes.axhline(100.0, color=_WRONG, linewidth=1.0, linestyle=_DASHES)
     axes.set_ylim(0.0, max(112.0, 1.05 * float(np.max(used))))
     axes.set_yticks([0.0, 50.0, 100.0])
     axes.set_ylabel("limit used [%]")
