@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from rich.table import Table
 
 import backhoe_planner as bp
 from backhoe_planner import machine, show, site
-from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings
+from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings, table_of
 from backhoe_planner.files.output_file import check_writable
 
 
@@ -86,7 +85,7 @@ def _print_held(robot: bp.Robot) -> None:
 
 def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
     OUT.print(f"{robot.name}: {robot.n} joints move {robot.tip}; {len(robot.pieces)} collision pieces\n")
-    table = Table("joint", "lower", "upper", "rate", "acceleration", "effort", box=None, pad_edge=False)
+    table = table_of("joint", "lower", "upper", "rate", "acceleration", "effort")
     for j, name in enumerate(robot.joint_names):
         slides = bool(robot.prismatic[j])
         unit, scale = ("m", 1.0) if slides else ("deg", DEGREES)
@@ -102,7 +101,7 @@ def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
 
 
 def _or_none(limit: float, digits: str, unit: str) -> str:
-    return f"{limit:{digits}} {unit}" if np.isfinite(limit) else "none"
+    return f"{limit:{digits}} {unit}" if math.isfinite(limit) else "none"
 
 
 def _print_self_collision(robot: bp.Robot) -> None:
@@ -120,7 +119,7 @@ def _print_self_collision(robot: bp.Robot) -> None:
 
 
 def _print_dh_table(robot: bp.Robot) -> None:
-    table = Table("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]", box=None, pad_edge=False)
+    table = table_of("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]")
     for row in machine.dh_table(robot).rows:
         theta, d = f"{DEGREES * row.theta:.2f}", f"{row.d + 0.0:.4f}"
         table.add_row(
@@ -158,9 +157,7 @@ def _print_hydraulics(robot: bp.Robot) -> None:
     hydraulics = robot.hydraulics
     if hydraulics is None:
         return
-    table = Table(
-        "cylinder", "joint", "length [m]", "joint range [deg]", "push [kN]", "pull [kN]", box=None, pad_edge=False
-    )
+    table = table_of("cylinder", "joint", "length [m]", "joint range [deg]", "push [kN]", "pull [kN]")
     forces = hydraulics.force_limits
     for i, cylinder in enumerate(hydraulics.cylinders):
         lower, upper = hydraulics.joint_ranges[i]

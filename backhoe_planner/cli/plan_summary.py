@@ -7,12 +7,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.table import Table
 from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner import live, machine, motion, planning, site
-from backhoe_planner.cli.terminal import DEGREES, OUT
+from backhoe_planner.cli.terminal import DEGREES, OUT, table_of
 
 _MOST_PARTS = 3  # parts of a path that are listed one by one: chosen to fit into a line or two
 
@@ -115,7 +114,7 @@ def print_certificate(plan: bp.Plan) -> None:
             OUT.print(f"  {problem}")
     if not live.is_recording(plan):
         OUT.print(f"{'planned with':<13}{plan.settings}")
-    table = Table("obstacle", "link", "distance [m]", "margin [m]", "at [s]", box=None, pad_edge=False)
+    table = table_of("obstacle", "link", "distance [m]", "margin [m]", "at [s]")
     for row in certificate.clearances:
         table.add_row(row.name, row.link, f">= {row.distance:.4f}", f"{row.margin:+.4f}", f"{row.time:.2f}")
     if certificate.clearances:
@@ -236,7 +235,7 @@ def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:
     if not visits:
         return
     OUT.print("zones visited")
-    table = Table("zone", "distance", "link", "beyond it", "at [s]", "from [s]", "to [s]", box=None, pad_edge=False)
+    table = table_of("zone", "distance", "link", "beyond it", "at [s]", "from [s]", "to [s]")
     for visit in visits:
         unit = "rad" if visit.kind == "swing_sector" else "m"
         moments = (f"{moment:.2f}" for moment in (visit.time, visit.begin, visit.end))

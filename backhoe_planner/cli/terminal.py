@@ -6,11 +6,14 @@ import contextlib
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 Urdf = Annotated[str, typer.Argument(metavar="URDF", help="A URDF file, or example:NAME.", show_default=False)]
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="A scene file (YAML).", show_default=False)]
@@ -36,3 +39,10 @@ def print_warnings(warnings: Iterable[str]) -> None:
     """Print each of `warnings` once, to the error stream."""
     for warning in dict.fromkeys(warnings):
         ERR.print(f"warning: {warning}")
+
+
+def table_of(*heads: str) -> Table:
+    """An empty table with a column below each of the `heads`."""
+    from rich.table import Table
+
+    return Table(*heads, box=None, pad_edge=False)

@@ -7,11 +7,23 @@ allowed, with the nearest name for a key that does not exist.
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
 import math
+import textwrap
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    ValidationError,
+    model_validator,
+)
 
 from backhoe_planner.errors import InputError, nearest_name
 from backhoe_planner.files.yaml_text import KeyPath
@@ -33,9 +45,7 @@ Figure = Annotated[float, Field(strict=True), BeforeValidator(_figure)]
 class Record(BaseModel):
     """Keys that are not in the schema are refused; nothing changes after reading."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, populate_by_name=True, strict=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, strict=False, defer_build=True)
 
     def __init__(self, /, **data: Any) -> None:
         """Made from keywords: what is not allowed is an InputError that names the key, as it is of a file."""
@@ -46,6 +56,39 @@ class Record(BaseModel):
 
     # to pydantic this is its own: records within records are read as without it
     __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        """The JSON Schema, in which the docstring below a field describes it.
+
+        Pydantic's `use_attribute_docstrings` would read the source of every record whenever it is imported.
+        """
+        schema = handler(core_schema)
+        properties = handler.resolve_ref_schema(schema).get("properties", {})
+        for owner in cls.__mro__:
+            for name, text in _described_fields(owner).items() if issubclass(owner, Record) else ():
+                key = cls.model_fields[name].alias or name
+                if key in properties:
+                    properties[key].setdefault("description", text)
+        return schema
+
+
+def _described_fields(record: type[BaseModel]) -> dict[str, str]:
+    """The docstrings below the fields that a record itself adds."""
+    (body,) = (
+        node.body
+        for node in ast.parse(textwrap.dedent(inspect.getsource(record))).body
+        if isinstance(node, ast.ClassDef)
+    )
+    return {
+        field.target.id: inspect.cleandoc(text.value.value)
+        for field, text in itertools.pairwise(body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(field.target, ast.Name)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+        and isinstance(text.value.value, str)
+    }
 
 
 def exactly_one(*keys: str) -> Any:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from scipy.integrate import cumulative_trapezoid
 
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine.robot import Robot
@@ -139,9 +138,14 @@ def motion_energy(
         torque=torque,
         joint_power=joint_power,
         power=power,
-        work=cumulative_trapezoid(power, time, initial=0.0),
+        work=_integral(power, time),
         kinetic=np.array([dynamics.kinetic_energy(*row) for row in zip(q, v, strict=True)]),
         potential=potential - potential[:1],
         hydraulic_power=hydraulic_power,
-        hydraulic=None if hydraulic_power is None else cumulative_trapezoid(hydraulic_power, time, initial=0.0),
+        hydraulic=None if hydraulic_power is None else _integral(hydraulic_power, time),
     )
+
+
+def _integral(values: Vector, time: Vector) -> Vector:
+    """(T,) the integral of `values` (T,) up to each `time` (T,), by the trapezium rule."""
+    return np.concatenate(([0.0], np.cumsum(0.5 * np.diff(time) * (values[1:] + values[:-1]))))

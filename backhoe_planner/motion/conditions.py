@@ -28,7 +28,7 @@ from abc import abstractmethod
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import (
@@ -227,8 +227,9 @@ class RotationCone(Condition):
 
     def values(self, q: Matrix) -> Vector:
         """(B,) angle from the orientation to be kept [rad]."""
-        turn = Rotation.from_matrix(self.rotation @ np.swapaxes(self._batch.at(q).tip_rotation, 1, 2))
-        return np.asarray(turn.magnitude())
+        turn = self.rotation @ np.swapaxes(self._batch.at(q).tip_rotation, 1, 2)
+        sines = np.linalg.norm([turn[:, i, j] - turn[:, j, i] for i, j in ((1, 0), (2, 0), (2, 1))], axis=0)
+        return np.asarray(np.arctan2(sines, np.trace(turn, axis1=1, axis2=2) - 1.0))
 
     def margins(self, values: Vector) -> Vector:
         """(B,) [rad]"""
@@ -251,7 +252,7 @@ class RotationCone(Condition):
     def rows(self, q: Vector) -> tuple[Vector, Matrix]:
         """One; its gradient is 0 where the tip is not turned at all."""
         at = self._batch.at(q[None, :])
-        turn = Rotation.from_matrix(self.rotation @ at.tip_rotation[0].T).as_rotvec()
+        turn = np.asarray(pin.log3(self.rotation @ at.tip_rotation[0].T))
         angle = float(np.linalg.norm(turn))
         axis = turn / angle if angle > 0.0 else turn
         return self.margins(np.array([angle])), (axis @ at.rotation_jacobian()[0])[None, :]

@@ -27,7 +27,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import check_kind
@@ -144,6 +143,8 @@ class _Plane:
 
     def _best(self, axis: int, sign: float, *, on_ground: bool = False) -> Vector:
         """(k,) joints with the largest sign * point[axis]: from a grid's best, then SLSQP."""
+        from scipy.optimize import minimize
+
         axes = [np.linspace(lo, hi, _GRID) for lo, hi in zip(self._lower, self._upper, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
         points = np.array([self.point(row) for row in grid])

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-import yourdfpy
 from lxml import etree
 
 from backhoe_planner.errors import InputError, RobotError
 from backhoe_planner.machine.description.held_joints import HeldJoint, held_joints
+from backhoe_planner.machine.description.plain_urdf import Joint
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, se3
 
 
@@ -105,7 +105,7 @@ def _model(urdf: Urdf, held: Mapping[str, float]) -> pin.Model:
         raise RobotError(f"Pinocchio cannot build a model of it: {error}", file=urdf.path) from error
 
 
-def _hold(element: etree._Element, joint: yourdfpy.Joint, position: float) -> None:
+def _hold(element: etree._Element, joint: Joint, position: float) -> None:
     """Make the `element` of a `joint` a fixed one at its `position` [rad or m]."""
     element.set("type", "fixed")
     _remove(element, "limit", "mimic", "axis", "dynamics", "safety_controller")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import yourdfpy
 
 from backhoe_planner.errors import InputError, RobotError
+from backhoe_planner.machine.description.plain_urdf import Joint
 from backhoe_planner.machine.description.urdf import Urdf
 
 _SAME = 1e-9  # rad, m: positions nearer to each other are one but for rounding
@@ -122,7 +122,7 @@ class _Standing:
             )
         return HeldJoint(name, position, "copies", str(joint.mimic.joint))
 
-    def _copied(self, joint: yourdfpy.Joint) -> float:
+    def _copied(self, joint: Joint) -> float:
         """Where a joint stands that copies another one [rad or m]."""
         mimic = joint.mimic
         leader = self._urdf.joints[mimic.joint]
@@ -133,7 +133,7 @@ class _Standing:
         multiplier = 1.0 if mimic.multiplier is None else float(mimic.multiplier)
         return multiplier * there + (0.0 if mimic.offset is None else float(mimic.offset))
 
-    def _leader(self, joint: yourdfpy.Joint) -> str | None:
+    def _leader(self, joint: Joint) -> str | None:
         """The joint that a joint copies in the end; None where it copies none, or only itself."""
         met = {joint.name}
         leader = joint
@@ -145,7 +145,7 @@ class _Standing:
         return None if leader is joint else str(leader.name)
 
 
-def _nearest_zero(joint: yourdfpy.Joint) -> float:
+def _nearest_zero(joint: Joint) -> float:
     """0, or the limit of a joint that is nearest to it [rad or m]."""
     if joint.limit is None or joint.type == "continuous" or joint.limit.lower is None:
         return 0.0

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yourdfpy
 from pydantic import Field, ValidationError, model_validator
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import RobotError
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import read_yaml
+from backhoe_planner.machine.description.plain_urdf import Joint
 from backhoe_planner.machine.description.urdf import Urdf, axis_of
 from backhoe_planner.machine.hydraulics.hydraulics import SAME_LENGTH, Cylinder, Hydraulics
 from backhoe_planner.machine.hydraulics.linkage import FourBar, Triangle
@@ -194,7 +194,7 @@ class _Place:
         return RobotError(problem, file=self.file, key=self.key(key), found=found, allowed=allowed)
 
 
-def _turning_joint(name: str, joints: Mapping[str, yourdfpy.Joint], place: _Place) -> yourdfpy.Joint:
+def _turning_joint(name: str, joints: Mapping[str, Joint], place: _Place) -> Joint:
     turning = [joint.name for joint in joints.values() if joint.type == "revolute"]
     if name not in joints:
         problem = "the URDF has no such joint"
@@ -211,7 +211,7 @@ def _turning_joint(name: str, joints: Mapping[str, yourdfpy.Joint], place: _Plac
 class _Plane:
     """The plane across a joint's axis, with the axis at the origin."""
 
-    def __init__(self, joint: yourdfpy.Joint) -> None:
+    def __init__(self, joint: Joint) -> None:
         self._T_parent_joint = np.eye(4) if joint.origin is None else np.asarray(joint.origin, dtype=float)
         self._axis = axis_of(joint)
         first = np.eye(3)[int(np.argmin(np.abs(self._axis)))]
@@ -230,7 +230,7 @@ class _Plane:
         return np.array([point @ self._u, point @ self._v, point @ self._axis])
 
 
-def _linkage(spec: CylinderRecord, joint: yourdfpy.Joint, place: _Place) -> Triangle | FourBar:
+def _linkage(spec: CylinderRecord, joint: Joint, place: _Place) -> Triangle | FourBar:
     plane = _Plane(joint)
     base, moved = plane.of_parent(spec.parent), plane.of_child(spec.child)
     if spec.rocker is None:

@@ -7,13 +7,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import yourdfpy
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError
+from backhoe_planner.machine.description.plain_urdf import Geometry
 from backhoe_planner.machine.description.urdf import Urdf, se3
 from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
 from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, sphere
@@ -87,7 +88,7 @@ def _body(model: pin.Model, link: str) -> tuple[int, pin.SE3]:
     return int(frame.parentJoint), frame.placement
 
 
-def _mesh_scale(mesh: yourdfpy.Mesh) -> Vector:
+def _mesh_scale(mesh: Any) -> Vector:
     return np.full(3, 1.0 if mesh.scale is None else mesh.scale, dtype=float)
 
 
@@ -138,7 +139,7 @@ def link_pieces(solids: Iterable[LinkSolid], model: pin.Model) -> tuple[LinkPiec
     return tuple(found)
 
 
-def _solids_of(urdf: Urdf, geometry: yourdfpy.Geometry) -> list[Callable[[pin.SE3], Piece]]:
+def _solids_of(urdf: Urdf, geometry: Geometry) -> list[Callable[[pin.SE3], Piece]]:
     if geometry.box is not None:
         return [partial(box, geometry.box.size)]
     if geometry.sphere is not None:
@@ -168,9 +169,9 @@ def visuals_of(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:
             if geometry.box is not None:
                 kind, size = "box", geometry.box.size
             elif geometry.cylinder is not None:
-                kind, size = "cylinder", (geometry.cylinder.radius, geometry.cylinder.length)
+                kind, size = "cylinder", np.array([geometry.cylinder.radius, geometry.cylinder.length])
             elif geometry.sphere is not None:
-                kind, size = "sphere", (geometry.sphere.radius,)
+                kind, size = "sphere", np.array([geometry.sphere.radius])
             else:
                 kind, size, mesh = "mesh", _mesh_scale(geometry.mesh), urdf.mesh_path(geometry.mesh.filename)
             placement, edges = T_joint_link * se3(visual.origin), tuple(map(float, size))

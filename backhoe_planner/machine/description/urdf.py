@@ -1,4 +1,4 @@
-"""Reading a URDF: it is found, parsed by yourdfpy, and checked before Pinocchio sees it.
+"""Reading a URDF: it is found, parsed, and checked before Pinocchio sees it.
 
 `read_urdf` is the only door. In a `Urdf` every link and joint has a name, all numbers are
 finite, all joints are of types that this package plans with, and all meshes exist on disk.
@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import yourdfpy
 from lxml import etree
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import RobotError
+from backhoe_planner.machine.description.plain_urdf import Joint, Tree, names_a_mesh, read_tree
 
 _MOVING = ("revolute", "continuous", "prismatic")
 _REFUSED = {
@@ -57,7 +57,7 @@ class Urdf:
     path: the file itself.
     xml: its text, with comments stripped; a velocity or effort that a `<limit>` does not give is 0.
     sha256: of the file's bytes.
-    robot: yourdfpy's records of links and joints.
+    robot: links and joints.
     acceleration: `<limit acceleration>` by joint name [rad/s^2 or m/s^2], where given.
     """
 
@@ -65,16 +65,16 @@ class Urdf:
     path: Path
     xml: bytes
     sha256: str
-    robot: yourdfpy.Robot
+    robot: Tree
     acceleration: dict[str, float]
 
     @cached_property
-    def joints(self) -> dict[str, yourdfpy.Joint]:
+    def joints(self) -> dict[str, Joint]:
         """Every joint by its name."""
         return {joint.name: joint for joint in self.robot.joints}
 
     @cached_property
-    def joint_of_child(self) -> dict[str, yourdfpy.Joint]:
+    def joint_of_child(self) -> dict[str, Joint]:
         """The joint above each link, by the link's name; the root has none."""
         return {joint.child: joint for joint in self.robot.joints}
 
@@ -89,7 +89,7 @@ class Urdf:
         parents = {joint.parent for joint in self.robot.joints}
         return tuple(str(link.name) for link in self.robot.links if link.name not in parents)
 
-    def chain(self, tip: str) -> tuple[yourdfpy.Joint, ...]:
+    def chain(self, tip: str) -> tuple[Joint, ...]:
         """The joints from the root to link `tip`, fixed ones included."""
         joints = []
         link = tip
@@ -112,7 +112,7 @@ class Urdf:
         return next(filter(Path.is_file, _mesh_candidates(uri, self.path)), None)
 
 
-def axis_of(joint: yourdfpy.Joint) -> Vector:
+def axis_of(joint: Joint) -> Vector:
     """(3,) unit axis of a joint in its own frame; x where the URDF gives none."""
     axis = np.array([1.0, 0.0, 0.0]) if joint.axis is None else np.asarray(joint.axis, dtype=float)
     return np.asarray(axis / np.linalg.norm(axis))
@@ -169,19 +169,16 @@ def read_urdf(source: str | os.PathLike[str]) -> Urdf:
     _check_numbers(root, path)
     _check_complete(root, path)
     _fill_limits(root)
-    parsed = _parse_robot(root, path)
-    _check_tree(parsed.robot, path)
-    for joint in parsed.robot.joints:
+    tree = _read_tree(root, path)
+    _check_tree(tree, path)
+    for joint in tree.joints:
         _check_joint(joint, path)
-    if not parsed.validate():
-        problems = "; ".join(str(getattr(error, "msg", error)) for error in parsed.errors)
-        raise RobotError(f"is not a valid URDF: {problems}", file=path)
     urdf = Urdf(
         source=os.fspath(source),
         path=path,
         xml=etree.tostring(root),
         sha256=hashlib.sha256(data).hexdigest(),
-        robot=parsed.robot,
+        robot=tree,
         acceleration=_acceleration_limits(root),
     )
     _check_meshes(urdf)
@@ -356,7 +353,8 @@ def _fill_limits(root: etree._Element) -> None:
                 limit.set(attribute, "0")
 
 
-def _parse_robot(root: etree._Element, path: Path) -> yourdfpy.URDF:
+def _read_tree(root: etree._Element, path: Path) -> Tree:
+    """Links and joints; yourdfpy reads those of a machine with meshes, in records with the same fields."""
     for element in root:
         if element.tag not in ("link", "joint"):
             continue
@@ -367,20 +365,37 @@ def _parse_robot(root: etree._Element, path: Path) -> yourdfpy.URDF:
                 node = element.find(child)
                 if node is None or not node.get("link"):
                     raise RobotError(f"has no <{child} link=...>", file=path, key=_element_key(element))
+    try:
+        return _read_by_yourdfpy(root) if names_a_mesh(root) else read_tree(root)
+    except Exception as error:  # yourdfpy raises whatever its parsing runs into
+        raise RobotError(f"cannot be read: {error}", file=path) from error
+
+
+def _read_by_yourdfpy(root: etree._Element) -> Tree:
+    """Links and joints, read by yourdfpy without a word in its log.
+
+    Raises
+    ------
+    ValueError: it is not valid to yourdfpy.
+    """
+    import yourdfpy
+
     quiet = logging.getLogger("yourdfpy")
     level = quiet.level
     quiet.setLevel(logging.CRITICAL)
     try:
-        return yourdfpy.URDF(
+        parsed = yourdfpy.URDF(
             robot=yourdfpy.URDF._parse_robot(xml_element=root), build_scene_graph=False, load_meshes=False
         )
-    except Exception as error:  # yourdfpy raises whatever its parsing runs into
-        raise RobotError(f"yourdfpy cannot read it: {error}", file=path) from error
+        if not parsed.validate():
+            raise ValueError("; ".join(str(getattr(error, "msg", error)) for error in parsed.errors))
     finally:
         quiet.setLevel(level)
+    tree: Tree = parsed.robot
+    return tree
 
 
-def _check_tree(robot: yourdfpy.Robot, path: Path) -> None:
+def _check_tree(robot: Tree, path: Path) -> None:
     links = [link.name for link in robot.links]
     if not links:
         raise RobotError("has no link", file=path)
@@ -410,10 +425,10 @@ def _check_tree(robot: yourdfpy.Robot, path: Path) -> None:
         raise RobotError("joints form a loop", file=path, found=loop) from error
 
 
-def _check_joint(joint: yourdfpy.Joint, path: Path) -> None:
+def _check_joint(joint: Joint, path: Path) -> None:
     key = f"joint {joint.name!r}"
     if joint.type not in (*_MOVING, "fixed"):
-        problem = _REFUSED.get(joint.type, "unknown joint type")
+        problem = _REFUSED.get(str(joint.type), "unknown joint type")
         raise RobotError(problem, file=path, key=key, found=joint.type, allowed="fixed, " + ", ".join(_MOVING))
     if joint.type == "fixed":
         return

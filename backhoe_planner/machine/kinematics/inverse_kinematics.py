@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 
 from backhoe_planner.arrays import Array, Flags, Vector, as_count, as_number
 from backhoe_planner.errors import check_kind
@@ -112,6 +111,8 @@ def _nearest(target: TipTarget, start: Vector, kinematics: Kinematics) -> Vector
     Newton-Raphson would crawl: where the error stays large, J^T J is far from the second
     derivative of the squared error.
     """
+    from scipy.optimize import minimize
+
     limits = kinematics.robot.limits
 
     def cost(q: Vector) -> tuple[float, Vector]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import check_kind
@@ -205,6 +204,8 @@ class TargetBatch:
 
     def _turns_from(self, at: ConfigurationBatch) -> Array:
         """(B, 3) rotation vectors from the tip's orientations to the asked ones, in world axes [rad]."""
+        from scipy.spatial.transform import Rotation
+
         return np.asarray(Rotation.from_matrix(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2)).as_rotvec())
 
 

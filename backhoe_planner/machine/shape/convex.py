@@ -9,16 +9,18 @@ inside one of them.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
-from vhacdx import compute_vhacd
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.shape.shapes import flatness, hull, is_flat
+
+if TYPE_CHECKING:
+    import trimesh
+    from scipy.spatial import ConvexHull
 
 Cells = NDArray[np.int64]
 Block = tuple[int, int, int, int]
@@ -37,6 +39,8 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     ------
     InputError: the file is missing, empty, or not a mesh.
     """
+    import trimesh
+
     if not path.is_file():
         raise InputError("no such mesh file", file=path)
     if path.stat().st_size == 0:
@@ -86,6 +90,8 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
     around = hull(vertices[used])
     if is_flat(vertices[used]) or around.volume <= excess * abs(mesh.volume):
         return [around.points[around.vertices]]
+    from vhacdx import compute_vhacd
+
     padded = np.column_stack((np.full(len(faces), 3), faces)).ravel().astype(np.uint32)
     parts = compute_vhacd(
         vertices, padded, maxConvexHulls=pieces, resolution=_RESOLUTION, asyncACD=False, maxNumVerticesPerCH=_CORNERS

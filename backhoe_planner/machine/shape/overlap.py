@@ -38,11 +38,25 @@ class Faces:
 def faces_of(piece: Piece) -> Faces:
     """A piece as a polytope; where it is round, as one inside of it, with 0.96 of its radius at least."""
     points = piece.hull
+    if piece.prism:
+        return _faces_of_prism(points)
     if piece.radius > 0.0:
         points = (points[:, None] + piece.radius * _on_unit_ball()).reshape(-1, 3)
     around = hull(points)
     edges = np.unique(np.sort(around.simplices[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     return Faces(around.points, edges, np.unique(np.round(around.equations, _DIGITS), axis=0))
+
+
+def _faces_of_prism(corners: Matrix) -> Faces:
+    """The one of a right prism from the `corners` (2 k, 3) [m] of its rims."""
+    low = np.arange(len(corners) // 2)
+    following, high = np.roll(low, -1), low + len(low)
+    edges = [np.column_stack(ends) for ends in ((low, following), (high, high[following]), (low, high))]
+    along = corners[high[0]] - corners[0]
+    normals = np.vstack((np.cross(corners[following] - corners[low], along), -along, along))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    on = corners[[*low, 0, high[0]]]
+    return Faces(corners, np.vstack(edges), np.column_stack((normals, -np.sum(normals * on, axis=1))))
 
 
 @cache

@@ -9,15 +9,17 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import coal
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import ConvexHull, QhullError
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine.shape.thinning import enclosing_corners, most_neighbours
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 _SIDES = 32  # of the prism around a cylinder: its corners are 1 / cos(pi / 32) = 1.0049 radii from the axis
 _FLAT = 1e-6  # m, or part of the largest extent where that is more: Qhull cannot build hulls of thinner points
@@ -45,36 +47,42 @@ class Piece:
     hull: (k, 3) points [m] in the body's frame; the piece lies within `radius` of
         their convex hull. Empty for a half-space, which has no bound.
     radius: [m].
+    prism: whether `hull` is the one rim of a right prism, counter-clockwise as seen from the other, and then
+        the other.
     """
 
     shape: coal.CollisionGeometry
     placement: pin.SE3
     hull: Matrix
     radius: float = 0.0
+    prism: bool = False
 
 
-def _piece(shape: coal.CollisionGeometry, placement: pin.SE3, points: Matrix, radius: float = 0.0) -> Piece:
+def _piece(
+    shape: coal.CollisionGeometry, placement: pin.SE3, points: Matrix, *, radius: float = 0.0, prism: bool = False
+) -> Piece:
     """A piece bounded by balls of `radius` around `points` (k, 3) [m] in the shape's frame."""
     hull = points @ placement.rotation.T + placement.translation
     hull.setflags(write=False)
-    return Piece(shape=shape, placement=placement, hull=hull, radius=radius)
+    return Piece(shape=shape, placement=placement, hull=hull, radius=radius, prism=prism)
 
 
 def box(size: Vector, placement: pin.SE3) -> Piece:
     """A box with the edge lengths `size` (3,) [m] along its own axes, centred at `placement` T_body_box."""
     half = 0.5 * np.asarray(size, dtype=float)
-    return _piece(coal.Box(*(float(edge) for edge in size)), placement, _box_corners(-half, half))
+    corners = _box_corners(-half, half)[[0, 4, 6, 2, 1, 5, 7, 3]]
+    return _piece(coal.Box(*(float(edge) for edge in size)), placement, corners, prism=True)
 
 
 def sphere(radius: float, placement: pin.SE3) -> Piece:
     """A sphere of `radius` [m] about its frame's origin, at `placement` T_body_sphere."""
-    return _piece(coal.Sphere(float(radius)), placement, np.zeros((1, 3)), float(radius))
+    return _piece(coal.Sphere(float(radius)), placement, np.zeros((1, 3)), radius=float(radius))
 
 
 def capsule(radius: float, length: float, placement: pin.SE3) -> Piece:
     """All points within `radius` [m] of a segment of `length` [m] along z, centred at `placement` T_body_capsule."""
     ends = np.array([[0.0, 0.0, -length / 2.0], [0.0, 0.0, length / 2.0]])
-    return _piece(coal.Capsule(float(radius), float(length)), placement, ends, float(radius))
+    return _piece(coal.Capsule(float(radius), float(length)), placement, ends, radius=float(radius))
 
 
 def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
@@ -88,7 +96,15 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
     around = radius / np.cos(np.pi / _SIDES)
     rim = np.column_stack((around * np.cos(angle), around * np.sin(angle)))
     ends = [np.column_stack((rim, np.full(_SIDES, z))) for z in (-length / 2.0, length / 2.0)]
-    return convex(np.vstack(ends), placement)
+    points = np.vstack(ends)
+    if is_flat(points):
+        return convex(points, placement)
+    low = np.arange(_SIDES)
+    following, high = np.roll(low, -1), low + _SIDES
+    sides = [np.column_stack((low, following, high[following])), np.column_stack((low, high[following], high))]
+    fans = [np.column_stack((0 * low, following, low)), np.column_stack((0 * low + _SIDES, high, high[following]))]
+    triangles = np.vstack((*sides, *(fan[1:-1] for fan in fans)))
+    return _piece(_polytope(points, triangles), placement, points, prism=True)
 
 
 def convex(points: Matrix, placement: pin.SE3) -> Piece:
@@ -103,17 +119,23 @@ def convex(points: Matrix, placement: pin.SE3) -> Piece:
     if np.linalg.norm(centre) > _FAR * np.max(np.ptp(points, axis=0)):
         points, placement = points - centre, placement * pin.SE3(np.eye(3), centre)
     around = _countable(hull(points))
-    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for point in around.points[around.vertices]:
-        corners.append(point)
     numbers = np.full(len(around.points), -1)
     numbers[around.vertices] = np.arange(len(around.vertices))
     edges = around.points[around.simplices[:, 1:]] - around.points[around.simplices[:, :1]]
     inward = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), around.equations[:, :3]) < 0.0
-    for a, b, c in numbers[np.where(inward[:, None], around.simplices[:, ::-1], around.simplices)].tolist():
-        triangles.append(coal.Triangle(a, b, c))
+    triangles = numbers[np.where(inward[:, None], around.simplices[:, ::-1], around.simplices)]
     # coal could build the hull itself, but ends the process where Qhull reports an error
-    return _piece(coal.Convex(corners, triangles), placement, around.points)
+    return _piece(_polytope(around.points[around.vertices], triangles), placement, around.points)
+
+
+def _polytope(points: Matrix, triangles: Array) -> coal.Convex:
+    """Coal's shape with corners `points` (k, 3) [m] and `triangles` (m, 3) of their numbers, seen from outside."""
+    corners, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for point in points:
+        corners.append(point)
+    for a, b, c in triangles.tolist():
+        faces.append(coal.Triangle(a, b, c))
+    return coal.Convex(corners, faces)
 
 
 def _countable(around: ConvexHull) -> ConvexHull:
@@ -164,6 +186,8 @@ def _axes(points: Matrix) -> Matrix:
 
 def _outline(points: Matrix) -> Matrix | None:
     """(c, 2) corners of the convex hull of points (k, 2) in order; None where it cannot be built."""
+    from scipy.spatial import ConvexHull, QhullError
+
     try:
         return np.asarray(points[ConvexHull(points).vertices])
     except QhullError:
@@ -176,6 +200,8 @@ def _box_corners(low: Vector, high: Vector) -> Matrix:
 
 def hull(points: Matrix) -> ConvexHull:
     """The convex hull of `points` (k, 3) [m]; flat ones are thickened, and those that Qhull rejects are rounded."""
+    from scipy.spatial import ConvexHull, QhullError
+
     if is_flat(points):
         points = thicken(points)
     size = float(np.max(np.ptp(points, axis=0)))

@@ -10,10 +10,14 @@ At the end S contains P, and P enlarged by 1 + excess about the centroid contain
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from backhoe_planner.arrays import Matrix, Vector
+
+if TYPE_CHECKING:
+    from scipy.spatial import ConvexHull
 
 _ROUNDING = 1e-9  # by which S is enlarged at the end, so that rounding cuts nothing off
 _WAYS = np.array([way for way in np.ndindex(3, 3, 3) if way != (1, 1, 1)], dtype=float) - 1.0  # along axes, diagonals
@@ -30,6 +34,8 @@ def enclosing_corners(hull: ConvexHull, excess: float) -> Matrix:
 
     Enlarged about its centroid: no point sticks out by more than `excess` times its distance from there.
     """
+    from scipy.spatial import ConvexHull
+
     corners, centre = hull.points[hull.vertices], _centroid(hull)
     # along its principal axes all sizes are made equal: corners and excess stay the same, numbers become alike
     axes = np.linalg.svd(corners - centre, full_matrices=False)[2]

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, JointLimits
@@ -76,6 +75,8 @@ def time_along(
     """
     if len(stations) < 2 or float(np.max(np.abs(np.diff(q, axis=0)))) < 1e-12:
         return Trajectory.from_steps(np.zeros(1), q[:1])
+    from scipy.interpolate import CubicSpline
+
     along = np.concatenate(([0.0], np.cumsum(step_lengths(stations, q, least=1e-6))))
     # arc length rides along as one more coordinate, so that its rate is the tip's speed
     curve = CubicSpline(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
@@ -103,6 +102,8 @@ def time_stretch(
 
 def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, allowed: float) -> Stretch:
     """A stretch with more samples where a smooth curve through them is off the path by more than `allowed` [m]."""
+    from scipy.interpolate import CubicSpline
+
     stations, q = stretch.stations, stretch.q
     for _ in range(_REFINED):
         if len(stations) < 4 or float(np.max(np.abs(np.diff(q, axis=0)))) < _STILL:

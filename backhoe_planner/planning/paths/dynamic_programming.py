@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
@@ -266,6 +265,8 @@ class _Descent:
 
 def monotone_curve(x: Vector, y: Matrix, at: Vector) -> Matrix:
     """(K, n) a smooth curve through y (M, n) at x (M,), read at `at` (K,); it overshoots nowhere."""
+    from scipy.interpolate import PchipInterpolator
+
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # where y hardly changes
         return np.asarray(PchipInterpolator(x, y)(at))
 

@@ -11,14 +11,17 @@ With none there are the branches of the inverse kinematics.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.planning.search.effort import Brake
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Mask = NDArray[np.bool_]
 
@@ -316,6 +319,8 @@ class PathLayers:
 
     def _tree(self, q: Matrix) -> cKDTree:
         """The tree of `q` (N, n), in which continuous joints end where they begin; asked with `_in_box`."""
+        from scipy.spatial import cKDTree
+
         continuous = self._robot.continuous
         return cKDTree(self._in_box(q), boxsize=2.0 * np.pi * continuous if continuous.any() else None)
 

@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
@@ -137,6 +136,8 @@ def _step(weights: Vector, q: Matrix, N: NDArray[np.float64], price: Vector, hel
     ----------
     N: (K, n, r) bases of the null spaces. price: (K,) added to the weight of each z. held: (K,) samples that stay.
     """
+    from scipy.linalg import solveh_banded
+
     count, r = len(q), N.shape[2]
     pull = weights[:, None] * np.diff(q, axis=0)
     force = np.zeros_like(q)

@@ -6,13 +6,12 @@ clock stands here alone: the `Brake` ends what runs away, and nothing else looks
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Literal
-
-import numpy as np
 
 EffortName = Literal["quick", "normal", "thorough"]
 
@@ -111,7 +110,7 @@ class Brake:
     budget: computing time [s]; by default unlimited.
     """
 
-    def __init__(self, budget: float = np.inf) -> None:
+    def __init__(self, budget: float = math.inf) -> None:
         self.budget = budget
         self._deadline = clock.thread_time() + budget
 

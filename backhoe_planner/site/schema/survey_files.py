@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
@@ -46,6 +45,8 @@ def read_points(path: Path) -> Matrix:
     if not path.is_file():
         raise InputError("no such point cloud file", file=path)
     if path.suffix.lower() in (".ply", ".obj", ".stl"):
+        import trimesh
+
         try:
             loaded = trimesh.load(path, process=False)
         except Exception as error:  # trimesh raises whatever its format readers run into

@@ -1,0 +1,117 @@
+"""What a command loads: nothing that it does not need, so that it starts at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yourdfpy
+from lxml import etree
+
+from backhoe_planner.machine import shipped_folder
+from backhoe_planner.machine.description.plain_urdf import read_tree
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# loading any of these takes a tenth of a second or more
+SLOW = [
+    "scipy", "trimesh", "yourdfpy", "networkx", "shapely", "vhacdx", "ompl", "PIL", "matplotlib", "meshcat", "tornado",
+    "umsgpack", "toppra", "backhoe_planner.live.servo", "backhoe_planner.show.viewer", "backhoe_planner.show.plots",
+]  # fmt: skip
+SIMPLEST = """
+version: 1
+start: {joints: {swing: 0.0, boom: 0.4, stick: -1.6, bucket: -0.9}}
+task: {goal: {joints: {swing: 0.8, boom: 0.5, stick: -1.4, bucket: -0.7}}}
+clearance: 0.05
+obstacles:
+  - {name: pole, shape: cylinder, radius: 0.1, length: 3.0, position: [-4, 2, 1.5]}
+  - {name: truck, shape: box, size: [1, 1, 1], position: [-4, -2, 0.5]}
+"""
+
+
+def loaded(arguments: list[str], of: list[str]) -> tuple[int, list[str]]:
+    """The exit status of the command line in a process of its own, and which modules it loaded."""
+    code = (
+        "import json, sys\n"
+        f"sys.argv = ['backhoe-planner', *{arguments!r}]\n"
+        "from backhoe_planner.__main__ import main\n"
+        "try:\n    main()\n"
+        "except SystemExit as done:\n"
+        f"    print(json.dumps([done.code, [name for name in {of!r} if name in sys.modules]]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    status, names = json.loads(done.stdout.splitlines()[-1])
+    return status, names
+
+
+def test_help_loads_nothing_that_computes() -> None:
+    computing = ["numpy", "pydantic", "yaml", "lxml", "pinocchio", "coal", "daqp", "backhoe_planner.machine.robot"]
+    assert loaded(["--help"], [*SLOW, *computing]) == (0, [])
+
+
+def test_a_plan_of_primitives_loads_no_mesh_library_and_no_scipy(tmp_path: Path) -> None:
+    scene, plan = tmp_path / "scene.yaml", tmp_path / "plan.json"
+    scene.write_text(SIMPLEST)
+    machine = str(shipped_folder("models") / "backhoe.urdf")
+    assert loaded(["plan", machine, str(scene), "-o", str(plan)], SLOW) == (0, [])
+    assert plan.is_file()
+
+
+@pytest.mark.parametrize("scene", ["yard", "wall"])
+def test_a_step_of_the_servo_loads_nothing(scene: str) -> None:
+    """Loading would stall the loop."""
+    code = (
+        "import sys, backhoe_planner as bp\n"
+        f"servo = bp.Servo(bp.load_robot('example:backhoe'), bp.load_scene('scenes/{scene}.yaml'), dt=0.01)\n"
+        "servo.add({'name': 'mast', 'shape': 'cylinder', 'radius': 0.2, 'length': 4, 'position': [3.5, 1.5, 2]})\n"
+        "before = set(sys.modules)\n"
+        "found = {servo.step([0.3, 0.5, -0.3]).status.value for _ in range(300)}\n"
+        "print(sorted(set(sys.modules) - before), servo.last_error, sorted(found))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.startswith("[] None "), done.stdout
+    assert "near_obstacle" in done.stdout or "sliding" in done.stdout or "stopped" in done.stdout
+
+
+def test_machines_without_meshes_are_read_as_yourdfpy_reads_them(tmp_path: Path) -> None:
+    text = """
+    <robot name="r"><material name="red"><color rgba="1 0 0 1"/></material><material name="none"/>
+    <link name="a"><visual><origin xyz="1 2 3" rpy="0.1 -1.2 2.5"/><geometry><box size="1 2 3"/></geometry>
+      <material name="red"/></visual><collision><geometry><cylinder radius="0.2" length="1"/></geometry></collision>
+      <collision><origin xyz="0 0 1"/><geometry><sphere radius="0.3"/></geometry></collision></link>
+    <link name="b"/><link name="c"/><link name="d"/>
+    <joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+      <origin rpy="3 1.5707963 0.2"/><limit lower="-1" upper="2" effort="3" velocity="4"/>
+      <safety_controller soft_lower_limit="-0.5" k_velocity="2"/></joint>
+    <joint name="k" type="continuous"><parent link="b"/><child link="c"/></joint>
+    <joint name="l" type="prismatic"><parent link="c"/><child link="d"/><axis/><mimic joint="j" multiplier="-2"/>
+      <limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>"""
+    plain = [path.read_text() for path in shipped_folder("models").glob("*.urdf")]
+    for xml in (text, *plain):
+        root = etree.fromstring(xml.encode(), etree.XMLParser(remove_comments=True))
+        ours, theirs = read_tree(root), yourdfpy.URDF._parse_robot(xml_element=root)
+        assert_same(ours, theirs)
+    assert len(plain) >= 2
+
+
+def assert_same(ours: Any, theirs: Any) -> None:
+    """Every field of our record is in theirs, with the same value."""
+    if dataclasses.is_dataclass(ours):
+        for field in dataclasses.fields(ours):
+            if hasattr(theirs, field.name) or field.name != "material":  # only what is drawn has one
+                assert_same(getattr(ours, field.name), getattr(theirs, field.name))
+    elif isinstance(ours, list):
+        assert isinstance(theirs, list)
+        assert len(ours) == len(theirs)
+        for one, other in zip(ours, theirs, strict=True):
+            assert_same(one, other)
+    elif isinstance(ours, np.ndarray):
+        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-15)
+    else:
+        assert ours == theirs
