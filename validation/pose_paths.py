@@ -3,8 +3,8 @@
 The kinds follow the sets of TORM (Kang et al. 2020) and CppFlow (Morgan et al. 2024): written
 words, circles, squares and an S, turns on the spot, ways around one and two cubes and between
 poles; 200 to 1,000 waypoints, each with position and orientation. Every problem is drawn from a
-seed of its own. On ``beyond`` and ``inside`` one waypoint is impossible on purpose: out of reach,
-or within a block.
+seed of its own. On ``beyond``, ``corner`` and ``inside`` one waypoint is impossible on purpose: far out of
+reach, a corner a few millimetres out of reach, or within a block.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import TURN_LEVER
 from validation.obstacles import Record
@@ -31,6 +31,9 @@ from validation.tables import Row
 MACHINES = ARMS
 TOLERANCE = 0.001  # m
 _ROTATION_TOLERANCE = np.radians(0.1)
+_LONGEST_STEP = np.radians(7.0)  # of a joint from waypoint to waypoint
+_OUT_OF_REACH = 0.003  # m by which a corner is
+_BESIDE = 40  # waypoints before it that may be out of reach too: 7 cm and more
 _CLEARANCE = 0.01  # m of every obstacle
 _PLACES = 400  # draws of where a path lies, until its poses can be reached clear of everything
 _LOOKED_AT = 40  # poses of a path for each draw
@@ -200,7 +203,7 @@ KINDS: dict[str, Callable[[np.random.Generator], Shape]] = {
     "word": _word, "circle": _circle, "square": _square, "ess": _ess, "turn": _turn, "tilting": _tilting,
     "one cube": _one_cube, "two cubes": _two_cubes, "poles": _poles,
 }  # fmt: skip
-IMPOSSIBLE = ("beyond", "inside")
+IMPOSSIBLE = ("beyond", "corner", "inside")
 
 
 # --- problems -------------------------------------------------------------------------
@@ -225,7 +228,8 @@ def draw(kind: str, robot: bp.Robot, machine: str, seed: int) -> Problem:
         tool = Rotation.from_euler("Z", turn) * tool
         positions, rotations = middle + tool.apply(points), tool * turns
         blocks = [_placed(block, middle, tool) for block in shape.blocks]
-        if _can_be_reached(robot, blocks, positions, rotations):
+        corners = np.linalg.norm(points[:, None] - shape.points[None], axis=2).min(axis=1) < 1e-9
+        if _can_be_reached(robot, blocks, positions, rotations, corners):
             break
     else:
         raise RuntimeError(f"no place for {kind} on {machine}, seed {seed}")
@@ -235,6 +239,8 @@ def draw(kind: str, robot: bp.Robot, machine: str, seed: int) -> Problem:
         first, last = int(0.4 * len(positions)), int(0.6 * len(positions))
         positions[first:last] += 1.6 * positions[first] / np.linalg.norm(positions[first])
         impossible = first + 1
+    if kind == "corner":
+        positions, impossible = _with_a_corner_out_of_reach(robot, positions, rotations, corners)
     if kind == "inside":
         first = int(0.5 * len(positions))
         blocks.append({"name": "block", "shape": "box", "size": [0.08] * 3, "position": positions[first].tolist()})
@@ -248,7 +254,10 @@ def _scene(robot: bp.Robot, name: str, blocks: Sequence[Record], positions: Matr
     waypoints = [
         {"position": p, "quaternion": q} for p, q in zip(positions.tolist(), quaternions.tolist(), strict=True)
     ]
-    path: Record = {"waypoints": waypoints, "tolerance": TOLERANCE, "detour": False}
+    path: Record = {
+        "waypoints": waypoints, "tolerance": TOLERANCE, "rotation_tolerance": _ROTATION_TOLERANCE,
+        "max_joint_step": _LONGEST_STEP, "detour": False,
+    }  # fmt: skip
     rest = {"clearance": _CLEARANCE, "influence": 0.2, "tip": robot.tip, "name": name}
     return scene_of(robot, blocks, start=None, task={"path": path}, **rest)
 
@@ -270,21 +279,51 @@ def _placed(block: Record, middle: Vector, tool: Rotation) -> Record:
     return {**block, "position": position.tolist(), "rpy": tool.as_euler("xyz").tolist()}
 
 
-def _can_be_reached(robot: bp.Robot, blocks: Sequence[Record], positions: Matrix, rotations: Rotation) -> bool:
-    """Whether some poses of a path can be reached, clear of everything, each for itself."""
-    some = np.linspace(0, len(positions) - 1, _LOOKED_AT).astype(int)
-    targets = [TipTarget(positions[index], None, rotations[int(index)].as_matrix()) for index in some]
+def _with_a_corner_out_of_reach(
+    robot: bp.Robot, positions: Matrix, rotations: Rotation, corners: Flags
+) -> tuple[Matrix, int]:
+    """A path moved away from the machine until a corner is out of reach; and the first waypoint that is, from 1."""
+    outward = np.mean(positions, axis=0) * (1.0, 1.0, 0.0)
+    outward /= np.linalg.norm(outward)
+
+    def beyond(far: float, rows: Indices) -> Flags:
+        return np.asarray(~_solve(robot, positions[rows] + far * outward, rotations[rows])[1].any(axis=1))
+
+    at = np.flatnonzero(corners)
+    low, high = 0.0, 1.5
+    while high - low > 1e-4:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if beyond(middle, at).any() else (middle, high)
+    out = high + _OUT_OF_REACH
+    corner = int(at[np.argmax(beyond(out, at))])
+    before = np.arange(max(corner - _BESIDE, 0), corner + 1)
+    return positions + out * outward, int(before[np.argmax(beyond(out, before))]) + 1
+
+
+def _solve(robot: bp.Robot, positions: Matrix, rotations: Rotation) -> tuple[Array, Flags]:
+    """(W, G, n) where the search for each pose ends from each of some guesses; (W, G) whether it arrived."""
+    turns = rotations.as_matrix()
+    targets = [TipTarget(position, None, turn) for position, turn in zip(positions, turns, strict=True)]
     rng = np.random.default_rng(0)
     guesses = np.array([robot.random_q(rng) for _ in range(_GUESSES)])
     batch = TargetBatch.of(targets).take(np.repeat(np.arange(len(targets)), len(guesses)))
     q, reached = solve_batch(BatchKinematics(robot), batch, np.tile(guesses, (len(targets), 1)))
-    if not reached.reshape(len(targets), -1).any(axis=1).all():
+    return q.reshape(len(targets), len(guesses), -1), reached.reshape(len(targets), len(guesses))
+
+
+def _can_be_reached(
+    robot: bp.Robot, blocks: Sequence[Record], positions: Matrix, rotations: Rotation, corners: Flags
+) -> bool:
+    """Whether some poses of a path, its corners among them, can be reached, clear of everything, each for itself."""
+    some = np.unique(np.append(np.linspace(0, len(positions) - 1, _LOOKED_AT).astype(int), np.flatnonzero(corners)))
+    q, arrived = _solve(robot, positions[some], rotations[some])
+    if not arrived.any(axis=1).all():
         return False
     scene = scene_of(robot, blocks, start=robot.middle, clearance=_CLEARANCE)
     proximity = bp.Proximity(robot, bp.build_obstacles(scene, robot))
     least = proximity.clearance + 0.005
-    for own, arrived in zip(q.reshape(len(targets), -1, robot.n), reached.reshape(len(targets), -1), strict=True):
-        if not any(bool((proximity.distances(one) > least).all()) for one in own[arrived]):
+    for own, good in zip(q, arrived, strict=True):
+        if not any(bool((proximity.distances(one) > least).all()) for one in own[good]):
             return False
     return True
 

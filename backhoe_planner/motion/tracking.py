@@ -29,7 +29,9 @@ _BESIDE = 10.0  # tolerances before and behind an end of a detour in which the t
 _SAME_PLACE = 1e-6  # m: chosen, nearer by less is rounding of a joint path
 _LEAST_SHOWN = 5e-4  # m: what is printed as less is 0.000 m
 _BETTER = 0.1  # part of the tolerances by which a later leg must fit better where a path turns; chosen
-_PARTS = 8  # of a segment in which the tip passes a waypoint, at which its angle is looked at; chosen
+_PARTS = 8  # of a segment in which the tip passes a waypoint, at least, at which its angle is looked at; chosen
+_TURN_PART = 0.25  # of the angle's tolerance by which the tip turns at most between two of them; chosen
+_MOST_PARTS = 2000  # chosen to bound the work
 _LOOK_AHEAD = 0.5  # m of path within which the tip is sought while it follows; chosen
 
 
@@ -354,7 +356,9 @@ def _missed_angles(
             continue
         behind = min(int(np.searchsorted(station[rows], mark, side="right")), len(rows) - 1)
         before, after = rows[max(behind - 1, 0)], rows[behind]
-        parts = np.linspace(0.0, 1.0, _PARTS + 1 if after - before == 1 else 2)[:, None]
+        turned = float(np.sum(np.abs(trajectory.q[after] - trajectory.q[before])))
+        count = max(_PARTS, min(int(np.ceil(turned / (_TURN_PART * angle_tolerance))), _MOST_PARTS))
+        parts = np.linspace(0.0, 1.0, count + 1 if after - before == 1 else 2)[:, None]
         between = (1.0 - parts) * trajectory.q[before] + parts * trajectory.q[after]
         misses = [path.target(mark).distances(kinematics.at(q)) for q in between]
         near = [angle for distance, angle in misses if distance <= tolerance]

@@ -16,6 +16,7 @@ from backhoe_planner.planning.search.postures import PostureResult
 from backhoe_planner.planning.world import World
 from backhoe_planner.site import Obstruction
 
+_NEAR = 0.01  # m: a smaller distance is printed in millimetres
 _SMALL = 1e-6  # m and rad: chosen far below what a message shows
 
 
@@ -131,8 +132,8 @@ def out_of_reach(world: World, best: InverseKinematics, target: TipTarget, what:
     what: the target in words, such as ``goal``.
     """
     tip = world.kinematics.at(best.q).tip_position
-    errors = ((best.position_error, f"{best.position_error:.3f} m"),
-              (best.angle_error, f"{np.degrees(best.angle_error):.1f} deg"))  # fmt: skip
+    metres = f"{best.position_error:.3f} m" if best.position_error > _NEAR else f"{1e3 * best.position_error:.2f} mm"
+    errors = ((best.position_error, metres), (best.angle_error, f"{np.degrees(best.angle_error):.1f} deg"))
     away = " and ".join(words for error, words in errors if error > _SMALL)
     wanted, nearest = (", ".join(f"{value:.2f}" for value in position) for position in (target.position, tip))
     message = f"the {what} ({wanted}) is out of reach: the nearest pose is {away} away, at ({nearest})"

@@ -46,7 +46,8 @@ from backhoe_planner.planning.world import World
 from backhoe_planner.proof import TOUCH, describe_step
 from backhoe_planner.site import ClearanceScreen
 
-_MOST_WAYPOINTS = 32  # that are tried before a path is planned; chosen: a long path has other tests to come
+_MOST_WAYPOINTS = 32  # that are tried from `_GUESSES` before a path is planned; chosen: the others hang on them
+_CARRIED = 2  # configurations of a waypoint before, and of one behind, from which another is tried; chosen
 _GUESSES = 24  # starting points for each of them: as many as `Postures.at` takes
 _MORE_GUESSES = 192  # for one at which everything that was found collides; chosen: eight times as many
 _ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about what chords are off the curve
@@ -82,7 +83,7 @@ class AlongPath:
 
 
 def impossible_waypoint(world: World, path: TipPath) -> Outcome | None:
-    """The first waypoint that is out of reach; None where all that are tried can be reached.
+    """The first waypoint that is out of reach; None where there is none.
 
     Where full poses are asked for and the path may not be left, one at which everything that is
     found collides counts too.
@@ -103,6 +104,7 @@ class _Waypoints:
         self._guesses = np.array([robot.middle, *(robot.random_q(rng) for _ in range(_MORE_GUESSES - 1))])
         # what moves may be gone when the tip comes there
         stays = task is None or task.detour or world.problem.is_dynamic or path.target(0.0).rotation is None
+        self._found: dict[int, Matrix] = {}  # of a waypoint, configurations
         self._screen = None if stays else ClearanceScreen(world.proximity)
 
     def first_impossible(self) -> Outcome | None:
@@ -110,11 +112,27 @@ class _Waypoints:
         count = len(self._path.stations)
         few = np.unique(np.linspace(0, count - 1, min(count, _MOST_WAYPOINTS)).astype(int))
         found = self._first_of(few)
-        if found is None:
-            return None
-        before = few[few < found[0]]
-        between = np.arange(before[-1] + 1 if len(before) else 0, found[0])
-        return (self._first_of(between) or found)[1]
+        last = count if found is None else found[0]
+        others = np.setdiff1d(np.arange(last), few)
+        return (self._first_of(self._not_carried(others)) or found or (0, None))[1]
+
+    def _not_carried(self, indices: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Those of some waypoints that the tip is not put on from what was found for a waypoint beside."""
+        known = np.array(sorted(self._found), dtype=int)
+        targets = {index: self._path.target(float(self._path.stations[index])) for index in indices.tolist()}
+        for number in range(2 * _CARRIED):
+            if not len(indices) or not len(known):
+                break
+            # in turn from the waypoint before and from the one behind
+            behind = np.minimum(np.searchsorted(known, indices), len(known) - 1)
+            beside = known[behind if number % 2 else np.maximum(behind - 1, 0)]
+            guesses = np.array([self._found[other][number // 2 % len(self._found[other])] for other in beside.tolist()])
+            batch = TargetBatch.of([targets[index] for index in indices.tolist()])
+            q, good = solve_batch(self._kinematics, batch, guesses)
+            if self._screen is not None:
+                good[good] = self._screen.keeps(q[good], spare=-TOUCH)
+            indices = indices[~good]
+        return indices
 
     def _first_of(self, indices: NDArray[np.intp]) -> tuple[int, Outcome] | None:
         """The first impossible of some waypoints, and what to say of it."""
@@ -126,6 +144,8 @@ class _Waypoints:
         good = reached if self._screen is None else reached.copy()
         if self._screen is not None:
             good[reached] = self._screen.keeps(q[reached], spare=-TOUCH)
+        for row in np.flatnonzero(good.any(axis=1)).tolist():
+            self._found[int(indices[row])] = q[row][good[row]]
         for row in np.flatnonzero(~good.any(axis=1)).tolist():
             failure = self._failure(int(indices[row]), targets[row])
             if failure is not None:

@@ -49,6 +49,28 @@ def test_without_the_block_the_waypoint_is_clear(tmp_path: Path) -> None:
     assert plan.reason == "budget"  # it went on to the search
 
 
+@pytest.mark.parametrize("machine", ["iiwa"])
+def test_a_corner_three_millimetres_out_of_reach_is_named(machine: str, tmp_path: Path) -> None:
+    """Each of 500 waypoints is tried: the ones beside it can be reached."""
+    problem = draw("corner", load_arm(machine, tmp_path), machine, 1)
+    plan = bp.plan(problem.robot, problem.scene)
+    assert plan.reason == "unreachable"
+    first = "beginning" if problem.impossible == 1 else f"waypoint {problem.impossible}"
+    assert f"{first} of the path" in plan.message
+    assert plan.findings.nearest is not None
+    assert 0.0 < plan.findings.nearest.position_error < 0.0031
+
+
+def test_one_waypoint_of_a_hundred_is_named(backhoe: bp.Robot) -> None:
+    """On a straight path 4 to 5 m ahead, one stands 40 m up."""
+    points = [[x, 0.0, 0.3] for x in np.linspace(4.0, 5.0, 100).tolist()]
+    points[50][2] = 40.0
+    task = {"path": {"waypoints": [{"position": point} for point in points]}}
+    plan = bp.plan(backhoe, bp.scene_from_dict({"version": 1, "task": task}), effort="quick")
+    assert plan.reason == "unreachable"
+    assert "waypoint 51 of the path" in plan.message
+
+
 @pytest.mark.parametrize("detour", [True, False])
 def test_positions_alone_are_searched_as_before(backhoe: bp.Robot, detour: bool) -> None:
     """A path of positions may be followed at another angle; it is resolved before anything is said."""

@@ -128,3 +128,35 @@ def test_only_known_detours_count_once_that_is_said() -> None:
     route = searched.best_route(end=2)
     assert route is not None
     assert route.edges == (first,)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_graph_that_is_split_equals_one_with_all_layers(seed: int) -> None:
+    """Also with what was searched and forbidden before, and with the layers behind the new ones moved on."""
+    rng = np.random.default_rng(seed)
+    layers = [rng.uniform(-1.0, 1.0, (4, 2)) for _ in range(6)]
+    whole = LayeredGraph(np.arange(6.0), layers, cost=quadratic, turning=1e-9, detours=False)
+    split = LayeredGraph(
+        np.array([0.0, 1.0, 4.0, 5.0]), layers[:2] + layers[4:], cost=quadratic, turning=1e-9, detours=False
+    )
+    split.best_route()
+    for index in range(4):  # the last step, which is the fifth of all
+        forbidden = EdgeKind.STEP, (2, index), (3, int(rng.integers(4)))
+        split.forbid(Edge(*forbidden))
+        whole.forbid(Edge(EdgeKind.STEP, (4, index), (5, forbidden[2][1])))
+    split.split(1, np.array([2.0, 3.0]), layers[2:4])
+    one, other = whole.best_route(), split.best_route()
+    assert one is not None
+    assert other is not None
+    assert other.nodes == one.nodes
+    assert other.cost == pytest.approx(one.cost, rel=1e-12)
+    np.testing.assert_array_equal(split.stations, np.arange(6.0))
+
+
+def test_the_cheapest_steps_to_a_layer_one_to_each_node() -> None:
+    """From 0 and 1 to 0.1, 0.8 and 3: by hand 0.01 from 0, 0.04 from 1, and 4 from 1."""
+    searched = graph([[0.0, 1.0], [0.1, 0.8, 3.0]])
+    searched.best_route(np.zeros(2))
+    found = searched.cheapest_steps(1, 2)
+    assert [(edge.start[1], edge.end[1]) for edge in found] == [(0, 0), (1, 1)]
+    assert len(searched.cheapest_steps(1, 9)) == 3

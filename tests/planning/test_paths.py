@@ -11,8 +11,8 @@ from reasons import nearest, obstruction, span
 
 import backhoe_planner as bp
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.motion import PathCost, build_problem, step_lengths
-from backhoe_planner.planning import PathLayers, PathResolver, Stretch, redundancy_of, smooth_stretch
+from backhoe_planner.motion import PathCost, Problem, build_problem, step_lengths
+from backhoe_planner.planning import PathLayers, PathResolver, Resolution, Stretch, redundancy_of, smooth_stretch
 from validation.habitats import load_machine
 from validation.sites import SiteKey, random_site
 
@@ -263,6 +263,42 @@ def test_nodes_are_on_the_path(backhoe: bp.Robot) -> None:
         for q in nodes:
             assert max(target.distances(kinematics.at(q))) < 1e-7
             assert np.all((q >= backhoe.limits.lower) & (q <= backhoe.limits.upper))
+
+
+# --- gaps between layers -------------------------------------------------------------------
+
+
+def resolved_with_two_layers(elbow: bp.Robot, **keys: Any) -> tuple[Problem, Resolution]:
+    """A line 1.5 m ahead, on which the shoulder turns by more than one step may: 0.76 rad."""
+    problem = build_problem(elbow, site([[1.5, y, 0.0] for y in (-0.6, -0.2, 0.2, 0.6)], **keys))
+    assert problem.path is not None
+    proximity = bp.Proximity(elbow, problem.obstacles)
+    resolver = PathResolver(
+        problem, problem.path, proximity=proximity, find_detour=lambda *_: None,
+        cost=PathCost(problem).step_costs, layer=2.0, joint_steps=problem.joint_steps,
+    )  # fmt: skip
+    return problem, resolver.resolve(None, detours=False)
+
+
+@pytest.mark.parametrize("keys", [{}, {"max_joint_step": 0.5}], ids=["free", "within steps"])
+def test_a_gap_between_two_layers_is_split(elbow: bp.Robot, keys: dict[str, float]) -> None:
+    problem, resolved = resolved_with_two_layers(elbow, **keys)
+    assert resolved.obstruction is None
+    [stretch] = resolved.pieces
+    assert isinstance(stretch, Stretch)
+    assert stretch.stations[[0, -1]] == pytest.approx([0.0, 1.2])
+    tips = BatchKinematics(elbow).at(stretch.q).tip_position
+    assert problem.path is not None
+    np.testing.assert_allclose(tips, np.array([problem.path(float(s)) for s in stretch.stations]), atol=1e-7)
+    assert np.max(np.abs(np.diff(stretch.q, axis=0))) < 0.1
+
+
+def test_where_splitting_does_not_help_the_least_step_is_said(elbow: bp.Robot) -> None:
+    """From y = 0.2 to 0.6 the shoulder turns by more than 0.2 rad at waypoints 0.4 m apart, 1.5 m ahead."""
+    _, resolved = resolved_with_two_layers(elbow, max_joint_step=0.2)
+    assert resolved.obstruction is not None
+    assert resolved.step is not None
+    assert resolved.step.after - resolved.step.before == 1
 
 
 # --- smoothing ----------------------------------------------------------------------------

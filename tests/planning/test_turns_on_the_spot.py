@@ -184,6 +184,12 @@ def test_the_asked_angles_are_passed_in_their_order(backhoe: bp.Robot) -> None:
     assert not bp.certify(backhoe, asked, turning(backhoe, -1.8, -1.4, -2.2, -1.8)).tracking.done
 
 
+def test_an_angle_that_is_passed_between_two_samples_counts(backhoe: bp.Robot) -> None:
+    """0.9 rad in 40 steps of 0.0225 rad: -2.2 lies two thirds of a step behind a sample, -2.2046 at no place of one."""
+    asked = site(at(A, -1.6), at(A, -2.2), at(A, -2.5), rotation_tolerance=5e-4)
+    assert bp.certify(backhoe, asked, turning(backhoe, -1.6, -2.5)).tracking.done
+
+
 def test_progress_goes_on_while_the_tip_stands(backhoe: bp.Robot) -> None:
     """A third of a turn of 0.6 rad, which is as long as 0.15 m."""
     problem = build_problem(backhoe, site(*TO_AND_FRO))

@@ -188,6 +188,32 @@ class LayeredGraph:
         self._forget_from(0)
         self._only = tuple(sorted(edges, key=lambda edge: (edge.start, edge.end)))
 
+    def split(self, layer: int, stations: Vector, layers: Sequence[Matrix], *, longest: Matrix | None = None) -> None:
+        """Put further layers between `layer` and the next, on a graph without detours; what was forbidden stays so.
+
+        Parameters
+        ----------
+        stations: (M,) arc lengths between those of the two [m]; layers: (N_m, n) configurations of each.
+        longest: (M + 1, n) as of the graph, for the new layers and the one behind them.
+        """
+        self._forget_from(layer + 1)
+        count = len(layers)
+        self._steps = {row + count * (row > layer): edges for row, edges in self._steps.items() if row != layer + 1}
+        self._turns = {row + count * (row > layer): edges for row, edges in self._turns.items()}
+        self.stations = np.insert(self.stations, layer + 1, stations)
+        self.layers = (*self.layers[: layer + 1], *layers, *self.layers[layer + 1 :])
+        if self._longest is not None:
+            assert longest is not None
+            self._longest = np.vstack((self._longest[: layer + 1], longest, self._longest[layer + 2 :]))
+
+    def cheapest_steps(self, layer: int, most: int) -> list[Edge]:
+        """Up to `most` steps to `layer` from what the last search could reach, one to each node; cheapest first."""
+        values, _ = self._values(self._begin)
+        ends, least, best = self._step_edges(layer).reach(values[layer - 1])
+        order = np.argsort(least, kind="stable")[:most]
+        order = order[np.isfinite(least[order])]
+        return [Edge(EdgeKind.STEP, (layer - 1, int(best[row])), (layer, int(ends[row]))) for row in order.tolist()]
+
     def best_route(self, begin: Vector | None = None, *, end: int | None = None) -> Route | None:
         """The route from the first layer to the last that leaves out least, and of those the cheapest.
 

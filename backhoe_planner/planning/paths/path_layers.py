@@ -86,6 +86,13 @@ class PathLayers:
         self._carry(batch, found, range(len(found) - 2, -1, -1), 1)
         return [nodes if len(nodes) <= _MOST or on_grid else self._few(nodes) for nodes in found]
 
+    def between(self, targets: Sequence[TipTarget], near: Matrix) -> list[Matrix]:
+        """(N_l, n) solutions within the limits for each of L targets, each near one of `near` (N, n)."""
+        batch = TargetBatch.of(targets)
+        rows = np.repeat(np.arange(len(targets)), len(near))
+        q, reached = self._solve_all(batch.take(rows), np.tile(near, (len(targets), 1)))
+        return [self._few(q[reached & (rows == row)]) for row in range(len(targets))]
+
     def _around(self, batch: TargetBatch, begin: Vector) -> Matrix:
         """(N, n) solutions for the first target near and far from `begin` (n,)."""
         rng = np.random.default_rng(0)

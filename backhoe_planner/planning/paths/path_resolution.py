@@ -15,8 +15,8 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import TURN_LEVER, Problem, TipPath, WaypointStep, longest_step
-from backhoe_planner.planning.paths.corners import SHARP
+from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step
+from backhoe_planner.planning.paths.layer_stations import layer_stations, waypoint_stations
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost, step_ratios
 from backhoe_planner.planning.paths.path_layers import PathLayers
 from backhoe_planner.planning.paths.stretch import BENT, JUMP, STRAIGHT_STEP, Stretch
@@ -27,8 +27,6 @@ from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 FindDetour = Callable[[Vector, Vector, float, float], Matrix | None]
 
 _LAYER = 0.05  # m of path between layers; chosen
-_MANY_LAYERS = 160  # chosen to bound the work: a path that needs more has them further apart,
-_WIDEST_LAYER = 5.0 * _LAYER  # m, up to this
 _GRID = np.radians(5.0)  # of the free parameter; chosen: refined afterwards
 _SAME = 1e-9  # m of path: nearer layers are at one place
 _FINE = 0.01  # m of path between the samples of a stretch; chosen
@@ -36,6 +34,12 @@ _EXTENSION = 0.005  # m to within which a detour is begun late and ended early; 
 _NEAR = 0.2  # rad or m: chosen, a joint that moves further in such a step has changed its posture
 _TRIES = 2  # detours between two layers that are looked for in vain before no other is; chosen
 _AS_FAR_PART = 4  # one in so many of routes and node pairs is for how far a path can be followed at all; chosen
+_PATIENCE = 3  # routes that fail in one gap between layers before more of its steps are tested at once; chosen
+_STRIKES = 9  # such routes after which it is split; chosen
+_AT_ONCE = 48  # steps; chosen, they cost as much as two searches
+_PARTS = 4  # into which a gap is split; chosen
+_NARROWEST = 0.0025  # m of path between layers; chosen
+_MOST_SPLITS = 12  # of one path; chosen
 _AT_END = 1e-9  # m: rounding of an arc length
 _FEW = 8  # nodes of a layer that are followed back to where the path is free again; chosen to be quick
 _BLAMED = 64  # configurations at one place at most that are asked what is in their way; chosen to be quick
@@ -122,15 +126,14 @@ class PathResolver:
         self._kinematics = BatchKinematics(problem.robot)
         self._steps = joint_steps
         self._stations = (
-            _layer_stations(path, since, layer) if joint_steps is None else _waypoint_stations(path, since, layer)
+            layer_stations(path, since, layer) if joint_steps is None else waypoint_stations(path, since, layer)
         )
         task = problem.scene.task.path
         self._may_turn = (task is None or task.turn_on_the_spot) and joint_steps is None
         self._targets = [path.target(float(s)) for s in self._stations]
-        self._all = PathLayers(problem.robot, grid=grid, brake=self._work.brake).at(
-            self._stations, self._targets, begin=begin
-        )
-        screen = ClearanceScreen(proximity)
+        self._finder = PathLayers(problem.robot, grid=grid, brake=self._work.brake)
+        self._all = self._finder.at(self._stations, self._targets, begin=begin)
+        self._screen = screen = ClearanceScreen(proximity)
         self._layers = []
         for nodes in self._all:
             self._work.brake.check()
@@ -140,6 +143,7 @@ class PathResolver:
         self._too_long: dict[int, WaypointStep] = {}
         self._off_path = False
         self._routes = 0
+        self._splits = 0
 
     @property
     def first_layer(self) -> Matrix:
@@ -183,7 +187,7 @@ class PathResolver:
                 for end in np.flatnonzero(stations > mark + _SAME).tolist():
                     graph.forbid_detours(start, end)
         self._off_path = off_path
-        pieces = self._search(graph, costs)
+        pieces = self._search(graph, costs, detours=detours)
         return self._as_far(graph, costs) if pieces is None else Resolution(pieces)
 
     def _legs_to(self, stations: Vector) -> Vector:
@@ -196,9 +200,10 @@ class PathResolver:
         effort = self._work.effort
         return self._routes < effort.routes and graph.looked_at < effort.node_pairs
 
-    def _search(self, graph: LayeredGraph, costs: Vector) -> tuple[Stretch | Bypass, ...] | None:
+    def _search(self, graph: LayeredGraph, costs: Vector, *, detours: bool) -> tuple[Stretch | Bypass, ...] | None:
         """The pieces of the best route that can be driven, None where there is no route."""
         failures: dict[tuple[int, int], int] = {}
+        strikes: dict[tuple[float, float], int] = {}
         effort = self._work.effort
         self._routes = 0
         while self._has_effort(graph):
@@ -207,16 +212,73 @@ class PathResolver:
             self._routes += 1
             route = graph.best_route(costs)
             if route is None:
+                if not detours and self._split(graph, graph.furthest(costs)):
+                    continue
                 break
-            if self._make_motions(graph, route) and self._find_detours(graph, route, failures):
+            bad = self._make_motions(graph, route)
+            if not bad and self._find_detours(graph, route, failures):
                 return self._pieces(graph, route)
+            # from the last on: what stands behind a gap that is split moves on
+            for layer in [] if detours else sorted({edge.end[0] for edge in bad if edge.kind is EdgeKind.STEP})[::-1]:
+                gap = float(graph.stations[layer - 1]), float(graph.stations[layer])
+                strikes[gap] = strikes.get(gap, 0) + 1
+                if strikes[gap] % _PATIENCE == 0 and (not self._any_step(graph, layer) or strikes[gap] > _STRIKES):
+                    self._split(graph, layer - 1)
         return None
+
+    # --- gaps ----------------------------------------------------------------------
+
+    def _any_step(self, graph: LayeredGraph, layer: int) -> bool:
+        """Whether any of the cheapest steps to a layer can be driven; those that cannot are forbidden."""
+        edges = graph.cheapest_steps(layer, _AT_ONCE)
+        bad = self._test(graph, edges)
+        return len(bad) < len(edges)
+
+    def _split(self, graph: LayeredGraph, layer: int) -> bool:
+        """Put layers between `layer` and the next, so that steps are short; False where they are short already."""
+        if layer < 0 or layer + 1 >= len(graph.layers) or self._splits >= _MOST_SPLITS:
+            return False
+        if not len(graph.layers[layer + 1]):  # nothing there is clear, whatever lies before it
+            return False
+        low, high = (float(s) for s in graph.stations[layer : layer + 2])
+        if self._steps is None:
+            count = min(_PARTS, int((high - low) / _NARROWEST))
+            stations = np.linspace(low, high, max(count, 1) + 1)[1:-1]
+        else:
+            stations = np.unique(self._path.stations)
+            stations = stations[(stations > low + _SAME) & (stations < high - _SAME)]
+            stations = stations[:: max(len(stations) // (_PARTS - 1), 1)]
+        own = layer - (len(graph.layers) - len(self._layers))  # a beginning off the path is a layer of the graph alone
+        if not len(stations) or own < 0:
+            return False
+        self._splits += 1
+        targets = [self._path.target(float(s)) for s in stations]
+        found = self._finder.between(targets, np.vstack(self._all[own : own + 2]))
+        clear = [nodes[self._screen.keeps(nodes, time=self._time, spare=-TOUCH)] for nodes in found]
+        behind = slice(own + 1, own + 1)
+        self._all[behind], self._layers[behind], self._targets[behind] = found, clear, targets
+        self._stations = np.insert(self._stations, own + 1, stations)
+        around = np.concatenate((graph.stations[[layer]], stations, graph.stations[[layer + 1]]))
+        longest = None if self._steps is None else self._legs_to(around)[1:, None] * self._steps
+        graph.split(layer, stations, clear, longest=longest)
+
+        def moved(edge: Edge) -> Edge:
+            (a, i), (b, j) = edge.start, edge.end
+            return Edge(edge.kind, (a + len(found) * (a > layer), i), (b + len(found) * (b > layer), j))
+
+        across = {edge for edge in self._motions if edge.start[0] == layer and edge.end[0] == layer + 1}
+        self._motions = {moved(edge): motion for edge, motion in self._motions.items() if edge not in across}
+        self._too_long = {row + len(found) * (row > layer): step for row, step in self._too_long.items()}
+        return True
 
     # --- edges ---------------------------------------------------------------------
 
-    def _make_motions(self, graph: LayeredGraph, route: Route) -> bool:
-        """Make the motions of a route along the path; forbid those that are not clear. True where all are."""
-        edges = [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR]
+    def _make_motions(self, graph: LayeredGraph, route: Route) -> list[Edge]:
+        """Make the motions of a route along the path; those that are not clear, which are forbidden."""
+        return self._test(graph, [edge for edge in route.edges if edge.kind is not EdgeKind.DETOUR])
+
+    def _test(self, graph: LayeredGraph, edges: list[Edge]) -> list[Edge]:
+        """Make the motions of some edges; those that are not clear, which are forbidden."""
         self._work.brake.check()
         fresh = [edge for edge in edges if edge not in self._motions]
         for edge, motion in zip(fresh, self._interpolate(graph, fresh), strict=True):
@@ -225,7 +287,7 @@ class PathResolver:
         bad = [edge for edge in edges if self._motions[edge] is None]
         for edge in bad:
             graph.forbid(edge)
-        return not bad
+        return bad
 
     def _interpolate(self, graph: LayeredGraph, edges: list[Edge]) -> list[Stretch | None]:
         """The motions between nodes with the tip on the path; None where there is none."""
@@ -430,7 +492,7 @@ class PathResolver:
                 break
             route = graph.best_route(costs, end=reached)
             assert route is not None
-            if not self._make_motions(graph, route):
+            if self._make_motions(graph, route):
                 continue
             layer, index = route.nodes[-1]
             step = self._least_step(graph, costs, layer)
@@ -445,37 +507,6 @@ class PathResolver:
             break
         obstruction = replace(self._obstruction(*beyond), path_from=left, path_to=self._free_again(left))
         return Resolution(pieces, obstruction, step, self._routes, not self._has_effort(graph))
-
-
-def _layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
-    """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither goes nor turns far between."""
-    fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
-    turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]
-    measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + TURN_LEVER * np.array(turns))))
-    fewer = max(_MANY_LAYERS, int(np.ceil(measure[-1] / _WIDEST_LAYER)))
-    count = min(max(int(np.ceil(measure[-1] / spacing)), 1), fewer)
-    found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
-    found[0], found[-1] = since, path.length
-    # where a turn begins or ends the joints change their direction: a layer of its own, instead of one near it
-    marks = path.stations[path.turned_waypoints]
-    marks = marks[np.isin(marks, path.corners(SHARP))]
-    marks = marks[(marks > since) & (marks < path.length)]
-    if len(marks):
-        near = 0.5 * (path.length - since) / count
-        inner = [s for s in found[1:-1] if np.min(np.abs(marks - s)) > near]
-        found = np.unique(np.concatenate((found[[0, -1]], inner, marks)))
-    return np.asarray(found)
-
-
-def _waypoint_stations(path: TipPath, since: float, spacing: float) -> Vector:
-    """(L,) arc lengths [m] from `since` to the end at waypoints, of near ones only some."""
-    marks = np.unique(path.stations[path.stations > since + _SAME])
-    kept, must = [since], set(path.stations[path.turned_waypoints].tolist())
-    spacing = max(spacing, (path.length - since) / _MANY_LAYERS)
-    for mark in marks[:-1].tolist():
-        if mark in must or mark - kept[-1] > spacing - _SAME:
-            kept.append(mark)
-    return np.array([*kept, marks[-1]])
 
 
 def _append(pieces: list[Stretch | Bypass], motion: Stretch) -> Vector:

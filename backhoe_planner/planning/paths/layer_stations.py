@@ -1,0 +1,46 @@
+"""Where on a path the layers of the graph stand."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.motion import TURN_LEVER, TipPath
+from backhoe_planner.planning.paths.corners import SHARP
+
+_MANY_LAYERS = 160  # chosen to bound the work: a path that needs more has them further apart,
+_WIDEST_LAYER = 0.25  # m, up to this: five times the usual
+_SAME = 1e-9  # m of path: nearer layers are at one place
+
+
+def layer_stations(path: TipPath, since: float, spacing: float) -> Vector:
+    """(L,) arc lengths [m] from `since` to the end, so dense that the tip neither goes nor turns far between."""
+    fine = np.unique(np.concatenate((np.linspace(since, path.length, 201), path.stations[path.stations > since])))
+    turns = [path.turn(float(a), float(b)) for a, b in pairwise(fine)]
+    measure = np.concatenate(([0.0], np.cumsum(np.diff(fine) + TURN_LEVER * np.array(turns))))
+    fewer = max(_MANY_LAYERS, int(np.ceil(measure[-1] / _WIDEST_LAYER)))
+    count = min(max(int(np.ceil(measure[-1] / spacing)), 1), fewer)
+    found = np.interp(np.linspace(0.0, measure[-1], count + 1), measure, fine)
+    found[0], found[-1] = since, path.length
+    # where a turn begins or ends the joints change their direction: a layer of its own, instead of one near it
+    marks = path.stations[path.turned_waypoints]
+    marks = marks[np.isin(marks, path.corners(SHARP))]
+    marks = marks[(marks > since) & (marks < path.length)]
+    if len(marks):
+        near = 0.5 * (path.length - since) / count
+        inner = [s for s in found[1:-1] if np.min(np.abs(marks - s)) > near]
+        found = np.unique(np.concatenate((found[[0, -1]], inner, marks)))
+    return np.asarray(found)
+
+
+def waypoint_stations(path: TipPath, since: float, spacing: float) -> Vector:
+    """(L,) arc lengths [m] from `since` to the end at waypoints, of near ones only some."""
+    marks = np.unique(path.stations[path.stations > since + _SAME])
+    kept, must = [since], set(path.stations[path.turned_waypoints].tolist())
+    spacing = max(spacing, (path.length - since) / _MANY_LAYERS)
+    for mark in marks[:-1].tolist():
+        if mark in must or mark - kept[-1] > spacing - _SAME:
+            kept.append(mark)
+    return np.array([*kept, marks[-1]])
