@@ -6,6 +6,7 @@ from .errors import RobotError as RobotError
 from .errors import SceneError as SceneError
 from .law import CompletedLaw as CompletedLaw
 from .law import CriticalRows as CriticalRows
+from .law import Kept as Kept
 from .law import Shield as Shield
 from .law import Shielded as Shielded
 from .law import TaskInverse as TaskInverse

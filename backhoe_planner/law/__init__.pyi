@@ -32,5 +32,6 @@ from .qp import QuadraticProgram as QuadraticProgram
 from .qp import Rows as Rows
 from .qp import solve_program as solve_program
 from .qp import step_on_path as step_on_path
+from .shield import Kept as Kept
 from .shield import Shield as Shield
 from .shield import Shielded as Shielded

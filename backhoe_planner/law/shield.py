@@ -2,6 +2,7 @@
 
     min_v  (v - v_w)^T W (v - v_w)
     s.t.   g_i v + drift_i >= -gamma margin_i         every nearby pair       (soft)
+           k_i v >= -gamma left_i                         everything that is to be kept   (soft)
            v within velocity, acceleration and braking limits of each joint   (hard)
 
 W weighs the change by its effect on the tip: leaving the wished direction costs most, going
@@ -18,6 +19,7 @@ be met costs a price instead of an error, and the missing speed is reported.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +34,19 @@ _STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, 
 _RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
 _MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
+
+
+class Kept(NamedTuple):
+    """What is to be kept beside clearances, such as a band of the pitch.
+
+    Attributes
+    ----------
+    margin: (K,) what is left of each condition; negative where it is not kept [unit of its own].
+    gradient: (K, n) of the margins with respect to the joints.
+    """
+
+    margin: Vector
+    gradient: Matrix
 
 
 @dataclass(frozen=True)
@@ -158,15 +173,22 @@ class Shield:
         nearby: Nearby,
         J_tip: Matrix,
         extra_margin: Vector | float = 0.0,
+        kept: Kept | None = None,
     ) -> Shielded:
-        """The same for callers in a loop, whose arguments are right as they are made."""
+        """The same for callers in a loop, whose arguments are right as they are made.
+
+        Parameters
+        ----------
+        kept: what is to be kept beside the clearances.
+        """
         low, high = self._bounds(q, v_before, dt)
         time = max(self._braking_time(v_before), self._braking_time(wish))
         clearance, pairs = self._clearance_rows(nearby, time, dt, extra_margin)
-        if (wish >= low).all() and (wish <= high).all() and clearance.are_kept_by(wish):
+        keep = Rows.none("keep", self._n) if kept is None else self._keep_rows(kept, time, dt)
+        if (wish >= low).all() and (wish <= high).all() and clearance.are_kept_by(wish) and keep.are_kept_by(wish):
             return Shielded(v=wish, slack=0.0, binding=pairs[:0])
         H = self._weight(wish, J_tip)
-        solution = solve_program(QuadraticProgram(H, -H @ wish, low, high, (clearance,)))
+        solution = solve_program(QuadraticProgram(H, -H @ wish, low, high, (clearance, keep)))
         x = self._braked(v_before, dt) if solution is None else solution.x
         v = np.minimum(np.maximum(x, low), high)
         over = clearance.G @ v - clearance.h
@@ -186,6 +208,12 @@ class Shield:
             along = tip @ J_tip
             H -= (_ACROSS - _ALONG) / speed2 * np.outer(along, along)
         return np.asarray(H)
+
+    def _keep_rows(self, kept: Kept, braking_time: float, dt: float) -> Rows:
+        """The rows -k v <= gamma left."""
+        gamma = _STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt)
+        back = -np.minimum(-_RECOVERY * kept.margin, _FASTEST_RECOVERY)
+        return Rows("keep", -kept.gradient, np.where(kept.margin >= 0.0, gamma * kept.margin, back))
 
     def _clearance_rows(
         self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float

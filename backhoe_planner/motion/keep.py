@@ -15,6 +15,10 @@ from backhoe_planner.motion.conditions import Condition, PitchBand, RotationCone
 
 KEPT_TO = 1e-6  # rad or m by which a condition may be missed; chosen: rounding of a motion's samples is far below
 _SEARCHED = 0.9  # part of a cone that inverse kinematics uses; chosen, so that rounding never leaves it
+_NEWTON = 20  # steps of a projection; chosen: it doubles the digits with each, once it is near
+_INTO = 1e-4  # rad or m into the allowed range to which is projected; chosen, above what a step misses near it
+_DAMPED = 1e-9  # rad^2 or m^2; chosen: far below what any joint does
+_LONGEST_STEP = 0.5  # rad or m of a joint in one of them; chosen: further the gradient says little
 _MOST_PARTS = 256  # of one straight motion; chosen: what is undecided then is too tight to be worth more
 
 
@@ -99,6 +103,23 @@ class Keep:
             else self._holds_round(one, q_a, corner, q_b, sagitta)
             for one in self.conditions
         )
+
+    def project(self, q: Vector, lower: Vector, upper: Vector) -> Vector | None:
+        """A configuration (n,) near `q` (n,) at which all is kept, within `lower` and `upper` (n,); None if not found.
+
+        Newton's steps of least length on the conditions that do not hold, a little into the allowed range.
+        """
+        found = np.clip(self.robot.check_q(q), lower, upper)
+        for _ in range(_NEWTON):
+            if self.holds(found):
+                return found
+            margins, gradients = self.margins(found), self.gradients(found)
+            rows = margins < 0.0
+            G, missing = gradients[rows], _INTO - margins[rows]
+            step = G.T @ np.linalg.lstsq(G @ G.T + _DAMPED * np.eye(len(G)), missing, rcond=None)[0]
+            longest = float(np.max(np.abs(step), initial=0.0))
+            found = np.clip(found + step * min(1.0, _LONGEST_STEP / max(longest, _LONGEST_STEP)), lower, upper)
+        return found if self.holds(found) else None
 
     def narrowed(self, target: TipTarget) -> TipTarget | None:
         """The target and what is to be kept, as far as a target can say it; None where they exclude each other."""

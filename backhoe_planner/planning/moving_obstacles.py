@@ -112,7 +112,8 @@ class _OverTime:
         tightest = min((spot for spot in spots if spot is not None), key=lambda spot: spot.margin, default=None)
         held = known.stepper(stepper.q)
         held.replay(stepper.trajectory(), stepper.time)
-        message = f"no motion was found that keeps clear of what moves ({moving[0]})"
+        kept = "" if known.problem.keep is None else ", and keeps what is asked for on the whole way"
+        message = f"no motion was found that keeps clear of what moves ({moving[0]}){kept}"
         return Outcome(held.trajectory(), "blocked", message, Findings(obstruction=tightest))
 
     def _motions(self, stepper: Stepper, known: World, still: World) -> Iterator[Outcome]:
@@ -145,7 +146,9 @@ class _OverTime:
         moving = known.stepper(motion.q[0])
         moving.replay(motion, moment)
         swerved = self._task.in_motion(known, moving.branch(attempt=1))
-        if swerved is not None and not _is_clear(known.proximity, swerved.trajectory, moment):
+        if swerved is not None and not (
+            _is_clear(known.proximity, swerved.trajectory, moment) and known.keeps(swerved.trajectory)
+        ):
             swerved = None
         again, way, stopped_at = self._stop_and_plan(known, moving, motion, moment)
         if swerved is not None and (again.reason or self._duration(swerved) <= self._duration(again)):
@@ -156,11 +159,12 @@ class _OverTime:
         """`motion` up to `moment` [s], then to rest, and on from there."""
         stopped = moving.branch(attempt=moving.attempt)
         braked = _brake_along(motion, moment, self._limits)
-        if braked is not None and _is_clear(known.proximity, braked, moment):
+        if braked is not None and _is_clear(known.proximity, braked, moment) and known.keeps(braked):
             stopped.replay(braked, braked.duration)
             stopped.v = np.zeros_like(stopped.q)
         elif not stopped.give_way(moment):
-            return self._halt(motion, moment, "it comes too near all the same")
+            kept = "" if known.problem.keep is None else ", or what is to be kept would be lost"
+            return self._halt(motion, moment, f"it comes too near all the same{kept}")
         outcome = self._among_known(stopped)
         if outcome.reason and outcome.trajectory.duration < stopped.time:
             outcome = replace(outcome, trajectory=stopped.trajectory())
@@ -215,12 +219,15 @@ def _swept_world(known: World, since: float, horizon: float) -> World:
 
 def _refuges(known: World, stepper: Stepper) -> Iterator[Stepper]:
     """Motions to where no moving obstacle will pass, at rest there until all have passed."""
-    robot = known.problem.robot
+    robot, limits, keep = known.problem.robot, known.problem.limits, known.problem.keep
     rng = np.random.default_rng(known.seed)
     passed = _swept_world(known, stepper.time, _HORIZONS[-1]).proximity
     clear = []
     for spread in np.linspace(0.1, 1.0, _REFUGES):
-        q = stepper.q + spread * (robot.random_q(rng) - stepper.q)
+        sampled = stepper.q + spread * (robot.random_q(rng) - stepper.q)
+        q = sampled if keep is None else keep.project(sampled, limits.lower, limits.upper)
+        if q is None:
+            continue
         tightest = passed.tightest(q)
         if tightest is None or tightest.margin > _ROOM:
             clear.append(q)

@@ -26,6 +26,23 @@ def keep_of(robot: bp.Robot, **keep: Any) -> Keep:
     return found
 
 
+def test_a_projection_keeps_everything_and_leaves_alone_what_does(backhoe: bp.Robot) -> None:
+    keep = keep_of(backhoe, pitch=[-2.75, -2.65], above=0.2)
+    rng, limits, found = np.random.default_rng(0), backhoe.limits, 0
+    for _ in range(50):
+        q = backhoe.random_q(rng)
+        projected = keep.project(q, limits.lower, limits.upper)
+        if projected is not None:
+            found += 1
+            assert keep.holds(projected)
+            assert np.all(projected >= limits.lower)
+            assert np.all(projected <= limits.upper)
+            again = keep.project(projected, limits.lower, limits.upper)
+            assert again is not None
+            np.testing.assert_array_equal(again, projected)
+    assert found >= 25  # half of them; by chance one in a hundred is in the band alone
+
+
 def condition_of(robot: bp.Robot, **keep: Any) -> Condition:
     (found,) = keep_of(robot, **keep).conditions
     return found

@@ -10,7 +10,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.motion import build_problem
-from backhoe_planner.planning import plan_to_dict
+from backhoe_planner.planning import EFFORTS, Work, World, plan_to_dict
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
 Data = dict[str, Any]
@@ -162,6 +162,36 @@ def test_a_band_of_ten_degrees_is_found_among_random_posts(backhoe: bp.Robot, se
     plan = bp.plan(backhoe, scene)
     assert plan.verified, plan.message
     assert np.max(np.abs(pitches(plan) - pitch)) <= half + 1e-6
+
+
+# --- among what moves ----------------------------------------------------------------------
+
+
+def walking(x: float, y: float, velocity: list[float], **keys: Any) -> Data:
+    body = {"name": "worker", "shape": "capsule", "from": [x, y, 0.0], "to": [x, y, 1.8], "radius": 0.3}
+    return body | {"clearance": 0.3, "velocity": velocity} | keys
+
+
+def test_giving_way_keeps_the_band(backhoe: bp.Robot) -> None:
+    """A ball rises against the bucket: with the pitch free that tips by more than the 6 degrees of the band."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [2.6, 0.0, -2.2], "clearance": 0.3}
+    tips = []
+    for keep in ({"below": 50.0}, {"pitch": [-2.8, -2.6]}):
+        scene = site(A, B, keep, ball | {"velocity": [0.0, 0.0, 0.2]})
+        stepper = World(build_problem(backhoe, scene), seed=0, work=Work(EFFORTS["quick"])).stepper(np.array(A))
+        stepper.give_way(4.0)
+        tips.append(np.max(np.abs(stepper.trajectory().q[:, 1:].sum(axis=1) + 2.7)))
+    assert tips[0] > 0.1
+    assert tips[1] <= 0.1 + 1e-6
+
+
+def test_a_worker_who_steps_in_is_passed_within_the_band(backhoe: bp.Robot) -> None:
+    worker = walking(2.0, 2.6, [0.0, -0.7, 0.0], appears_at=0.5)
+    plan = bp.plan(backhoe, site((-0.8, *A[1:]), B, {"pitch": [-2.8, -2.6]}, worker), effort="quick")
+    assert plan.verified, plan.message
+    assert np.max(np.abs(pitches(plan) + 2.7)) <= 0.1 + 1e-6
+    (reaction,) = plan.findings.reactions
+    assert reaction.way == "stopped and planned anew"
 
 
 # --- along a path --------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.law import Shield, Shielded
+from backhoe_planner.law import Kept, Shield, Shielded
 from backhoe_planner.machine import Configuration, Kinematics
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory
 from backhoe_planner.proof import segment_is_clear
@@ -23,6 +23,7 @@ from backhoe_planner.site import Nearby, Proximity
 
 STEP = SAMPLE_PERIOD  # s: a step is a sample of the motion
 _BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen
+_KEEP_BUFFER = 1e-4  # rad or m by which a step that was not kept is tried again further within; chosen
 _HALVINGS = 5  # of the time of a step, tried in turn; chosen: the last is about a millisecond
 _CORRECTIONS = 3  # tries with more distance at one length of the step; chosen
 _LONGEST_STOP = 10.0  # s after which giving way is given up; chosen: long for a stop
@@ -120,19 +121,24 @@ class Stepper:
         J_tip: (3, n) position Jacobian of the tip; zeros where only the joints count.
         dt: time of the step [s]; a shorter one is taken where this is not clear.
         """
+        keep = self.problem.keep
+        kept = None if keep is None else Kept(keep.margins(self.q), keep.gradients(self.q))
         for _ in range(_HALVINGS):
             extra = np.full(len(nearby), _BUFFER)
             # two half steps beside each other share the change of velocity
             span = 0.5 * (dt + self._last_dt)
             for _ in range(_CORRECTIONS):
                 shielded = self._shield.filter_unchecked(
-                    wish, q=self.q, v_before=self.v, dt=span, nearby=nearby, J_tip=J_tip, extra_margin=extra
+                    wish, q=self.q, v_before=self.v, dt=span, nearby=nearby, J_tip=J_tip, extra_margin=extra, kept=kept
                 )
                 q = self._within_limits(self.q + shielded.v * dt)
-                if segment_is_clear(self.proximity, self.q, q, time=self.time, dt=dt):
+                is_kept = self._is_kept(q)
+                if is_kept and segment_is_clear(self.proximity, self.q, q, time=self.time, dt=dt):
                     self._take(q, dt, shielded)
                     return True
                 extra = extra + self._shortfall(q, dt, nearby)
+                if kept is not None and not is_kept:
+                    kept = self._tighter(kept, q)
             dt *= 0.5
         return self._brake(dt)
 
@@ -228,10 +234,21 @@ class Stepper:
         span = 0.5 * (dt + self._last_dt)
         v = self.v * max(1.0 - span / time, 0.0) if time > 0.0 else self.v
         q = self._within_limits(self.q + v * dt)
-        if not segment_is_clear(self.proximity, self.q, q, time=self.time, dt=dt):
+        if not self._is_kept(q) or not segment_is_clear(self.proximity, self.q, q, time=self.time, dt=dt):
             return False
         self._take(q, dt, None)
         return True
+
+    def _is_kept(self, q: Vector) -> bool:
+        """Whether the step to `q` (n,) keeps what the problem asks for; true where the machine does not stand in it."""
+        keep = self.problem.keep
+        return keep is None or not keep.holds(self.q) or keep.segment_holds(self.q, q)
+
+    def _tighter(self, kept: Kept, q: Vector) -> Kept:
+        """What is to be kept, with less left, by what the step to `q` (n,) misses."""
+        assert self.problem.keep is not None
+        missing = np.maximum(-self.problem.keep.margins(q), 0.0)
+        return Kept(kept.margin - 2.0 * missing - _KEEP_BUFFER, kept.gradient)
 
     def _within_limits(self, q: Vector) -> Vector:
         limits = self.problem.limits
