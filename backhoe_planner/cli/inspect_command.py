@@ -36,6 +36,7 @@ def inspect(
     _print_joints(robot, limits)
     _print_held(robot)
     OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
+    _print_meshes(robot)
     _print_self_collision(robot)
     _print_dh_table(robot)
     _print_envelope(robot)
@@ -102,6 +103,15 @@ def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
 
 def _or_none(limit: float, digits: str, unit: str) -> str:
     return f"{limit:{digits}} {unit}" if math.isfinite(limit) else "none"
+
+
+def _print_meshes(robot: bp.Robot) -> None:
+    """How many pieces of meshes were made, or came from the cache folder."""
+    of_meshes = [solid.cached for solid in robot.solids if solid.cached is not None]
+    if of_meshes:
+        OUT.print(
+            f"\nmeshes        {len(of_meshes)} convex pieces, {sum(of_meshes)} of them from {machine.cache_folder()}"
+        )
 
 
 def _print_self_collision(robot: bp.Robot) -> None:

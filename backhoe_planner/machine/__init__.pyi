@@ -46,4 +46,6 @@ from .shape.convex import convex_cover as convex_cover
 from .shape.convex import load_mesh as load_mesh
 from .shape.convex import terrain_columns as terrain_columns
 from .shape.convex import voxel_boxes as voxel_boxes
+from .shape.cover_cache import cache_folder as cache_folder
+from .shape.cover_cache import mesh_cover as mesh_cover
 from .shape.shapes import Piece as Piece

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -16,7 +16,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError
 from backhoe_planner.machine.description.plain_urdf import Geometry
 from backhoe_planner.machine.description.urdf import Urdf, se3
-from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
+from backhoe_planner.machine.shape.cover_cache import mesh_cover
 from backhoe_planner.machine.shape.shapes import Piece, box, convex, cylinder, sphere
 
 # volume of a mesh's hull over its own, up to which the hull stands for the link: a solid link with recesses
@@ -52,11 +52,18 @@ class LinkSolid:
     link: the URDF link to which it belongs.
     T_link_solid: its place on the link.
     piece_at: the piece at a placement T_body_solid.
+    cached: whether its corners came from the cache folder; None where it is no piece of a mesh.
     """
 
     link: str
     T_link_solid: pin.SE3
     piece_at: Callable[[pin.SE3], Piece]
+    cached: bool | None = None
+
+
+class _Solid(NamedTuple):
+    piece_at: Callable[[pin.SE3], Piece]
+    cached: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +100,7 @@ def _mesh_scale(mesh: Any) -> Vector:
 
 
 def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
-    """Convex solids that contain the collision shape of every link; this decomposes meshes, which takes long.
+    """Convex solids that contain the collision shape of every link. Dividing a mesh that was not met before takes long.
 
     Where no link of the URDF has a collision shape, what it draws is taken as its shape.
 
@@ -118,7 +125,7 @@ def link_solids(urdf: Urdf) -> tuple[tuple[LinkSolid, ...], tuple[str, ...]]:
                 solids = _solids_of(urdf, shape.geometry)
             except InputError as error:
                 raise RobotError(str(error), file=urdf.path, key=f"link {link.name!r} > {kind}") from error
-            found += [LinkSolid(link.name, se3(shape.origin), solid) for solid in solids]
+            found += [LinkSolid(link.name, se3(shape.origin), *solid) for solid in solids]
     warnings = []
     if drawn and found:
         warnings.append("no link has a <collision>: what is drawn of the links is taken as their shape")
@@ -139,20 +146,19 @@ def link_pieces(solids: Iterable[LinkSolid], model: pin.Model) -> tuple[LinkPiec
     return tuple(found)
 
 
-def _solids_of(urdf: Urdf, geometry: Geometry) -> list[Callable[[pin.SE3], Piece]]:
+def _solids_of(urdf: Urdf, geometry: Geometry) -> list[_Solid]:
     if geometry.box is not None:
-        return [partial(box, geometry.box.size)]
+        return [_Solid(partial(box, geometry.box.size))]
     if geometry.sphere is not None:
-        return [partial(sphere, geometry.sphere.radius)]
+        return [_Solid(partial(sphere, geometry.sphere.radius))]
     if geometry.cylinder is not None:
-        return [partial(cylinder, geometry.cylinder.radius, geometry.cylinder.length)]
+        return [_Solid(partial(cylinder, geometry.cylinder.radius, geometry.cylinder.length))]
     path = urdf.mesh_path(geometry.mesh.filename)
     if path is None:
         raise InputError("mesh file not found", found=geometry.mesh.filename)
-    mesh = load_mesh(path)
-    mesh.apply_scale(_mesh_scale(geometry.mesh))
-    cover = convex_cover(mesh, pieces=_PIECES_PER_LINK_MESH, excess=_LINK_HULL_EXCESS)
-    return [partial(convex, points) for points in cover]
+    scale = _mesh_scale(geometry.mesh)
+    cover = mesh_cover(path, scale, pieces=_PIECES_PER_LINK_MESH, excess=_LINK_HULL_EXCESS)
+    return [_Solid(partial(convex, points), cover.cached) for points in cover.pieces]
 
 
 def visuals_of(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:

@@ -15,7 +15,7 @@ import pinocchio as pin
 from pydantic import Field, field_validator, model_validator
 
 from backhoe_planner.files.records import Record
-from backhoe_planner.machine import convex_cover, load_mesh, terrain_columns, voxel_boxes
+from backhoe_planner.machine import mesh_cover, terrain_columns, voxel_boxes
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.schema.names import Name
 from backhoe_planner.site.schema.quantities import (
@@ -187,9 +187,8 @@ class Mesh(PlacedRecord):
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Hulls that cover every triangle of the mesh."""
-        mesh = load_mesh(folder / self.file)
-        mesh.apply_scale(self.scale)
-        return [shapes.convex(points, self.placement) for points in convex_cover(mesh)]
+        cover = mesh_cover(folder / self.file, np.asarray(self.scale, dtype=float))
+        return [shapes.convex(points, self.placement) for points in cover.pieces]
 
 
 class HeightMap(PlacedRecord):

@@ -1,0 +1,133 @@
+"""Convex pieces of mesh files, kept in the user's cache folder, since dividing a mesh takes seconds.
+
+An entry belongs to the bytes of a mesh file, to its scale and the bounds it was divided with, to
+the code that divides meshes and to the versions of the libraries that it calls. It begins with a
+checksum of all that, and of what follows. An entry that is damaged is made anew; one that cannot
+be written costs time only. The folder may be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import sys
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.errors import OutputError
+from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
+
+_WHOLE = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # suffixes of files that hold their mesh in themselves
+_LIBRARIES = ("vhacdx", "trimesh", "pycollada", "scipy", "numpy")
+_MAKERS = ("convex.py", "shapes.py", "thinning.py")  # beside this file
+_CHECKSUM = 32  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Convex pieces that contain every triangle of a mesh.
+
+    Attributes
+    ----------
+    pieces: corners (k, 3) of each [m], see `convex_cover`.
+    cached: whether they came from the cache folder.
+    """
+
+    pieces: list[Matrix]
+    cached: bool
+
+
+def cache_folder() -> Path:
+    """Where the pieces of meshes are kept, whether or not it exists yet.
+
+    ``XDG_CACHE_HOME`` where it is set to an absolute path; else the user's folder of caches on this system.
+    """
+    home, asked = Path.home(), os.environ.get("XDG_CACHE_HOME", "")
+    if Path(asked).is_absolute():
+        above = Path(asked)
+    elif sys.platform == "darwin":
+        above = home / "Library" / "Caches"
+    elif sys.platform == "win32":
+        above = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    else:
+        above = home / ".cache"
+    return above / "backhoe_planner" / "convex_pieces"
+
+
+def mesh_cover(path: Path, scale: float | Vector, *, pieces: int = 16, excess: float = 1.08) -> Cover:
+    """The convex pieces of a mesh file, from the cache folder where they are there, and else into it.
+
+    Parameters
+    ----------
+    path: of the mesh.
+    scale: of the file's units to metres, one number or (3,).
+    pieces, excess: see `convex_cover`.
+
+    Raises
+    ------
+    InputError: see `load_mesh` and `convex_cover`.
+    """
+    entry, key = None, b""
+    if path.suffix.lower() in _WHOLE:
+        with contextlib.suppress(OSError, RuntimeError, ImportError):  # `load_mesh` says what is wrong; or no home
+            key = _key(path.read_bytes(), scale, pieces, excess)
+            entry = cache_folder() / f"{key.hex()}.pieces"
+            kept = _read(entry, key)
+            if kept is not None:
+                return Cover(kept, cached=True)
+    mesh = load_mesh(path)
+    mesh.apply_scale(scale)
+    found = convex_cover(mesh, pieces=pieces, excess=excess)
+    if entry is not None:
+        _keep(entry, key, found)
+    return Cover(found, cached=False)
+
+
+def _key(mesh: bytes, scale: float | Vector, pieces: int, excess: float) -> bytes:
+    asked = repr((np.full(3, scale, dtype=float).tolist(), pieces, excess))
+    return hashlib.sha256(hashlib.sha256(mesh).digest() + _maker() + asked.encode()).digest()
+
+
+@cache
+def _maker() -> bytes:
+    """A digest of the code that divides meshes, and of the versions of what it calls."""
+    from importlib.metadata import version
+
+    digest = hashlib.sha256()
+    for file in _MAKERS:
+        digest.update(Path(__file__).with_name(file).read_bytes())
+    digest.update(" ".join(version(library) for library in _LIBRARIES).encode())
+    return digest.digest()
+
+
+def _read(entry: Path, key: bytes) -> list[Matrix] | None:
+    """The pieces of an entry; None where there is none, or a damaged one."""
+    try:
+        content = entry.read_bytes()
+    except OSError:
+        return None
+    body = content[_CHECKSUM:]
+    if content[:_CHECKSUM] != hashlib.sha256(key + body).digest():
+        return None
+    stream = io.BytesIO(body)
+    ends, corners = (np.load(stream, allow_pickle=False) for _ in range(2))
+    return np.split(corners, ends)
+
+
+def _keep(entry: Path, key: bytes, found: list[Matrix]) -> None:
+    """Write an entry, whole or not at all: another process may write the same one now."""
+    stream = io.BytesIO()
+    np.save(stream, np.cumsum([len(corners) for corners in found])[:-1], allow_pickle=False)
+    np.save(stream, np.vstack(found), allow_pickle=False)
+    body = stream.getvalue()
+    with contextlib.suppress(OSError, OutputError):
+        entry.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(entry, "wb") as file:
+            file.write(hashlib.sha256(key + body).digest() + body)
