@@ -50,6 +50,7 @@ from .search.effort import Effort as Effort
 from .search.effort import OutOfTime as OutOfTime
 from .search.effort import Work as Work
 from .search.motion_check import MotionCheck as MotionCheck
+from .search.sampled_check import SampledCheck as SampledCheck
 from .search.sampling import JointPath as JointPath
 from .search.sampling import sample_path as sample_path
 from .search.shortening import shorten as shorten

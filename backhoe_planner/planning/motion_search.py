@@ -19,7 +19,7 @@ from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.goal_postures import GoalPostures
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.effort import OutOfTime
-from backhoe_planner.planning.search.motion_check import MotionCheck
+from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.search.sampling import sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world import World
@@ -170,7 +170,7 @@ class MotionSearch:
         """The motion along a sampled and shortened way to one of the postures `ends`."""
         work, start = self._world.work, self._start
         goals = [self._postures[index] for index in ends]
-        check = MotionCheck(
+        check = SampledCheck(
             self._problem, self._world.proximity, [start, *goals],
             spare=_SPARES[turn % len(_SPARES)], time=self._time, brake=work.brake,
         )  # fmt: skip

@@ -105,7 +105,7 @@ class _Waypoints:
         # what moves may be gone when the tip comes there
         stays = task is None or task.detour or world.problem.is_dynamic or path.target(0.0).rotation is None
         self._found: dict[int, Matrix] = {}  # of a waypoint, configurations
-        self._screen = None if stays else ClearanceScreen(world.proximity)
+        self._screen = None if stays else ClearanceScreen(world.proximity, spare=-TOUCH)
 
     def first_impossible(self) -> Outcome | None:
         """As `impossible_waypoint`."""
@@ -130,7 +130,7 @@ class _Waypoints:
             batch = TargetBatch.of([targets[index] for index in indices.tolist()])
             q, good = solve_batch(self._kinematics, batch, guesses)
             if self._screen is not None:
-                good[good] = self._screen.keeps(q[good], spare=-TOUCH)
+                good[good] = self._screen.keeps(q[good])
             indices = indices[~good]
         return indices
 
@@ -143,7 +143,7 @@ class _Waypoints:
         q, reached = self._solve(targets, guesses)
         good = reached if self._screen is None else reached.copy()
         if self._screen is not None:
-            good[reached] = self._screen.keeps(q[reached], spare=-TOUCH)
+            good[reached] = self._screen.keeps(q[reached])
         for row in np.flatnonzero(good.any(axis=1)).tolist():
             self._found[int(indices[row])] = q[row][good[row]]
         for row in np.flatnonzero(~good.any(axis=1)).tolist():
@@ -163,7 +163,7 @@ class _Waypoints:
             return None
         q, reached = self._solve([target], self._guesses)
         ends = np.vstack((best.q[None, :], q[reached]))
-        if self._screen.keeps(ends, spare=-TOUCH).any():
+        if self._screen.keeps(ends).any():
             return None
         contacts = [contact for contact in map(world.proximity.tightest, ends) if contact is not None]
         mildest = max(contacts, key=lambda contact: contact.margin)

@@ -1,122 +1,60 @@
-"""Which of many configurations keep every clearance.
+"""Which of many configurations keep every clearance: yes or no, without the distances.
 
-Balls cover the links. Their distances from the boxes around the obstacles are computed at
-once for a whole batch of configurations. Only pairs for which these do not decide are
-measured, the most doubtful first, until one is too near.
+Pinocchio's broad phase asks coal only about pairs whose boxes meet, all pairs of a configuration in
+one call. Each pair has its clearance as the margin within which it counts as touching.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, ConfigurationBatch, Piece
+from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.proximity import Proximity
 
-_PORTION = 2_000_000  # numbers in one array at most: 16 MB
-_MOST_BALLS = 8  # that cover one piece; chosen: more are tighter, and take longer
+_ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other, beyond which they are sorted first
 
 
 class ClearanceScreen:
-    """Screens configurations with one `Proximity`, whose working memory it uses."""
+    """Screens configurations for the obstacles of one `Proximity`.
 
-    def __init__(self, proximity: Proximity) -> None:
-        self._proximity = proximity
-        robot = proximity.robot
-        self._kinematics = BatchKinematics(robot)
-        balls = [_balls(piece.piece) for piece in robot.pieces]
-        self._first = np.cumsum([0, *(len(centres) for centres, _ in balls)])
-        self._centres = np.vstack([np.zeros((0, 3)), *(centres for centres, _ in balls)])
-        self._radii = np.concatenate([np.zeros(0), *(np.full(len(centres), radius) for centres, radius in balls)])
-        self._joint = np.repeat(np.array([piece.joint for piece in robot.pieces], dtype=int), np.diff(self._first))
-        self._boxes = [[_box(piece) for piece in obstacle.pieces] for obstacle in proximity.obstacles]
+    It owns its working memory: do not share one between threads.
 
-    def keeps(self, q: Matrix, *, time: float = 0.0, spare: float = 0.0) -> Flags:
-        """(N,) whether each of `q` (N, n) keeps every clearance and `spare` [m] at `time` [s]."""
-        proximity = self._proximity
-        least = proximity.clearance + spare
-        found = np.ones(len(q), dtype=bool)
-        if not proximity.pairs or not len(q):
-            return found
-        portion = max(_PORTION // max(len(proximity.pairs), len(self._centres)), 1)
-        for first in range(0, len(q), portion):
-            part = q[first : first + portion]
-            bounds = self.lower_bounds(part, time=time)
-            for row, (joints, bound) in enumerate(zip(part, bounds, strict=True)):
-                doubtful = np.flatnonzero(bound < least)
-                order = doubtful[np.argsort((bound - least)[doubtful], kind="stable")]
-                found[first + row] = proximity.all_at_least_unchecked(order, least[order], joints, time=time)
-        return found
-
-    def lower_bounds(self, q: Matrix, *, time: float = 0.0) -> Matrix:
-        """(N, P) lower bounds of all distances [m] at q (N, n), `time` [s]; infinite before an obstacle appears."""
-        proximity = self._proximity
-        centres = self._ball_centres(self._kinematics.at(q))
-        found = np.full((len(q), len(proximity.pairs)), -np.inf)
-        last, off = (-1, -1), np.zeros((0, 0))
-        for index, pair in enumerate(proximity.pairs):
-            own = slice(self._first[pair.piece], self._first[pair.piece + 1])
-            owner = int(proximity.owner[index])
-            if owner >= 0:
-                if proximity.appears_at[index] > time:
-                    found[:, index] = np.inf
-                    continue
-                here = (owner, proximity.second[index])
-                if here != last:
-                    off = self._off_box(centres, owner, here[1], time)
-                    last = here
-                found[:, index] = np.min(off[:, own] - self._radii[own], axis=1)
-            else:
-                other = proximity.second[index]
-                across = slice(self._first[other], self._first[other + 1])
-                apart = np.linalg.norm(centres[:, own, None, :] - centres[:, None, across, :], axis=3)
-                reach = self._radii[own, None] + self._radii[None, across]
-                found[:, index] = np.min(apart - reach, axis=(1, 2))
-        return found
-
-    def _off_box(self, centres: Array, owner: int, part: int, time: float) -> Matrix:
-        """(N, S) signed distance of every ball's centre from the box around one piece of an obstacle [m]."""
-        box = self._boxes[owner][part]
-        shift = self._proximity.obstacle_offset(owner, time)
-        if box is None:  # a half-space
-            piece = self._proximity.obstacles[owner].pieces[part]
-            normal = np.asarray(piece.shape.n)
-            level = float(piece.shape.d) + float(normal @ (piece.placement.translation + shift))
-            return np.asarray(centres @ normal - level)
-        R, middle, half, radius = box
-        off = np.abs((centres - (middle + shift)) @ R) - half
-        outside = np.linalg.norm(np.maximum(off, 0.0), axis=2)
-        return np.asarray(outside + np.minimum(np.max(off, axis=2), 0.0) - radius)
-
-    def _ball_centres(self, at: ConfigurationBatch) -> Array:
-        """(N, S, 3) centres of all balls [m], world."""
-        fixed = self._joint == 0
-        joint = np.maximum(self._joint - 1, 0)
-        moved = np.einsum("bsij,sj->bsi", at.rotations[:, joint], self._centres) + at.origins[:, joint]
-        return np.where(fixed[None, :, None], self._centres[None], moved)
-
-
-def _balls(piece: Piece) -> tuple[Matrix, float]:
-    """(k, 3) centres and a radius [m]: balls that cover a link's piece, in its body's frame."""
-    R, middle, half, radius = _box(piece) or (np.eye(3), np.zeros(3), np.zeros(3), 0.0)
-    longest = int(np.argmax(half))
-    rest = float(np.linalg.norm(np.delete(half, longest)))
-    count = int(np.clip(np.ceil(half[longest] / max(rest + radius, 1e-9)), 1, _MOST_BALLS))
-    cell = half.copy()
-    cell[longest] /= count
-    along = (2.0 * np.arange(count) + 1.0) * cell[longest] - half[longest]
-    centres = middle + along[:, None] * R[:, longest]
-    return centres, float(np.linalg.norm(cell)) + radius
-
-
-def _box(piece: Piece) -> tuple[Matrix, Vector, Vector, float] | None:
-    """The box around a piece's hull in its own axes: R (3, 3), middle (3,), half edges (3,), and radius [m].
-
-    None for a half-space.
+    Parameters
+    ----------
+    time: the obstacles stand where they are at this time [s]; those that appear later are left out.
+    spare: kept beyond every clearance [m], one number or (P,) of the pairs of `proximity`.
     """
-    if not len(piece.hull):
-        return None
-    R = piece.placement.rotation
-    own = piece.hull @ R
-    low, high = own.min(axis=0), own.max(axis=0)
-    return R, R @ (0.5 * (low + high)), 0.5 * (high - low), piece.radius
+
+    def __init__(self, proximity: Proximity, *, time: float = 0.0, spare: float | Vector = 0.0) -> None:
+        self._robot = proximity.robot.model
+        self._data = self._robot.createData()
+        every = proximity.geometry[0].collisionPairs
+        self._model = proximity.geometry[0].copy()
+        here = proximity.appears_at <= time
+        margins = (proximity.clearance + spare)[here].tolist()
+        for index in np.flatnonzero(~here).tolist():
+            self._model.removeCollisionPair(every[index])
+        for index in np.flatnonzero(here & (proximity.speed > 0.0)).tolist():
+            obstacle = int(proximity.owner[index])
+            placement = proximity.obstacles[obstacle].pieces[proximity.second[index]].placement
+            moved = placement.translation + proximity.obstacle_offset(obstacle, time)
+            self._model.geometryObjects[every[index].second].placement = pin.SE3(placement.rotation, moved)
+        self._geometry = self._model.createData()
+        for request, margin in zip(self._geometry.collisionRequests, margins, strict=True):
+            shapes.prepare(request)
+            request.security_margin = margin
+        # the trees that pinocchio offers as well miss contacts with half-spaces
+        few = self._model.ngeoms <= _ALL_AGAINST_ALL
+        broad_phase = pin.BroadPhaseManager_NaiveCollisionManager if few else pin.BroadPhaseManager_SSaPCollisionManager
+        self._manager = broad_phase(self._robot, self._model, self._geometry)
+        self._pairs = len(margins)
+
+    def keeps(self, q: Matrix) -> Flags:
+        """(N,) whether each of `q` (N, n) keeps every clearance and its spare."""
+        return np.array([self.keeps_unchecked(joints) for joints in q], dtype=bool)
+
+    def keeps_unchecked(self, q: Vector) -> bool:
+        """The same of one configuration (n,), for callers in a loop, whose arguments are right as they are made."""
+        return not self._pairs or not pin.computeCollisions(self._robot, self._data, self._manager, q, True)

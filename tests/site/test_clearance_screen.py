@@ -1,4 +1,4 @@
-"""The screen says what measuring every pair says, and its bounds are below the distances."""
+"""The screen says what measuring every pair says."""
 
 from __future__ import annotations
 
@@ -32,14 +32,46 @@ def test_agrees_with_measuring_everything(any_robot: bp.Robot, time: float) -> N
     rng = np.random.default_rng(1)
     q = np.array([any_robot.random_q(rng) for _ in range(150)])
     distances = np.array([proximity.distances(joints, time=time) for joints in q])
-    screen = ClearanceScreen(proximity)
     expected = np.all(distances >= proximity.clearance + 0.01, axis=1)
-    np.testing.assert_array_equal(screen.keeps(q, time=time, spare=0.01), expected)
-    bounds = screen.lower_bounds(q, time=time)
-    outside = distances > 0.0  # inside each other a distance is a depth, which no ball bounds
-    assert np.all(bounds[outside] <= distances[outside] + 1e-9)
-    assert np.all(bounds[~outside] <= 1e-9)
-    assert np.mean(bounds > 0.0) > 0.3  # it decides often
+    assert 0.05 < np.mean(expected) < 0.95
+    screen = ClearanceScreen(proximity, time=time, spare=0.01)
+    np.testing.assert_array_equal(screen.keeps(q), expected)
+
+
+def test_says_so_right_beside_the_clearance(any_robot: bp.Robot) -> None:
+    """Each pair in turn is to keep its own distance, and 0.1 um less or more; the others are to keep nothing."""
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.05, "obstacles": OBSTACLES[:-1]})
+    proximity = bp.Proximity(any_robot, build_obstacles(scene, any_robot))
+    rng = np.random.default_rng(4)
+    for _ in range(40):
+        q = any_robot.random_q(rng)
+        distances = proximity.distances(q)
+        pair = int(rng.integers(len(distances)))
+        spare = np.full(len(distances), -np.inf)
+        for more in (-1e-7, 1e-7):
+            spare[pair] = distances[pair] - proximity.clearance[pair] + more
+            screen = ClearanceScreen(proximity, spare=spare)
+            assert screen.keeps(q[None, :]).tolist() == [more < 0.0]
+
+
+@pytest.mark.parametrize("pieces", [10, 100])
+def test_agrees_among_few_and_many_obstacles(backhoe: bp.Robot, pieces: int) -> None:
+    """Few and many pieces are compared in different ways."""
+    rng = np.random.default_rng(5)
+    boxes = [
+        {
+            "name": f"box {number}", "shape": "box", "size": rng.uniform(0.1, 0.5, 3).tolist(),
+            "position": rng.uniform([-5.0, -5.0, -1.0], [5.0, 5.0, 4.0]).tolist(),
+            "rpy": rng.uniform(-3.0, 3.0, 3).tolist(),
+        }
+        for number in range(pieces)
+    ]  # fmt: skip
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.1, "obstacles": boxes + OBSTACLES[4:5]})
+    proximity = bp.Proximity(backhoe, build_obstacles(scene, backhoe))
+    q = np.array([backhoe.random_q(rng) for _ in range(100)])
+    expected = [bool((proximity.distances(joints) >= proximity.clearance).all()) for joints in q]
+    assert 5 < sum(expected) < 95
+    assert ClearanceScreen(proximity).keeps(q).tolist() == expected
 
 
 @pytest.mark.parametrize("name", ["ball", "box", "pipe", "post", "ground", "walker"])

@@ -133,11 +133,11 @@ class PathResolver:
         self._targets = [path.target(float(s)) for s in self._stations]
         self._finder = PathLayers(problem.robot, grid=grid, brake=self._work.brake)
         self._all = self._finder.at(self._stations, self._targets, begin=begin)
-        self._screen = screen = ClearanceScreen(proximity)
+        self._screen = screen = ClearanceScreen(proximity, time=time, spare=-TOUCH)
         self._layers = []
         for nodes in self._all:
             self._work.brake.check()
-            self._layers.append(nodes[screen.keeps(nodes, time=time, spare=-TOUCH)])
+            self._layers.append(nodes[screen.keeps(nodes)])
         self._motions: dict[Edge, Stretch | None] = {}
         self._ways: dict[Edge, tuple[Stretch, Bypass, Stretch]] = {}
         self._too_long: dict[int, WaypointStep] = {}
@@ -254,7 +254,7 @@ class PathResolver:
         self._splits += 1
         targets = [self._path.target(float(s)) for s in stations]
         found = self._finder.between(targets, np.vstack(self._all[own : own + 2]))
-        clear = [nodes[self._screen.keeps(nodes, time=self._time, spare=-TOUCH)] for nodes in found]
+        clear = [nodes[self._screen.keeps(nodes)] for nodes in found]
         behind = slice(own + 1, own + 1)
         self._all[behind], self._layers[behind], self._targets[behind] = found, clear, targets
         self._stations = np.insert(self._stations, own + 1, stations)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Problem
 from backhoe_planner.planning.search.effort import Brake
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import ClearanceScreen, Proximity
 
 Condition = Callable[[Vector], bool]
 
@@ -100,6 +100,13 @@ class MotionCheck:
         self._tight = np.zeros(len(self._pairs), dtype=bool)
         self._tight_ends: list[tuple[Vector, Vector]] = []
         self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
+        self._tight_rows = np.flatnonzero(self._tight)
+        self._screen = ClearanceScreen(proximity, time=time, spare=self._least_spare())
+        self._full_screen = self._screen
+        if len(self._tight_rows):
+            spare_of_all = np.zeros(len(proximity.pairs))
+            spare_of_all[self._pairs] = self._spare
+            self._full_screen = ClearanceScreen(proximity, time=time, spare=spare_of_all)
         self._known.clear()  # the spare at a configuration depends on all ends
 
     # --- questions -------------------------------------------------------------
@@ -201,7 +208,10 @@ class MotionCheck:
                 return False
             a, b, rows, margin_a, margin_b = parts.popleft()
             middle = 0.5 * (a + b)
-            margin = self._measure(rows, point(middle)) - more[rows]
+            q = point(middle)
+            if not self._screen.keeps_unchecked(q):
+                return False
+            margin = self._measure(rows, q) - more[rows]
             if margin.min() < 0.0:
                 return False
             half = bound[rows] * (0.5 * (b - a))
@@ -216,7 +226,14 @@ class MotionCheck:
     def _stays_near(self, point: Callable[[float], Vector], rate: Vector) -> bool:
         assert self._near is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _NEAR_EVERY)) + 1
-        return all(self._near(point(part)) for part in _places(steps))
+        return all(self._near(point(part)) for part in places(steps))
+
+    def _is_clear_at(self, q: Vector) -> bool:
+        """Whether `q` keeps every clearance and its spare."""
+        if not self._screen.keeps_unchecked(q):
+            return False
+        tight = self._tight_rows
+        return not len(tight) or self._full_screen.keeps_unchecked(q) or bool(self._measure(tight, q).min() >= 0.0)
 
     # --- what is known -----------------------------------------------------------
 
@@ -249,6 +266,8 @@ class MotionCheck:
             known = _Margins(from_.margin - bound, np.zeros(len(bound), dtype=bool))
         missing = np.flatnonzero(needed & ~known.exact)
         if len(missing):
+            if not self._screen.keeps_unchecked(q):
+                return None
             measured = self._measure(missing, q)
             known.margin[missing] = measured
             known.exact[missing] = True
@@ -281,6 +300,12 @@ class MotionCheck:
             np.minimum(spare, at_end[rows] + (_SLOPE / (1.0 + _SLOPE)) * away, out=spare)
         return np.asarray(margin - spare)
 
+    def _least_spare(self) -> Vector:
+        """(P,) what is kept beyond every clearance everywhere [m]: at a tight end all of it, elsewhere more."""
+        spare = np.zeros(len(self.proximity.pairs))
+        spare[self._pairs] = np.min([self._spare, *(at_end for _, at_end in self._tight_ends)], axis=0) - _ROUNDING
+        return spare
+
     def _add_end(self, q: Vector) -> bool:
         if not self._within_limits(q) or (self._near is not None and not self._near(q)):
             return False
@@ -300,7 +325,7 @@ class MotionCheck:
 
 
 @lru_cache(maxsize=1024)
-def _places(steps: int) -> tuple[float, ...]:
+def places(steps: int) -> tuple[float, ...]:
     """0 to 1 in equal steps; the ends and the middle first, where most motions fail."""
     inner = sorted(range(1, steps), key=_reversed_bits)
     return (1.0, 0.0, *(k / steps for k in inner))

@@ -1,0 +1,68 @@
+"""Looks at motions: all that is proven clear looks clear, and what looks clear is at most a little too near."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
+
+import backhoe_planner as bp
+from backhoe_planner.planning import EFFORTS, MotionCheck, SampledCheck, Work, sample_path
+from backhoe_planner.site import Proximity
+
+APART = 0.04  # m between two looks: midway between them no distance is more than half of it less
+
+
+def test_beside_proofs_and_dense_measurements(any_robot: bp.Robot) -> None:
+    """Random motions among balls, corners too."""
+    rng = np.random.default_rng(11)
+    reach = 3.0 if any_robot.n == 4 else 0.6
+    places = reach * rng.normal(size=(8, 3))
+    places[:, 0] = np.abs(places[:, 0])
+    obstacles: list[dict[str, Any]] = [
+        {"name": f"{k}", "shape": "sphere", "radius": 0.1 * reach, "position": place}
+        for k, place in enumerate(places.tolist())
+    ]
+    q_0 = any_robot.random_q(rng)
+    problem = problem_of(any_robot, q_0, q_0, obstacles)
+    proximity = Proximity(problem.robot, problem.obstacles)
+    proof, look = (kind(problem, proximity, [q_0], spare=0.0) for kind in (MotionCheck, SampledCheck))
+    count = {True: 0, False: 0}
+    still = np.zeros(any_robot.n)
+    t = np.linspace(0.0, 1.0, 60)[:, None]
+    for _ in range(25):
+        a = any_robot.random_q(rng)
+        b, c = (np.clip(a + 0.3 * rng.normal(size=any_robot.n), any_robot.limits.lower, any_robot.limits.upper)
+                for _ in range(2))  # fmt: skip
+        for clear, proven, curve in (
+            (look.segment_is_clear(a, b), proof.segment_is_clear(a, b), a + t * (b - a)),
+            (
+                look.corner_is_clear(a, b, c, sagitta=still),
+                proof.corner_is_clear(a, b, c, sagitta=still),
+                (1 - t) ** 2 * a + 2 * t * (1 - t) * b + t**2 * c,
+            ),
+        ):
+            least = min(float(np.min(proximity.distances(q) - proximity.clearance)) for q in curve)
+            assert clear or not proven
+            assert least >= -0.5 * APART if clear else least < 0.01
+            count[clear] += 1
+    assert min(count.values()) >= 10
+
+
+@pytest.mark.parametrize("margin", [0.0, 1e-5, 0.004])
+def test_a_start_tighter_than_the_spare_can_be_left(planar4: bp.Robot, margin: float) -> None:
+    """A ball beside the stretched arm, at its clearance plus `margin` from link 3; elsewhere the spare is kept."""
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [2.5, -0.26 - margin, 0.0]}
+    problem, proximity = across_bar(planar4, ball)
+    check = SampledCheck(problem, proximity, [STRETCHED, TURNED], spare=0.02)
+    assert check.ends_clear == [True, True]
+    way = sample_path(check, STRETCHED, [TURNED], seed=0, work=Work(EFFORTS["normal"]))
+    assert way is not None
+    obstacles_alone = Proximity(problem.robot, problem.obstacles, self_collision=False)
+    for q in way.q:
+        margins = obstacles_alone.distances(q) - obstacles_alone.clearance
+        assert np.min(margins) >= (0.02 if np.linalg.norm(q) > 0.5 else 0.0) - 1e-6
+    into_the_ball = np.array([0.0, 0.0, -0.1, 0.0])
+    assert not check.segment_is_clear(STRETCHED, into_the_ball)
