@@ -1,4 +1,5 @@
 from .paths.corners import round_corners as round_corners
+from .paths.corners import time_stretch as time_stretch
 from .paths.dynamic_programming import cheapen_stretch as cheapen_stretch
 from .paths.layered_graph import Edge as Edge
 from .paths.layered_graph import EdgeKind as EdgeKind
@@ -13,6 +14,7 @@ from .paths.stretch import Stretch as Stretch
 from .planner import plan as plan
 from .reactive.law_timing import places_on as places_on
 from .reactive.law_timing import speed_up as speed_up
+from .reactive.law_timing import time_iterates as time_iterates
 from .reactive.reaching import approach_goal as approach_goal
 from .reactive.stepping import PlannerStep as PlannerStep
 from .reactive.stepping import Stepper as Stepper

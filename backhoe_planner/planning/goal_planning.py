@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from backhoe_planner.law import run_iteration
-from backhoe_planner.motion import Goal, time_polyline
+from backhoe_planner.motion import Goal
 from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.motion_search import MotionSearch
 from backhoe_planner.planning.outcome import Outcome
-from backhoe_planner.planning.reactive.law_timing import speed_up
+from backhoe_planner.planning.reactive.law_timing import speed_up, time_iterates
 from backhoe_planner.planning.reactive.reaching import Attempt, approach_goal
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.planning.result.findings import Findings
@@ -74,7 +74,8 @@ class ToGoal:
         """By the paper's iteration as it is printed, to the first goal; its steps are timed afterwards."""
         target = self.goals[0].target
         steps = run_iteration(world.problem, stepper.q, target, proximity=world.proximity, kinematics=world.kinematics)
-        return Outcome(time_polyline(steps, world.problem.limits), findings=Findings(iterations=len(steps) - 1))
+        motion = time_iterates(world.problem, steps, proximity=world.proximity)
+        return Outcome(motion, findings=Findings(iterations=len(steps) - 1))
 
     def _straight(self, world: World, stepper: Stepper, goals: Sequence[Goal]) -> Attempt:
         """The law straight to the first of `goals` at which that arrives, else the attempt that came nearest."""

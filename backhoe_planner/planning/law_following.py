@@ -95,7 +95,7 @@ class _Follower:
         s = 0.0
         for _ in range(_MOST_DETOURS):
             stretch = self._follow_law(stepper, s, stepper.q)
-            for piece in time_stretch(self._world.problem, self._path, stretch):
+            for piece in time_stretch(self._world.problem, self._path, stretch, brake=self._world.work.brake):
                 stepper.play(piece)
             if stretch.obstruction is None:
                 return Outcome(stepper.trajectory())

@@ -425,7 +425,8 @@ class _Along:
                 if not self._keeps_steps([rounded]):
                     rounded, stops = piece, self._path.corners(SHARP)
                 period = _FINE_PERIOD if self._is_tight(rounded.q, stepper.time) else SAMPLE_PERIOD
-                for motion in time_stretch(problem, self._path, rounded, period=period, stops=stops):
+                brake = world.work.brake
+                for motion in time_stretch(problem, self._path, rounded, period=period, stops=stops, brake=brake):
                     stepper.play(motion)
 
     def _is_tight(self, q: Matrix, time: float) -> bool:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.motion import build_problem
-from backhoe_planner.planning import Stretch, resolve_along, round_corners
+from backhoe_planner.motion import Problem, Trajectory, build_problem, time_along
+from backhoe_planner.planning import Brake, Stretch, resolve_along, round_corners, time_stretch
+from backhoe_planner.planning.paths import corners
 
 TOLERANCE = 0.005
 
@@ -69,3 +72,40 @@ def test_a_fine_polyline_is_not_stopped_at(backhoe: bp.Robot) -> None:
     inside = (found.trajectory.time[1:] > 1.5) & (found.trajectory.time[1:] < found.trajectory.duration - 1.5)
     assert np.min(rates[inside]) > 0.05
     assert found.certificate.tracking.max_error < TOLERANCE
+
+
+# --- timed from stop to stop ---------------------------------------------------------------
+
+
+def zigzag(robot: bp.Robot, teeth: int) -> tuple[Problem, Stretch]:
+    """To and fro with the first joint, 0.02 rad each way: the joints on the path, and a stop at each end of a tooth."""
+    near = np.array([0.3, -0.6, 0.5, 0.2])
+    q = near + 0.02 * np.column_stack((np.arange(2 * teeth + 1) % 2, *np.zeros((3, 2 * teeth + 1))))
+    tips = [bp.Kinematics(robot).at(row).tip_position.tolist() for row in q]
+    path = {"waypoints": [{"position": tip} for tip in tips]}
+    problem = build_problem(robot, bp.scene_from_dict({"version": 1, "task": {"path": path}}))
+    assert problem.path is not None
+    return problem, Stretch(problem.path.stations, q)
+
+
+@pytest.mark.parametrize(("brake", "most"), [(Brake(), 1000 + 40 * 40), (Brake(-1.0), 40 * 40)])
+def test_all_motions_from_stop_to_stop_share_the_work_of_one(
+    planar4: bp.Robot, monkeypatch: pytest.MonkeyPatch, brake: Brake, most: int
+) -> None:
+    """40 motions: 1,000 intervals shared, at least 40 each; these alone where no time is left."""
+    problem, stretch = zigzag(planar4, 20)
+    counted: list[int] = []
+
+    def counting(*args: Any, intervals: int, **keys: Any) -> Trajectory:
+        counted.append(intervals)
+        return time_along(*args, intervals=intervals, **keys)
+
+    monkeypatch.setattr(corners, "time_along", counting)
+    assert problem.path is not None
+    found = time_stretch(problem, problem.path, stretch, brake=brake)
+    assert len(found) == 40
+    assert sum(counted) <= most
+    # from rest to rest over 0.02 rad at the joint's acceleration a: at least 2 sqrt(0.02 / a)
+    least = 2.0 * float(np.sqrt(0.02 / problem.limits.acceleration[0]))
+    for motion in found:
+        assert least <= motion.duration < 1.1 * least

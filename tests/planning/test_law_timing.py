@@ -13,7 +13,7 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Array
 from backhoe_planner.machine import JointLimits
 from backhoe_planner.motion import Problem, build_problem, limit_usage
-from backhoe_planner.planning import Stepper, Work, World, approach_goal, places_on, speed_up
+from backhoe_planner.planning import Stepper, Work, World, approach_goal, places_on, speed_up, time_iterates
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 CAGE = """<robot name="lift">
@@ -126,3 +126,32 @@ def test_no_goal_takes_longer_than_the_laws_own_motion_or_the_joints_straight_on
     assert plan.trajectory.duration <= arrived.trajectory().duration + 1e-9
     reactive = bp.plan(backhoe, scene, method="reactive")
     assert plan.trajectory.duration <= reactive.trajectory.duration + 1e-9
+
+
+# --- the paper's iteration ----------------------------------------------------------
+
+
+def test_a_motion_through_iterates_passes_every_one_and_is_near_the_least_time(planar4: bp.Robot) -> None:
+    """Iterates on a quarter of a circle of joint angles, closer and closer, as an iteration that converges."""
+    problem = build_problem(planar4, bp.load_scene(SCENES / "paper_planar.yaml"))
+    angle = 0.5 * np.pi * (1.0 - 0.7 ** np.arange(40))
+    q = np.column_stack((0.5 * np.sin(angle), 0.5 * np.cos(angle), 0.0 * angle, 0.1 * angle))
+    motion = time_iterates(problem, q, proximity=bp.Proximity(planar4))
+    np.testing.assert_allclose(motion.q[[0, -1]], q[[0, -1]], atol=1e-12)
+    assert off(q, motion.q) < 2e-3
+    usage = limit_usage(problem, motion)
+    assert float(np.max(usage.ratio)) <= 1.01
+    assert motion.duration < 3.0 * shortest_time(q, problem.limits)
+
+
+def test_the_papers_law_takes_no_longer_than_a_few_times_its_rates_allow(planar4: bp.Robot) -> None:
+    """With one slow ramp over all iterates it took 148 s, because the corners counted."""
+    plan = bp.plan(planar4, bp.load_scene(SCENES / "paper_planar.yaml"), method="paper")
+    assert plan.verified, plan.message
+    assert plan.trajectory.duration < 10.0
+
+
+def test_iterates_that_stay_in_one_place_are_a_motion_at_rest(planar4: bp.Robot) -> None:
+    problem = build_problem(planar4, bp.load_scene(SCENES / "paper_planar.yaml"))
+    motion = time_iterates(problem, np.full((5, 4), 0.1), proximity=bp.Proximity(planar4))
+    assert motion.duration == 0.0

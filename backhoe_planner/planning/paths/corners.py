@@ -14,6 +14,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
 from backhoe_planner.motion import SAMPLE_PERIOD, Problem, TipPath, Trajectory, drive_of, step_lengths, time_along
 from backhoe_planner.planning.paths.stretch import Stretch
+from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import path_segment_is_clear
 from backhoe_planner.site import Proximity
 
@@ -24,6 +25,9 @@ _CHORD = 0.3  # of the tolerance that the joints' chords may be off the path; ch
 _DENSEST = 0.05  # of the usual period between samples; chosen: chords are then 400 times nearer
 _REFINED = 8  # times that samples may be put between two; chosen: 256 of them
 _FINEST = 1e-4  # m between samples that get none between; chosen
+_INTERVALS = 1000  # of a stretch, at whose ends limits are looked at; chosen: more make a motion hardly faster
+_FEWEST_INTERVALS = 40  # of one motion between two stops; chosen: with fewer it is noticeably slower
+_LEAST_LENGTH = 1e-6  # m of a step between samples
 _STILL = 1e-12  # rad or m: joints that move less stand
 _ON_PATH = 1e-6  # m: nearer to the path a sample is on it, not on a rounded corner
 _LEG = 0.45  # of a leg that a corner may take: two corners share a leg, and some of it stays
@@ -64,15 +68,25 @@ def round_corners(
 
 
 def time_stretch(
-    problem: Problem, path: TipPath, stretch: Stretch, *, period: float = SAMPLE_PERIOD, stops: Vector | None = None
+    problem: Problem,
+    path: TipPath,
+    stretch: Stretch,
+    *,
+    period: float = SAMPLE_PERIOD,
+    stops: Vector | None = None,
+    brake: Brake | None = None,
 ) -> list[Trajectory]:
     """The motions, each from rest to rest, that follow a stretch of the scene's path at its speed or less.
+
+    All of them share one number of intervals on which limits are looked at, by their lengths.
 
     Parameters
     ----------
     period: between the samples of the motions [s]; less where the tolerance of the path asks for it.
     stops: (C,) arc lengths to stop at [m]; by default all sharp corners of the path.
+    brake: where no time is left, what follows is timed on the fewest intervals; by default none.
     """
+    brake = brake or Brake()
     task, drive, stations, q = problem.scene.task.path, drive_of(problem), stretch.stations, stretch.q
     assert task is not None
     kinematics = BatchKinematics(problem.robot)
@@ -80,22 +94,26 @@ def time_stretch(
     for corner in (path.corners(SHARP) if stops is None else stops).tolist():
         if stations[0] < corner < stations[-1]:
             marks.add(int(np.argmin(np.abs(stations - corner))))
+    lengths = step_lengths(stations, q, least=_LEAST_LENGTH)
+    shared = _INTERVALS / float(np.sum(lengths))
     found = []
     for first, last in pairwise(sorted(marks)):
+        share = 0.0 if brake.is_used_up() else shared * float(np.sum(lengths[first:last]))
+        intervals = max(int(np.ceil(share)), _FEWEST_INTERVALS)
         own = Stretch(stations[first : last + 1], q[first : last + 1])
         own = _dense_enough(kinematics, path, own, _CHORD * task.tolerance)
 
-        def timed(own: Stretch, period: float) -> Trajectory:
+        def timed(period: float, own: Stretch = own, intervals: int = intervals) -> Trajectory:
             return time_along(
                 own.stations, own.q, problem.limits,
-                speed=task.speed, kinematics=kinematics, period=period, drive=drive,
+                speed=task.speed, kinematics=kinematics, period=period, drive=drive, intervals=intervals,
             )  # fmt: skip
 
-        motion = timed(own, period)
+        motion = timed(period)
         off = _off_chords(kinematics, motion.q)
         if off > _CHORD * task.tolerance:  # how far chords are off falls by the square of the period
             denser = max(float(np.sqrt(0.8 * _CHORD * task.tolerance / off)), _DENSEST)
-            motion = timed(own, denser * period)
+            motion = timed(denser * period)
         found.append(motion)
     return found
 

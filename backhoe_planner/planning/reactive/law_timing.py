@@ -12,15 +12,17 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.motion import Trajectory, drive_of, retime, time_along
+from backhoe_planner.motion import Problem, Trajectory, drive_of, retime, time_along, time_polyline
 from backhoe_planner.planning.reactive.stepping import Stepper
 from backhoe_planner.proof import segment_is_clear
+from backhoe_planner.site import Proximity
 
 # s of the slowest joint between places, tried in turn: the closer, the nearer to the law's way;
 # chosen, down to the period of a motion's samples
 _SPACINGS = (0.1, 0.05, 0.02)
 _FEWEST = 4  # intervals between places at least; chosen: fewer do not bend a curve
 _INTERVALS = 300  # of a way, at whose ends limits are looked at; chosen to be quick, the certificate looks at all
+_LEAST_ITERATION = 1e-6  # s of the slowest joint: an iteration that moves less is at the same place
 _GAIN = 0.01  # part of the time; chosen: for less a motion is left as it is
 
 
@@ -56,6 +58,31 @@ def speed_up(begun: Stepper, arrived: Stepper) -> Stepper:
             branch.play(quick)
             return branch
     return arrived
+
+
+def time_iterates(problem: Problem, q: Matrix, *, proximity: Proximity) -> Trajectory:
+    """The fastest motion along a smooth curve through the iterates q (K, n) of a law, from rest to rest.
+
+    What lies between two iterates the law leaves open. Where the straight way there is clear and the curve is
+    not, one that lies nearer to the straight way is taken, or that way itself in one slow ramp.
+    """
+    limits, drive = problem.limits, drive_of(problem)
+    straight = retime(time_polyline(q, limits), limits, drive=drive)
+    clear = _is_clear(proximity, q)
+    moved = np.max(np.abs(np.diff(q, axis=0)) / np.where(np.isfinite(limits.velocity), limits.velocity, 1.0), axis=1)
+    rows = np.concatenate(([True], moved > _LEAST_ITERATION))
+    along = np.concatenate(([0.0], np.cumsum(moved)))[rows]
+    for stations, places in ((along, np.vstack((q[rows][:-1], q[-1:]))), places_on(q, limits.velocity, _SPACINGS[-1])):
+        if len(stations) < 2:
+            break
+        curved = time_along(stations, places, limits, drive=drive)
+        if curved.duration < straight.duration and (not clear or _is_clear(proximity, curved.q)):
+            return curved
+    return straight
+
+
+def _is_clear(proximity: Proximity, q: Matrix) -> bool:
+    return all(segment_is_clear(proximity, a, b) for a, b in pairwise(q))
 
 
 def places_on(q: Matrix, rate: Vector, spacing: float) -> tuple[Vector, Matrix]:
