@@ -40,18 +40,21 @@ class GoalPostures:
         ]
 
 
-def find_goal_postures(world: World, goals: Sequence[Goal], *, near: Vector, time: float) -> GoalPostures | Outcome:
+def find_goal_postures(
+    world: World, goals: Sequence[Goal], *, near: Vector, time: float, more: int = 1
+) -> GoalPostures | Outcome:
     """Clear postures on any of `goals`; or why there is none.
 
     Parameters
     ----------
     near: (n,) where the joints stand [rad or m].
     time: the obstacles stand where they are at this time [s].
+    more: times the usual starting points of the inverse kinematics. Called again, others are drawn.
     """
     found: list[tuple[Vector, Goal]] = []
     failures: list[Outcome] = []
     for goal in goals:
-        clear = _postures_on(world, goal, near, time)
+        clear = _postures_on(world, goal, near, time, more)
         if isinstance(clear, Outcome):
             failures.append(clear)
         else:
@@ -66,19 +69,19 @@ def find_goal_postures(world: World, goals: Sequence[Goal], *, near: Vector, tim
     return GoalPostures(tuple(q for q, _ in found), tuple(goal for _, goal in found))
 
 
-def _postures_on(world: World, goal: Goal, near: Vector, time: float) -> tuple[Vector, ...] | Outcome:
+def _postures_on(world: World, goal: Goal, near: Vector, time: float, more: int) -> tuple[Vector, ...] | Outcome:
     if goal.q is not None:
         return bad_posture(world, goal.q, goal.name, time=time) or (goal.q,)
     keep, target = world.problem.keep, goal.search_target
     if keep is None:
-        return _on_target(world, target, goal, near, time)
+        return _on_target(world, target, goal, near, time, more)
     narrowed = keep.narrowed(target)
-    within = None if narrowed is None else _on_target(world, narrowed, goal, near, time)
+    within = None if narrowed is None else _on_target(world, narrowed, goal, near, time, more)
     kept = tuple(q for q in within if keep.holds(q)) if isinstance(within, tuple) else ()
     if kept:
         return kept
     # which of the two is at fault: the goal itself, or what is to be kept there
-    free = _on_target(world, target, goal, near, time)
+    free = _on_target(world, target, goal, near, time, more)
     if isinstance(free, Outcome):
         return free
     kept = tuple(q for q in free if keep.holds(q))
@@ -93,8 +96,10 @@ def _postures_on(world: World, goal: Goal, near: Vector, time: float) -> tuple[V
     return Outcome(rest_at_start(world, nearest), "goal_breaks_keep", message)
 
 
-def _on_target(world: World, target: TipTarget, goal: Goal, near: Vector, time: float) -> tuple[Vector, ...] | Outcome:
-    count = world.work.effort.starting_points
+def _on_target(
+    world: World, target: TipTarget, goal: Goal, near: Vector, time: float, more: int
+) -> tuple[Vector, ...] | Outcome:
+    count = more * world.work.effort.starting_points
     found = world.postures.at(target, near=near, count=count, time=time)
     if found.best.reached and not found.clear:
         found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)

@@ -7,16 +7,18 @@ best so far. Every motion that counts is proven clear.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
-from backhoe_planner.planning.goal_postures import GoalPostures
+from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
+from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.search.blending import blend
 from backhoe_planner.planning.search.effort import OutOfTime
 from backhoe_planner.planning.search.sampled_check import SampledCheck
@@ -37,11 +39,15 @@ _FINE_ROUNDS = 6
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
 _TRIED = 4  # rounds after which a descent is judged
+_LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
 _FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
 _DEARER = 1.3  # times the best cost: hopeless then
-_MOTIONS = 4_000  # that one sampled way looks at, where another is known; chosen, a third of what the first may take
+_MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
-_FAR, _MORE_PATIENCE = 1.4, 2  # times the bound, from which on there is more patience, by this factor; chosen
+# times the bound, from which on there is more patience, and by which factor; chosen
+_PATIENCE = ((1.4, 4), (1.1, 2))
+_MORE_POSTURES = 4  # times the usual starting points for postures, where the best is that far above the bound; chosen
+_VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
@@ -85,14 +91,19 @@ class MotionSearch:
 
     def __init__(self, world: World, start: Vector, found: GoalPostures, *, time: float) -> None:
         self._world, self._start, self._time = world, start, time
-        self._postures, self._goals = found.clear, found.goals
         self._problem = world.problem
         self._drive = drive_of(world.problem)
         self._descent = Descent(world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake)
-        ends = np.array(found.clear)
-        self._least: Vector = LeastTimes(world.problem, start, longest=_LONGEST).to_boxes(ends, ends)
+        self._least_times = LeastTimes(world.problem, start, longest=_LONGEST)
+        self._postures: list[Vector] = []
+        self._goals: list[Goal] = []  # of each posture
+        self._least: list[float] = []  # s to each posture
+        self._order: list[int] = []  # of the postures, the soonest first
+        self._take(found)
+        self._known = KnownCurves(
+            SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake)
+        )
         self._bound = 0.0  # no motion is shorter [s]
-        self._order = sorted(range(len(found.clear)), key=lambda index: float(self._least[index]))
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
         self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
@@ -107,7 +118,9 @@ class MotionSearch:
         Empty; or that time ran out, in words.
         """
         try:
-            self._go_straight()
+            self._go_straight(self._order)
+            if self._is_far():
+                self._look_for_postures()
             self._go_round()
             self._refine()
         except OutOfTime as ended:
@@ -116,17 +129,33 @@ class MotionSearch:
 
     # --- first ways -------------------------------------------------------------------
 
-    def _go_straight(self) -> None:
-        """Descents from straight lines to the nearest postures, until one of them does not get clear."""
+    def _take(self, found: GoalPostures) -> list[int]:
+        """Count further postures in; which they are, the soonest first."""
+        ends, before = np.array(found.clear), len(self._postures)
+        self._postures += found.clear
+        self._goals += found.goals
+        self._least += self._least_times.to_boxes(ends, ends).tolist()
+        self._order = sorted(range(len(self._postures)), key=lambda index: self._least[index])
+        return [index for index in self._order if index >= before]
+
+    def _look_for_postures(self) -> None:
+        """Look for more postures that can be reached sooner than the best motion ends, and go straight there."""
+        goals = tuple(dict.fromkeys(self._goals))
+        found = find_goal_postures(self._world, goals, near=self._start, time=self._time, more=_MORE_POSTURES)
+        if not isinstance(found, Outcome):
+            self._go_straight(self._take(found))
+
+    def _go_straight(self, order: Sequence[int]) -> None:
+        """Descents from straight lines to the first postures of `order`, until one of them does not get clear."""
         work = self._world.work
         self._reserved = work.descent_rounds // 2
-        for index in self._order[: work.effort.ways_at_once]:
+        for index in order[: work.effort.ways_at_once]:
             if self._is_optimal():
                 return
             if not self._is_open(index):
                 continue
             line = JointCurve.straight(self._start, self._postures[index], _PIECES)
-            if not self._descend(line, float(self._least[index]), self._goals[index], "straight for the joints"):
+            if not self._descend(line, self._least[index], self._goals[index], "straight for the joints"):
                 return
 
     def _go_round(self) -> None:
@@ -147,13 +176,19 @@ class MotionSearch:
             if self.best is None and (work.motions <= 0 or number >= len(_SPARES)):
                 return
             gained = self.best is not None and self.best.cost < (1.0 - _GAIN) * before
-            dull = 0 if gained else dull + 1
+            dull = 0 if gained else dull + (1 if ways else _VAIN)
 
     def _patience(self) -> int:
         """How often in a row a search may gain nothing."""
         usual = self._world.work.effort.dull_searches
-        far = self.best is not None and self.best.motion.duration > _FAR * self._bound > 0.0
-        return _MORE_PATIENCE * usual if far else usual
+        return usual * next((factor for part, factor in _PATIENCE if self._is_above(part)), 1)
+
+    def _is_above(self, part: float) -> bool:
+        """Whether the best motion takes longer than a part of the bound; false where there is none."""
+        return self.best is not None and self.best.motion.duration > part * self._bound > 0.0
+
+    def _is_far(self) -> bool:
+        return self.best is None or (not self._is_optimal() and self._is_above(_PATIENCE[0][0]))
 
     def _sample_several(self, number: int) -> list[FoundMotion]:
         """Motions along sampled ways, the cheapest first; `number` were sampled before."""
@@ -219,7 +254,7 @@ class MotionSearch:
         if self.best is None or not self._problem.objective.is_time:
             return True
         worth = 1.0 - _END_GAIN if self._end_moves(self._goals[index]) else 1.0 + _LEAST_GAIN
-        return self.best.motion.duration > worth * float(self._least[index])
+        return self.best.motion.duration > worth * self._least[index]
 
     def _end_moves(self, goal: Goal) -> bool:
         return goal.q is None and self._problem.robot.n > 3 + (3 if goal.target.rotation is not None else 0)
@@ -230,10 +265,15 @@ class MotionSearch:
         """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
         rounds, box, spare, density = _ROUNDS, _FIRST_BOX, _SPARE, 2
         for _ in range(_PROOFS):
-            found = self._bend(curve, duration, goal, rounds, spare=spare, density=density, box=box)
+            found = self._bend(
+                curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=self._is_hopeless
+            )
             if found is None or found.missed > 0.5 * spare:
                 return False
+            if self._goes_where_another_ended(found):
+                return True
             if self._offer(FoundMotion(found.motion, found.cost, goal, way)):
+                self._known.add(found.curve, found.cost)
                 return True
             curve, duration, rounds, box = found.curve, found.duration, _FEW_ROUNDS, _SMALL_BOX
             spare, density = spare + _MORE_SPARE, 2 * density
@@ -247,29 +287,36 @@ class MotionSearch:
             return
         curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
         found = self._bend(
-            curve, best.motion.duration, best.goal, _FINE_ROUNDS, spare=_SPARE, density=2, box=_SMALL_BOX
-        )
+            curve, best.motion.duration, best.goal, _FINE_ROUNDS,
+            spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
+        )  # fmt: skip
         if found is not None and found.missed <= 0.5 * _SPARE:
             self._offer(replace(best, motion=found.motion, cost=found.cost))
 
     def _bend(
         self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
-        spare: float, density: int, box: float,
+        spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
     ) -> Timed | None:  # fmt: skip
         work, descent = self._world.work, self._descent
         before = descent.rounds
         rounds = min(rounds, work.descent_rounds - self._reserved)
         found = descent.run(
             curve, duration, goal,
-            most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=self._is_hopeless,
+            most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
         )  # fmt: skip
         work.descent_rounds -= descent.rounds - before
         return found
 
     def _is_hopeless(self, here: Timed, rounds: int) -> bool:
+        if rounds in _LOOKS and self._goes_where_another_ended(here):
+            return True
         if rounds < _TRIED or self.best is None:
             return rounds >= _TRIED and here.missed > 2.0 * _FAR_OFF
         return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
+
+    def _goes_where_another_ended(self, here: Timed) -> bool:
+        """Whether another descent has ended at a curve like this one, and at less cost."""
+        return here.missed <= _SPARE and self._known.least_alike(here.curve) <= here.cost
 
     def _is_dear(self, cost: float) -> bool:
         return self.best is not None and cost >= self.best.cost

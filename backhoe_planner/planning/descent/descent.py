@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import solve_program
-from backhoe_planner.machine import Kinematics, movable_rows
+from backhoe_planner.machine import JointLimits, Kinematics, movable_rows
 from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory, drive_of, motion_cost, time_curve
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin, find_margins
@@ -23,7 +23,8 @@ from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import Proximity
 
 _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
-_MISSED_PRICE = 20.0  # of a metre by which a clearance is missed, as a part of the cost: 5 cm cost as much again
+_MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
+_MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
 _GROW, _SHRINK = 1.5, 0.35
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
@@ -111,7 +112,7 @@ class Descent:
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), spare, density)
         if here is None:
             return None
-        price = _MISSED_PRICE * here.cost
+        price = _MISSED_WORTH * here.cost
         for number in range(most_rounds):
             if is_hopeless(here, number):
                 break
@@ -187,8 +188,20 @@ class Descent:
                 return q
             J = goal.jacobian(at)
             asked = movable_rows(J)
-            q = np.clip(q + np.linalg.lstsq(J[asked], error[asked], rcond=1e-6)[0], limits.lower, limits.upper)
+            q = np.clip(q + step_onto(J[asked], error[asked], q, limits), limits.lower, limits.upper)
         return None
+
+
+def step_onto(J: Matrix, error: Vector, q: Vector, limits: JointLimits) -> Vector:
+    """(n,) the least step that takes an error back, by the joints that can follow it: none beyond a limit it is at."""
+    free = np.ones(len(q), dtype=bool)
+    while True:
+        step = np.zeros(len(q))
+        step[free] = np.linalg.lstsq(J[:, free], error, rcond=1e-6)[0]
+        held = ((q >= limits.upper) & (step > 0.0)) | ((q <= limits.lower) & (step < 0.0))
+        if not held.any():
+            return step
+        free &= ~held
 
 
 def _places(curve: JointCurve, density: int) -> int:

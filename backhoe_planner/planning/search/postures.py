@@ -63,7 +63,11 @@ class Postures:
         """
         robot = self._problem.robot
         near = robot.middle if near is None else near
-        guesses = np.array([near, *(robot.random_q(self._rng) for _ in range(count - 1))])
+        anywhere = np.array([robot.random_q(self._rng) for _ in range(count - 1)]).reshape(-1, robot.n)
+        # every other one on the way there: postures near the present one are few, and soonest reached
+        part = np.ones(count - 1)
+        part[::2] = self._rng.random(len(part[::2]))
+        guesses = np.vstack((near, near + part[:, None] * (anywhere - near)))
         ends, reached = solve_batch(self._batch, TargetBatch.of([target] * count), guesses)
         ends = ends[reached]
         if len(ends):

@@ -144,6 +144,11 @@ class _Search:
         self._chart.begin_at(start)
         self._start, self._ends = start, np.array(goals)
         low, high = self._box([start, *goals])
+        # OMPL waits for ever for an end outside of the box
+        goals = [goal for goal in goals if self._can_lead_on(goal) and self._is_within(low, high, goal)]
+        if not goals or not self._is_within(low, high, start):
+            return None
+        self._ends = np.array(goals)
         space = base.RealVectorStateSpace(n)
         bounds = base.RealVectorBounds(n)
         for joint in range(n):
@@ -181,7 +186,15 @@ class _Search:
         low, high = np.min(ends, axis=0), np.max(ends, axis=0)
         lower = np.where(np.isfinite(limits.lower), limits.lower, low - 2.0 * np.pi)
         upper = np.where(np.isfinite(limits.upper), limits.upper, high + 2.0 * np.pi)
+        if self._longest < np.inf:
+            travel = self._travel()
+            lower = np.maximum(lower, 0.5 * (self._start + low - travel))
+            upper = np.minimum(upper, 0.5 * (self._start + high + travel))
         return self._chart.box(np.nextafter(lower / self._rate, -np.inf), np.nextafter(upper / self._rate, np.inf))
+
+    def _is_within(self, low: Vector, high: Vector, q: Vector) -> bool:
+        place = self._chart.place(q)
+        return bool(((low <= place) & (place <= high)).all())
 
     def _state(self, space: Any, q: Vector) -> Any:
         state = space.allocState()
@@ -204,9 +217,15 @@ class _Search:
         """Whether a motion through `q` (n,) can be short enough; every joint needs its way at full rate."""
         if self._longest == np.inf:
             return True
-        before = float(np.max(np.abs(q - self._start) / self._rate))
-        after = np.max(np.abs(self._ends - q) / self._rate, axis=1)
-        return before + float(np.min(after)) < self._longest
+        before, after = np.abs(q - self._start), np.abs(self._ends - q)
+        at_full_rate = np.max(before / self._rate) + np.max(after / self._rate, axis=1)
+        return bool(((at_full_rate < self._longest) & (before + after <= self._travel()).all(axis=1)).any())
+
+    def _travel(self) -> Vector:
+        """(n,) how far each joint gets from rest to rest in the longest time, there and back counted [rad or m]."""
+        a = self._check.problem.limits.acceleration
+        peak = np.minimum(self._rate, 0.5 * a * self._longest)
+        return np.asarray(peak * (self._longest - peak / a))
 
     def _ended(self) -> bool:
         """Whether OMPL is to stop."""

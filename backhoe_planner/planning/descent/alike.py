@@ -1,0 +1,59 @@
+"""Which curves are one but for a bend: each can be moved straight into the other, and it is clear all along.
+
+That is a sufficient condition for two ways to pass the obstacles on the same sides (uniform
+visibility deformation, Zhou et al. 2020): a descent from either mostly ends at the same motion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.search.motion_check import MotionCheck
+
+_PLACES = 12  # of two curves that are joined by straight motions; chosen
+_FINE = 64  # places between which the length of a curve is counted; chosen
+_APART = 0.25  # part of the length that two curves alike may be apart anywhere; chosen, postures may differ by more
+
+
+class KnownCurves:
+    """Curves that have been brought down, and which others are like one of them.
+
+    Parameters
+    ----------
+    check: of motions among the obstacles that the curves keep clear of.
+    """
+
+    def __init__(self, check: MotionCheck) -> None:
+        self._check = check
+        self._known: list[tuple[Matrix, float]] = []
+
+    def add(self, curve: JointCurve, cost: float) -> None:
+        """A clear curve, and what it costs."""
+        self._known.append((self._evenly(curve)[0], cost))
+
+    def least_alike(self, curve: JointCurve) -> float:
+        """The least cost of those that are like `curve`; infinite where none is."""
+        if not self._known:
+            return np.inf
+        q, length = self._evenly(curve)
+        for known, cost in sorted(self._known, key=lambda one: one[1]):
+            if self._apart(q, known) <= _APART * length and all(
+                self._check.segment_is_clear(a, b) for a, b in zip(q, known, strict=True)
+            ):
+                return cost
+        return np.inf
+
+    def _apart(self, a: Matrix, b: Matrix) -> float:
+        """How far two curves are apart at most [s of joint time]."""
+        return float(np.max(np.linalg.norm((a - b) / self._check.rate, axis=1)))
+
+    def _evenly(self, curve: JointCurve) -> tuple[Matrix, float]:
+        """(K, n) places after equal parts of the length, the start left out, and the length [s of joint time]."""
+        q = curve(np.linspace(0.0, 1.0, _FINE + 1))
+        along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0) / self._check.rate, axis=1))))
+        at: Vector = np.linspace(0.0, along[-1], _PLACES + 1)[1:]
+        limits = self._check.problem.limits
+        found = np.column_stack([np.interp(at, along, column) for column in q.T])
+        return np.clip(found, limits.lower, limits.upper), float(along[-1])

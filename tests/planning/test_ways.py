@@ -1,0 +1,90 @@
+"""First ways of a search: which of them are alike, where they are sampled, and how their ends stay on a goal."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from bar_scenes import STRETCHED, TURNED, across_bar, problem_of
+
+import backhoe_planner as bp
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.planning import MotionCheck, Work, sample_path
+from backhoe_planner.planning.descent.alike import KnownCurves
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.descent import step_onto
+from backhoe_planner.site import Proximity
+
+LEFT, RIGHT = np.array([1.5, 0.0, 0.0, 0.0]), np.array([-1.5, 0.0, 0.0, 0.0])
+# the stretched arm (4 m) hits it half way; with the last joint bent by 0.4 rad the tip is at 3.94 m and passes
+POST: dict[str, Any] = {"name": "post", "shape": "sphere", "radius": 0.1, "position": [4.07, 0.0, 0.0]}
+
+
+def bending(angle: float) -> JointCurve:
+    """From left to right, with the last joint bent by this angle half way."""
+    control = np.linspace(LEFT, RIGHT, 13)
+    control[3:10, 3] = angle
+    return JointCurve(control)
+
+
+def known_at(robot: bp.Robot, *obstacles: dict[str, Any]) -> KnownCurves:
+    problem = problem_of(robot, LEFT, RIGHT, list(obstacles))
+    return KnownCurves(MotionCheck(problem, Proximity(problem.robot, problem.obstacles), [LEFT], spare=0.0))
+
+
+def test_the_cheapest_curve_alike_counts(planar4: bp.Robot) -> None:
+    known = known_at(planar4)
+    assert known.least_alike(bending(0.4)) == np.inf
+    known.add(bending(0.5), 7.0)
+    assert known.least_alike(bending(0.4)) == 7.0
+    known.add(bending(0.3), 5.0)
+    assert known.least_alike(bending(0.4)) == 5.0
+    assert known.least_alike(bending(2.5)) == np.inf  # far from both, if nothing is in between
+
+
+def test_what_stands_between_two_curves_makes_them_different(planar4: bp.Robot) -> None:
+    free, blocked = known_at(planar4), known_at(planar4, POST)
+    for known in (free, blocked):
+        known.add(bending(0.4), 1.0)
+        assert known.least_alike(bending(0.42)) == 1.0
+    assert free.least_alike(bending(-0.4)) == 1.0
+    assert blocked.least_alike(bending(-0.4)) == np.inf
+
+
+def test_nothing_is_sampled_where_no_motion_is_short_enough(planar4: bp.Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.002)
+    work = Work()
+    before = work.motions
+    # 1.5 rad at 1 rad/s and 2 rad/s^2 take 2 s
+    assert sample_path(check, STRETCHED, [TURNED], seed=0, work=work, longest=1.99) is None
+    assert work.motions == before
+
+
+def test_every_corner_of_a_sampled_way_leaves_time_for_the_rest(planar4: bp.Robot) -> None:
+    problem, proximity = across_bar(planar4)
+    longest = 6.0
+    v, a = problem.limits.velocity, problem.limits.acceleration
+    travel = v * (longest - v / a)  # speeding up, going on, braking
+    for seed in range(3):
+        check = MotionCheck(problem, proximity, [STRETCHED, TURNED], spare=0.002)
+        way = sample_path(check, STRETCHED, [TURNED], seed=seed, work=Work(), longest=longest)
+        assert way is not None
+        assert (np.abs(way.q - STRETCHED) + np.abs(TURNED - way.q) <= travel + 1e-9).all()
+
+
+@pytest.mark.parametrize(
+    ("q", "step"),
+    [
+        ([0.0, 0.0], [0.1, 0.1]),  # the least step shares the way between both
+        ([1.0, 0.0], [0.0, 0.2]),  # joint 1 is at its limit: the other goes all of it
+        ([1.0, 2.0], [0.0, 0.0]),  # both are: there is none
+    ],
+)
+def test_a_step_back_onto_the_goal_is_made_by_the_joints_that_can(q: list[float], step: list[float]) -> None:
+    one: Vector = np.ones(2)
+    limits = JointLimits(lower=-one, upper=np.array([1.0, 2.0]), velocity=one, acceleration=one, effort=one)
+    found = step_onto(np.array([[1.0, 1.0]]), np.array([0.2]), np.array(q), limits)
+    np.testing.assert_allclose(found, step, atol=1e-12)
