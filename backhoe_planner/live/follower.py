@@ -26,6 +26,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
+from backhoe_planner.live.kept_following import KeptFollowing
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.live.rejoining import (
     LONGEST,
@@ -37,7 +38,7 @@ from backhoe_planner.live.rejoining import (
 )
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.live.servo.servo_state import HOLDS_WITHIN, ServoState
-from backhoe_planner.motion import Trajectory
+from backhoe_planner.motion import Trajectory, keep_of
 from backhoe_planner.planning import Plan
 
 # The numbers are chosen; validation/placements.py drives machines with them.
@@ -152,6 +153,8 @@ class PlanFollower:
         self._trajectory = trajectory
         self._plan = Reference(trajectory, servo.limits)
         self._round: _Round | None = None
+        keep = plan.problem.keep if isinstance(plan, Plan) else keep_of(robot, servo.scene)
+        self._kept = KeptFollowing(keep, servo.limits)
         self._steps = 0
         self._slowest = float(servo.limits.velocity.min())
         self._progress = _Progress(self._slowest)
@@ -247,6 +250,9 @@ class PlanFollower:
         # no faster towards the plan than can be braked in time
         size = np.abs(off)
         pull = np.copysign(np.minimum(size / servo.dt, np.sqrt(2.0 * _PART * servo.limits.acceleration * size)), off)
+        off_plan = deviation > _ON_PLAN
+        if self._kept.must_stop(servo.q, servo.v, time=servo.time, off_plan=off_plan):
+            pace, pull = 0.0, np.zeros_like(pull)
         state = servo.step(joint_velocity=pace * rates + pull)
         reference.advance(pace * servo.dt)
         if self._progress.made(reference, deviation, servo.dt):
@@ -356,7 +362,8 @@ class PlanFollower:
         if self._blocked:
             return FollowerStatus.BLOCKED, self._blocked
         if self._holding or self._progress.waited > _NOTICED:
-            return FollowerStatus.WAITING, self._held_by(state)
+            kept = f"; {self._kept.lost}" if self._kept.lost else ""
+            return FollowerStatus.WAITING, f"{self._held_by(state)}{kept}"
         if self._round is not None:
             return FollowerStatus.GOING_ROUND, "" if self._round.around is None else f"round {self._round.around}"
         return FollowerStatus.FOLLOWING, ""

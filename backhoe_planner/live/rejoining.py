@@ -110,7 +110,7 @@ def find_rejoining(query: RejoiningQuery) -> Rejoining | NoRejoining:
     """
     keep = keep_of(query.robot, query.scene)
     if keep is not None and not keep.holds(query.q):
-        keep = None  # it is not kept where the machine stands: getting back onto the motion comes first
+        keep = keep.widened(query.q)  # where it is lost already, the way back loses no more
     problem = Problem(
         robot=query.robot,
         scene=query.scene,
@@ -160,6 +160,10 @@ class _Search:
 
     def _why(self, here: Obstruction | None) -> str:
         """Why no way was found, in words."""
+        kept = "" if self._problem.keep is None else ", keeping what is asked for on the way"
+        return f"{self._what_stands(here)}{kept}"
+
+    def _what_stands(self, here: Obstruction | None) -> str:
         at_end, found = self._proximity.tightest(self._q[-1]), self._obstruction
         if at_end is not None and at_end.margin < -TOUCH:
             return f"{at_end.name} stands on the end of the plan"

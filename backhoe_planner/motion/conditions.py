@@ -90,6 +90,10 @@ class Condition(Protocol):
         """A value as people count it [unit]."""
         return value
 
+    @abstractmethod
+    def widened(self, robot: Robot, by: float) -> Condition:
+        """The same with `by` more allowed [unit]."""
+
     @property
     @abstractmethod
     def allowed(self) -> str:
@@ -155,6 +159,10 @@ class PitchBand(Condition):
         """The pitch above the horizontal [rad]."""
         return value + 0.5 * (self.low + self.high)
 
+    def widened(self, robot: Robot, by: float) -> PitchBand:
+        """To both sides: the same middle."""
+        return PitchBand(robot, self.low - by, self.high + by)
+
     @property
     def allowed(self) -> str:
         """``0 to 20 deg``"""
@@ -202,6 +210,10 @@ class HeightBound(Condition):
         """One."""
         at = self._batch.at(q[None, :])
         return self.margins(at.tip_position[:, 2]), self.sense * at.position_jacobian()[:, 2]
+
+    def widened(self, robot: Robot, by: float) -> HeightBound:
+        """The limit moved outward [m]."""
+        return HeightBound(robot, self.limit - self.sense * by, self.sense)
 
     @property
     def allowed(self) -> str:
@@ -256,6 +268,10 @@ class RotationCone(Condition):
         angle = float(np.linalg.norm(turn))
         axis = turn / angle if angle > 0.0 else turn
         return self.margins(np.array([angle])), (axis @ at.rotation_jacobian()[0])[None, :]
+
+    def widened(self, robot: Robot, by: float) -> RotationCone:
+        """A wider cone."""
+        return RotationCone(robot, self.rotation, self.tolerance + by)
 
     @property
     def allowed(self) -> str:

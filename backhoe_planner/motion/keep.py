@@ -104,6 +104,18 @@ class Keep:
             for one in self.conditions
         )
 
+    def widened(self, q: Vector) -> Keep:
+        """The same, with as much more allowed of each condition as the joints `q` (n,) miss it by, and no more."""
+        at = self.robot.check_q(q)[None, :]
+        missed = [max(-float(one.margins(one.values(at))[0]), 0.0) for one in self.conditions]
+        return Keep(
+            self.robot,
+            [
+                one.widened(self.robot, by + KEPT_TO) if by > 0.0 else one
+                for one, by in zip(self.conditions, missed, strict=True)
+            ],
+        )
+
     def project(self, q: Vector, lower: Vector, upper: Vector) -> Vector | None:
         """A configuration (n,) near `q` (n,) at which all is kept, within `lower` and `upper` (n,); None if not found.
 
