@@ -19,13 +19,15 @@ from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
 
-def geometry_model(robot: Robot) -> pin.GeometryModel:
-    """A new geometry model that holds `robot.pieces`, in their order, without pairs."""
+def geometry_model(robot: Robot, *, inner: bool = False) -> pin.GeometryModel:
+    """A new geometry model that holds `robot.pieces`, in their order, without pairs.
+
+    inner: with `Piece.inner`, where there is one.
+    """
     model = pin.GeometryModel()
     for piece in robot.pieces:
-        model.addGeometryObject(
-            pin.GeometryObject(piece.name, piece.joint, 0, piece.piece.placement, piece.piece.shape)
-        )
+        shape = (piece.piece.inner if inner else None) or piece.piece.shape
+        model.addGeometryObject(pin.GeometryObject(piece.name, piece.joint, 0, piece.piece.placement, shape))
     return model
 
 

@@ -5,12 +5,17 @@ found by geometry, piece by piece and not body by body: what is fixed to a link 
 tool) counts as itself. Left out are pieces
 
     on one body             they never move against each other
-    that cannot meet        one joint apart, proven over the joint's whole range
+    that cannot meet        one joint apart, proven over the joint's whole range; or proven as they are written,
+                            where their convex pieces overlap nearly throughout
     that touch at the pin   of the joint's own two links, where no overlap reaches far from its axis; of
                             other links one joint apart that touch over its whole range the same, or only
                             grazing; and what touches over nearly all of the range by itself
     that touch at the stop  of the joint's own two links, grazing at the ends of its range
     of links that touch     in nearly every posture, two or more joints apart, where the pieces often do
+
+A convex piece may be larger than the shape as it is written, as around a hollow mesh. How often two links
+touch is therefore judged on shapes that are nowhere larger than what is written (`Piece.inner`), and what
+overlaps by its pieces alone counts.
 
 Whatever else may touch somewhere counts. What is held, or moves in narrower ranges than the URDF's, may
 touch in all postures and not by construction: such a pair counts if it does in the machine as described.
@@ -27,21 +32,24 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.collision_model import geometry_model, travel_bounds
+from backhoe_planner.machine.proven_apart import proven_apart
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.machine.shape.overlap import faces_of, overlap_corners
 
-_BY_CONSTRUCTION = 0.85  # of random postures; an industrial arm's shoulder touches its torso in 0.86 of them
+_BY_CONSTRUCTION = 0.85  # of random postures, by convex pieces; as they are written links then touch in `_THROUGHOUT`
 _POSTURES = (20, 100, 1000, 10_000)  # looked at in turn until it is decided; the last tell a share to within 0.004
 _SURE = 4.0  # standard deviations from that share, at which fewer postures decide
-_THROUGHOUT = 0.9  # of the joint's range: the same, and what 41 places may be off by
+_THROUGHOUT = 0.9  # of the joint's range, or of postures: 0.85, and what 41 places may be off by
 _PLACES = 41  # over a joint's range; 9 deg of a full turn, and between them it is proven
 _HALVINGS = 8  # of the distance between two places, to prove that a pair does not meet there
 _PIN_OF_CONTACT = 1.5  # times as far from the joint as its links touch, or overlap, anyway: still at the pin
 _PIN_OF_LINK = 0.25  # or this part of the smaller link; it is where an overlap is deepest
 _REACH_OF_LINK = 1.0 / 3.0  # of the smaller link; chosen: up to here such an overlap may reach
+_AS_WRITTEN = "cannot meet as they are written"
 _STOP = 2  # places at each end of the range: 5 % of it
 _TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each other at 0.2 mm
+_PLAY = 5e-3  # m: two links that are nowhere further apart run past each other, as a wheel in its housing at 4.5 mm
 _SOMETIMES = 0.25  # of the postures in which two pieces touch, of links that touch throughout; less is no pin
 _GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what folds into a link goes deeper
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
@@ -137,7 +145,7 @@ def _judged(
                 beside[robot.pieces[pair[0]].joint - 1].append(pair)
             elif apart > 1:
                 beyond.append(pair)
-    reasons = _reasons_beyond(robot, beyond)
+    reasons = _reasons_beyond(robot, beyond, posture)
     for joint, pairs in enumerate(beside):
         reasons.update(_reasons_beside(robot, joint, pairs, None if posture is None else posture[joint]))
     kept = sorted(pair for pair in (*beyond, *(p for pairs in beside for p in pairs)) if pair not in reasons)
@@ -148,37 +156,66 @@ def _links(robot: Robot, pair: tuple[int, int]) -> tuple[str, str]:
     return robot.pieces[pair[0]].link, robot.pieces[pair[1]].link
 
 
-def _reasons_beyond(robot: Robot, pairs: list[tuple[int, int]]) -> dict[tuple[int, int], tuple[bool, str]]:
+def _reasons_beyond(
+    robot: Robot, pairs: list[tuple[int, int]], posture: tuple[float, ...] | None
+) -> dict[tuple[int, int], tuple[bool, str]]:
     """Why pairs of pieces that two or more joints lie between are left out; without those that are not.
 
     Few postures decide where links touch in nearly all of them, or in far fewer than by construction.
+    """
+    by_pieces = list(_touch_in_postures(robot, pairs, _BY_CONSTRUCTION, inner=False))
+    reasons = _touch_in_postures(robot, by_pieces, _THROUGHOUT, inner=True)
+    larger = [pair for pair in by_pieces if any(robot.pieces[index].piece.make_inner for index in pair)]
+    lower, upper = _range(robot, posture)
+    for pair in larger:
+        if pair not in reasons and proven_apart(robot, pair, lower, upper):
+            reasons[pair] = False, _AS_WRITTEN
+    return reasons
+
+
+def _range(robot: Robot, posture: tuple[float, ...] | None) -> tuple[Vector, Vector]:
+    """(n,), (n,) finite ends of the joints' positions, with those of a posture [rad or m]."""
+    lower, upper = robot.limits.lower, robot.limits.upper
+    unlimited = ~(np.isfinite(lower) & np.isfinite(upper))
+    lower, upper = np.where(unlimited, -np.pi, lower), np.where(unlimited, np.pi, upper)
+    return (lower, upper) if posture is None else (np.minimum(lower, posture), np.maximum(upper, posture))
+
+
+def _touch_in_postures(
+    robot: Robot, pairs: list[tuple[int, int]], by_construction: float, *, inner: bool
+) -> dict[tuple[int, int], tuple[bool, str]]:
+    """Those of some pairs that touch in such a share of random postures or more, and in how many.
+
+    inner: by shapes that are nowhere larger than what is written.
     """
     rng = np.random.default_rng(0)
     reasons: dict[tuple[int, int], tuple[bool, str]] = {}
     for count in _POSTURES:
         if not pairs:
             break
-        links, pieces = _touches(robot, pairs, [robot.random_q(rng) for _ in range(count)])
-        doubt = _SURE * np.sqrt(_BY_CONSTRUCTION * (1.0 - _BY_CONSTRUCTION) / count) if count < _POSTURES[-1] else 0.0
+        links, pieces = _touches(robot, pairs, [robot.random_q(rng) for _ in range(count)], inner=inner)
+        doubt = _SURE * np.sqrt(by_construction * (1.0 - by_construction) / count) if count < _POSTURES[-1] else 0.0
         undecided = []
         for pair in pairs:
             share = links[_links(robot, pair)] / count
-            if share >= _BY_CONSTRUCTION + doubt:
+            if share >= by_construction + doubt:
                 if pieces[pair] >= _SOMETIMES * count:
                     reasons[pair] = True, f"touch in {share:.0%} of random postures"
-            elif share > _BY_CONSTRUCTION - doubt:
+            elif share > by_construction - doubt:
                 undecided.append(pair)
         pairs = undecided
     return reasons
 
 
 def _touches(
-    robot: Robot, pairs: list[tuple[int, int]], postures: list[Vector]
+    robot: Robot, pairs: list[tuple[int, int]], postures: list[Vector], *, inner: bool
 ) -> tuple[Counter[tuple[str, str]], Counter[tuple[int, int]]]:
     """In how many postures (n,) links touch with any of some pairs of pieces, and each of these pairs does."""
     links: Counter[tuple[str, str]] = Counter()
     pieces: Counter[tuple[int, int]] = Counter()
-    model = geometry_model(robot)
+    if inner:
+        pairs = [pair for pair in pairs if all(robot.pieces[index].piece.inner is not None for index in pair)]
+    model = geometry_model(robot, inner=inner)
     for a, b in pairs:
         model.addCollisionPair(pin.CollisionPair(a, b))
     data, geometry = robot.model.createData(), model.createData()
@@ -204,8 +241,7 @@ def _reasons_beside(
     reasons: dict[tuple[int, int], tuple[bool, str]] = {}
     for links, rows in by_links.items():
         own = set(links) == its_own
-        touching = sweep.distance[:, rows] <= _TOUCH
-        throughout = np.mean(touching.any(axis=1)) >= _THROUGHOUT
+        throughout = sweep.touch_throughout(rows)
         size = sweep.size(rows)
         pin_radius = sweep.pin_radius(rows, size) if throughout else _PIN_OF_LINK * size
         graze = min(_GRAZE, _GRAZE_OF_LINK * size)
@@ -220,6 +256,8 @@ def _reasons_beside(
                 anyway=rows if throughout else [],
             ):
                 reasons[pairs[row]] = True, f"touch at {name}"
+            elif sweep.never_meets_as_written(row):
+                reasons[pairs[row]] = False, f"{_AS_WRITTEN} over the range of {name}"
             elif own and sweep.grazes_at_the_ends(row, graze):
                 reasons[pairs[row]] = True, f"touch at the stop of {name}"
     return reasons
@@ -259,6 +297,7 @@ class _Sweep:
         self._places = np.linspace(lower, upper, _PLACES)
         self._placed: list[pin.SE3] = []  # of the joint's outer body in its inner one, at each place
         self._reaches: dict[int, Vector] = {}
+        self._written: dict[tuple[int, int, float], bool] = {}
         self.distance: Matrix = np.empty((_PLACES, len(pairs)))
         self.from_pin: Matrix = np.empty((_PLACES, len(pairs)))
         for index, place in enumerate(self._places):
@@ -282,6 +321,32 @@ class _Sweep:
             axis = self._robot.joint_axes[self._joint]
             points = points - np.outer(points @ axis, axis)
         return float(np.linalg.norm(points, axis=1).max(initial=0.0))
+
+    def touch_throughout(self, rows: list[int]) -> bool:
+        """Whether any of some pairs touches over nearly all of the range, as they are written, or runs past with play.
+
+        That is judged on shapes that are nowhere larger than what is written: a piece around a hollow mesh
+        may overlap everywhere what the mesh meets in a part of the range.
+        """
+        seen = np.any(self.distance[:, rows] <= _TOUCH, axis=1)
+        if np.mean(seen) < _THROUGHOUT:
+            return False
+        overlap = sum(self._any_within(rows, place, 0.0) for place in range(_PLACES))
+        return overlap >= _THROUGHOUT * _PLACES or all(self._any_within(rows, p, _PLAY) for p in range(_PLACES))
+
+    def _any_within(self, rows: list[int], place: int, margin: float) -> bool:
+        """Whether any of some pairs is within `margin` [m] at a place, as it is written."""
+        return any(self._within(row, place, margin) for row in rows if self.distance[place, row] <= margin)
+
+    def _within(self, row: int, place: int, margin: float) -> bool:
+        first, second = (self._robot.pieces[index].piece for index in self._pairs[row])
+        if not (first.make_inner or second.make_inner):
+            return bool(self.distance[place, row] <= margin)
+        key = row, place, margin
+        if key not in self._written:
+            T = self._placed[place] * first.placement
+            self._written[key] = shapes.within(first, T, second, second.placement, margin)
+        return self._written[key]
 
     def size(self, rows: list[int]) -> float:
         """Of the two links of these pairs, how far the smaller one reaches from the joint's origin [m]."""
@@ -317,7 +382,7 @@ class _Sweep:
         touching = self.distance[:, row] <= _TOUCH
         if not np.any(touching):
             return False  # they meet between two places, if anywhere
-        if np.mean(touching) >= _THROUGHOUT:
+        if self.touch_throughout([row]):
             return True
         if not np.all(self.distance[:, row] > -graze):
             if np.any(self.from_pin[touching, row] > radius):
@@ -367,6 +432,15 @@ class _Sweep:
     def never_meets(self, row: int) -> bool:
         """Whether it is proven that a pair keeps apart over the joint's whole range."""
         return bool(np.all(self.distance[:, row] > _TOUCH)) and self._keeps_apart_elsewhere(row)
+
+    def never_meets_as_written(self, row: int) -> bool:
+        """Whether two pieces that overlap nearly throughout are proven to be larger there than what is written."""
+        larger = any(self._robot.pieces[index].piece.make_inner for index in self._pairs[row])
+        if not larger or np.mean(self.distance[:, row] <= _TOUCH) < _THROUGHOUT:
+            return False
+        ends = np.tile(self._robot.middle, (2, 1))
+        ends[:, self._joint] = self._places[[0, -1]]
+        return proven_apart(self._robot, self._pairs[row], ends[0], ends[1])
 
     def _keeps_apart_elsewhere(self, row: int) -> bool:
         """The same between all neighbouring places at neither of which it touches."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import backhoe_planner as bp
 from backhoe_planner.machine import Robot, load_robot, self_pairs
@@ -262,3 +263,66 @@ def test_a_turntable_that_overlaps_its_bed_all_around_is_left_out(tmp_path: Path
     robot = machine(tmp_path, bed, table, joint("turn", "bed", "table"), tip="table")
     assert self_pairs(robot).kept == ()
     assert [pair.why for pair in self_pairs(robot).left_out] == ["touch at turn"]
+
+
+def disc_with_gap(folder: Path, gap: float) -> str:
+    """A link that is a disc of 1 m radius, 40 mm thick, without a sector of `gap` [rad] about -x."""
+    angle = np.linspace(-np.pi + gap / 2.0, np.pi - gap / 2.0, 97)
+    outline = np.vstack(([0.0, 0.0], np.column_stack((np.cos(angle), np.sin(angle)))))
+    count = len(outline)
+    corners = np.vstack([np.column_stack((outline, np.full(count, z))) for z in (-0.02, 0.02)])
+    fan = np.array([[0, i, i + 1] for i in range(1, count - 1)])
+    sides = [[i, (i + 1) % count, j] for i in range(count) for j in ((i + 1) % count + count,)]
+    sides += [[i, (i + 1) % count + count, i + count] for i in range(count)]
+    trimesh.Trimesh(corners, np.vstack((fan[:, ::-1], fan + count, sides))).export(folder / "disc.stl")
+    return '<link name="disc"><collision><geometry><mesh filename="disc.stl"/></geometry></collision></link>'
+
+
+def peg_in_disc(folder: Path, gap: float, *, joints: int) -> Robot:
+    """A cube of 0.1 m edge that turns 0.5 m from the axis of a disc, by one joint or by two on one axis.
+
+    The hull of the disc reaches to cos(gap / 2) m at the gap, so that the cube is in it all around.
+    """
+    below = joint("below", "base", "plate", kind="fixed" if joints == 1 else "revolute", either_way=0.05)
+    parts = [
+        '<link name="base"/>',
+        disc_with_gap(folder, gap),
+        joint("disc_fixed", "base", "disc", kind="fixed"),
+        '<link name="plate"/>',
+        below,
+        link("peg", "0.1 0.1 0.1 | 0.5 0 0"),
+        joint("turn", "plate", "peg", either_way=np.pi - 0.05),
+    ]
+    return machine(folder, *parts, tip="peg")
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_a_hull_larger_than_its_mesh_is_no_reason_to_leave_a_pair_out(joints: int, tmp_path: Path) -> None:
+    """A gap of 100 deg: the cube touches the disc over 260 deg, and 13 deg on which it is wide, of 360: 0.76."""
+    robot = peg_in_disc(tmp_path, np.radians(100.0), joints=joints)
+    assert kept_links(robot) == {frozenset(("peg", "disc"))}
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+def test_a_pair_that_touches_nearly_throughout_as_it_is_written_is_left_out(joints: int, tmp_path: Path) -> None:
+    """A gap of 20 deg, of which the cube fills 13: over 0.98 of the turn."""
+    assert self_pairs(peg_in_disc(tmp_path, np.radians(20.0), joints=joints)).kept == ()
+
+
+@pytest.mark.parametrize(
+    ("hole", "why"),
+    [
+        (0.104, "touch at turn"),
+        (0.15, "cannot meet as they are written over the range of turn"),
+    ],
+)
+def test_a_wheel_in_a_hole_that_its_hull_closes_is_left_out(hole: float, why: str, tmp_path: Path) -> None:
+    """A wheel of 0.1 m radius, with a play of 4 mm or 50 mm around it: else the machine could never move."""
+    trimesh.creation.annulus(hole, 0.3, 0.1, sections=96).export(tmp_path / "ring.stl")
+    ring = '<link name="ring"><collision><geometry><mesh filename="ring.stl"/></geometry></collision></link>'
+    wheel = (
+        '<link name="wheel"><collision><geometry><cylinder radius="0.1" length="0.08"/></geometry></collision></link>'
+    )
+    robot = machine(tmp_path, ring, wheel, joint("turn", "ring", "wheel", kind="continuous"), tip="wheel")
+    assert self_pairs(robot).kept == ()
+    assert [pair.why for pair in self_pairs(robot).left_out] == [why]

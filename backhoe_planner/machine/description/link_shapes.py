@@ -158,7 +158,10 @@ def _solids_of(urdf: Urdf, geometry: Geometry) -> list[_Solid]:
         raise InputError("mesh file not found", found=geometry.mesh.filename)
     scale = _mesh_scale(geometry.mesh)
     cover = mesh_cover(path, scale, pieces=_PIECES_PER_LINK_MESH, excess=_LINK_HULL_EXCESS)
-    return [_Solid(partial(convex, points), cover.cached) for points in cover.pieces]
+    return [
+        _Solid(partial(convex, points, surface=surface), cover.cached)
+        for points, surface in zip(cover.pieces, cover.surfaces, strict=True)
+    ]
 
 
 def visuals_of(urdf: Urdf, model: pin.Model) -> tuple[Visual, ...]:

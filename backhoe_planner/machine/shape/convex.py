@@ -29,6 +29,7 @@ Block = tuple[int, int, int, int]
 _RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge
 _CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with them
 _HOLLOWS = (1, 2, 4, 8, 16)  # grid steps to either side with which a point is compared; chosen: wider ones are few
+_SAME_VOLUME = 1.001  # of a mesh, up to which its hull is the mesh; STL files round a convex mesh by far less
 _FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
 
 
@@ -76,6 +77,14 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
     ------
     InputError: the mesh reaches further than 1e7 m from its origin.
     """
+    return [corners for corners, _ in cover_with_surface(mesh, pieces=pieces, excess=excess)]
+
+
+def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> list[tuple[Matrix, Matrix | None]]:
+    """The pieces of `convex_cover`, each with those triangles (m, 3, 3) of the mesh that it was grown over [m].
+
+    Every triangle is with one piece. None instead of triangles where the piece is the mesh.
+    """
     vertices = np.asarray(mesh.vertices, dtype=float)
     faces = np.asarray(mesh.faces)
     used = np.unique(faces)
@@ -89,7 +98,8 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
         )
     around = hull(vertices[used])
     if is_flat(vertices[used]) or around.volume <= excess * abs(mesh.volume):
-        return [around.points[around.vertices]]
+        is_mesh = mesh.is_watertight and around.volume <= _SAME_VOLUME * abs(mesh.volume)
+        return [(around.points[around.vertices], None if is_mesh else vertices[faces])]
     from vhacdx import compute_vhacd
 
     padded = np.column_stack((np.full(len(faces), 3), faces)).ravel().astype(np.uint32)
@@ -100,17 +110,17 @@ def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.0
     return _grown_over_triangles(hulls, vertices[faces])
 
 
-def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[Matrix]:
-    """Corners (k, 3) of each hull after it took in the `triangles` (m, 3, 3) that stick out of it least of all."""
+def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[tuple[Matrix, Matrix | None]]:
+    """Corners (k, 3) of each hull after it took in the `triangles` (m, 3, 3) that stick out of it least; and these."""
     outside = np.stack(
         [np.max(triangles @ part.equations[:, :3].T + part.equations[:, 3], axis=(1, 2)) for part in hulls]
     )
     owner = np.argmin(outside, axis=0)
-    grown = []
+    grown: list[tuple[Matrix, Matrix | None]] = []
     for index, part in enumerate(hulls):
         missing = triangles[(owner == index) & (outside[index] > 0.0)].reshape(-1, 3)
         larger = hull(np.vstack((part.points[part.vertices], missing)))
-        grown.append(larger.points[larger.vertices])
+        grown.append((larger.points[larger.vertices], triangles[owner == index]))
     return grown
 
 

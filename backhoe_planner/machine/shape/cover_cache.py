@@ -22,7 +22,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import OutputError
 from backhoe_planner.files.output_file import whole_file
-from backhoe_planner.machine.shape.convex import convex_cover, load_mesh
+from backhoe_planner.machine.shape.convex import cover_with_surface, load_mesh
 
 _WHOLE = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # suffixes of files that hold their mesh in themselves
 _LIBRARIES = ("vhacdx", "trimesh", "pycollada", "scipy", "numpy")
@@ -37,10 +37,13 @@ class Cover:
     Attributes
     ----------
     pieces: corners (k, 3) of each [m], see `convex_cover`.
+    surfaces: of each piece those triangles (m, 3, 3) of the mesh that it was grown over [m]; None where the
+        piece is the mesh.
     cached: whether they came from the cache folder.
     """
 
     pieces: list[Matrix]
+    surfaces: list[Matrix | None]
     cached: bool
 
 
@@ -81,13 +84,14 @@ def mesh_cover(path: Path, scale: float | Vector, *, pieces: int = 16, excess: f
             entry = cache_folder() / f"{key.hex()}.pieces"
             kept = _read(entry, key)
             if kept is not None:
-                return Cover(kept, cached=True)
+                return Cover(*kept, cached=True)
     mesh = load_mesh(path)
     mesh.apply_scale(scale)
-    found = convex_cover(mesh, pieces=pieces, excess=excess)
+    found = cover_with_surface(mesh, pieces=pieces, excess=excess)
+    cover = Cover([corners for corners, _ in found], [surface for _, surface in found], cached=False)
     if entry is not None:
-        _keep(entry, key, found)
-    return Cover(found, cached=False)
+        _keep(entry, key, cover)
+    return cover
 
 
 def _key(mesh: bytes, scale: float | Vector, pieces: int, excess: float) -> bytes:
@@ -107,8 +111,8 @@ def _maker() -> bytes:
     return digest.digest()
 
 
-def _read(entry: Path, key: bytes) -> list[Matrix] | None:
-    """The pieces of an entry; None where there is none, or a damaged one."""
+def _read(entry: Path, key: bytes) -> tuple[list[Matrix], list[Matrix | None]] | None:
+    """The pieces of an entry with their surfaces; None where there is none, or a damaged one."""
     try:
         content = entry.read_bytes()
     except OSError:
@@ -117,15 +121,19 @@ def _read(entry: Path, key: bytes) -> list[Matrix] | None:
     if content[:_CHECKSUM] != hashlib.sha256(key + body).digest():
         return None
     stream = io.BytesIO(body)
-    ends, corners = (np.load(stream, allow_pickle=False) for _ in range(2))
-    return np.split(corners, ends)
+    ends, corners, surface_ends, triangles, is_mesh = (np.load(stream, allow_pickle=False) for _ in range(5))
+    surfaces = zip(np.split(triangles, surface_ends), is_mesh.tolist(), strict=True)
+    return np.split(corners, ends), [None if whole else surface for surface, whole in surfaces]
 
 
-def _keep(entry: Path, key: bytes, found: list[Matrix]) -> None:
+def _keep(entry: Path, key: bytes, cover: Cover) -> None:
     """Write an entry, whole or not at all: another process may write the same one now."""
     stream = io.BytesIO()
-    np.save(stream, np.cumsum([len(corners) for corners in found])[:-1], allow_pickle=False)
-    np.save(stream, np.vstack(found), allow_pickle=False)
+    surfaces = [np.zeros((0, 3, 3)) if surface is None else surface for surface in cover.surfaces]
+    for arrays in (cover.pieces, surfaces):
+        np.save(stream, np.cumsum([len(array) for array in arrays])[:-1], allow_pickle=False)
+        np.save(stream, np.concatenate(arrays), allow_pickle=False)
+    np.save(stream, np.array([surface is None for surface in cover.surfaces]), allow_pickle=False)
     body = stream.getvalue()
     with contextlib.suppress(OSError, OutputError):
         entry.parent.mkdir(parents=True, exist_ok=True)

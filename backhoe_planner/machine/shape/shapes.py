@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import coal
@@ -49,6 +50,7 @@ class Piece:
     radius: [m].
     prism: whether `hull` is the one rim of a right prism, counter-clockwise as seen from the other, and then
         the other.
+    make_inner: makes `inner`; None where that is the shape itself.
     """
 
     shape: coal.CollisionGeometry
@@ -56,15 +58,31 @@ class Piece:
     hull: Matrix
     radius: float = 0.0
     prism: bool = False
+    make_inner: Callable[[], coal.CollisionGeometry | None] | None = None
+
+    @cached_property
+    def inner(self) -> coal.CollisionGeometry | None:
+        """A shape at the same place that is nowhere larger than what the piece contains as it is written.
+
+        Of a mesh that is not convex it is the surface alone: what is inside of it does not touch it. None where
+        no triangle of it lies in the piece.
+        """
+        return self.shape if self.make_inner is None else self.make_inner()
 
 
 def _piece(
-    shape: coal.CollisionGeometry, placement: pin.SE3, points: Matrix, *, radius: float = 0.0, prism: bool = False
+    shape: coal.CollisionGeometry,
+    placement: pin.SE3,
+    points: Matrix,
+    *,
+    radius: float = 0.0,
+    prism: bool = False,
+    make_inner: Callable[[], coal.CollisionGeometry | None] | None = None,
 ) -> Piece:
     """A piece bounded by balls of `radius` around `points` (k, 3) [m] in the shape's frame."""
     hull = points @ placement.rotation.T + placement.translation
     hull.setflags(write=False)
-    return Piece(shape=shape, placement=placement, hull=hull, radius=radius, prism=prism)
+    return Piece(shape=shape, placement=placement, hull=hull, radius=radius, prism=prism, make_inner=make_inner)
 
 
 def box(size: Vector, placement: pin.SE3) -> Piece:
@@ -104,28 +122,40 @@ def cylinder(radius: float, length: float, placement: pin.SE3) -> Piece:
     sides = [np.column_stack((low, following, high[following])), np.column_stack((low, high[following], high))]
     fans = [np.column_stack((0 * low, following, low)), np.column_stack((0 * low + _SIDES, high, high[following]))]
     triangles = np.vstack((*sides, *(fan[1:-1] for fan in fans)))
-    return _piece(_polytope(points, triangles), placement, points, prism=True)
+    narrow = np.cos(np.pi / _SIDES)
+    within = points * [narrow, narrow, 1.0]
+    inner = partial(_polytope, within, triangles)
+    return _piece(_polytope(points, triangles), placement, points, prism=True, make_inner=inner)
 
 
-def convex(points: Matrix, placement: pin.SE3) -> Piece:
+def convex(points: Matrix, placement: pin.SE3, *, surface: Matrix | None = None) -> Piece:
     """The convex hull of `points` (k, 3) [m] in the frame at `placement` T_body_hull; flat ones are thickened.
 
     Where a corner has more neighbours than coal can count, as the tip of a cone of 300 sides, it
     is a polytope with fewer faces around the hull, which sticks out of it by at most 0.1 % of the
     distance from the centroid.
+
+    Parameters
+    ----------
+    surface: (m, 3, 3) triangles in that frame [m], where the hull is larger than what it contains; may be none.
     """
     points = np.asarray(points, dtype=float)
     centre = points.mean(axis=0)
     if np.linalg.norm(centre) > _FAR * np.max(np.ptp(points, axis=0)):
         points, placement = points - centre, placement * pin.SE3(np.eye(3), centre)
-    around = _countable(hull(points))
+        surface = None if surface is None else surface - centre
+    exact = hull(points)
+    around = _countable(exact)
+    if surface is None and around is not exact:
+        surface = exact.points[exact.simplices]
+    inner = None if surface is None else partial(_surface, surface)
     numbers = np.full(len(around.points), -1)
     numbers[around.vertices] = np.arange(len(around.vertices))
     edges = around.points[around.simplices[:, 1:]] - around.points[around.simplices[:, :1]]
     inward = np.einsum("ij,ij->i", np.cross(edges[:, 0], edges[:, 1]), around.equations[:, :3]) < 0.0
     triangles = numbers[np.where(inward[:, None], around.simplices[:, ::-1], around.simplices)]
     # coal could build the hull itself, but ends the process where Qhull reports an error
-    return _piece(_polytope(around.points[around.vertices], triangles), placement, around.points)
+    return _piece(_polytope(around.points[around.vertices], triangles), placement, around.points, make_inner=inner)
 
 
 def _polytope(points: Matrix, triangles: Array) -> coal.Convex:
@@ -136,6 +166,19 @@ def _polytope(points: Matrix, triangles: Array) -> coal.Convex:
     for a, b, c in triangles.tolist():
         faces.append(coal.Triangle(a, b, c))
     return coal.Convex(corners, faces)
+
+
+def _surface(triangles: Matrix) -> coal.CollisionGeometry | None:
+    """Coal's shape of triangles (m, 3, 3) [m] with nothing inside; None of none."""
+    if not len(triangles):
+        return None
+    found = coal.BVHModelOBBRSS()
+    corners = np.ascontiguousarray(triangles.reshape(-1, 3))
+    found.beginModel(len(triangles), len(corners))
+    found.addVertices(corners)
+    found.addTriangles(np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+    found.endModel()
+    return found
 
 
 def _countable(around: ConvexHull) -> ConvexHull:
@@ -232,6 +275,16 @@ def prepare(request: coal.DistanceRequest) -> None:
     """Set a `request` so that coal iterates until distances are right to 1e-12 m."""
     request.gjk_max_iterations = request.epa_max_iterations = _ITERATIONS
     request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+
+
+def within(first: Piece, T_first: pin.SE3, second: Piece, T_second: pin.SE3, margin: float) -> bool:
+    """Whether the inner shapes of two pieces, at T_first and T_second in one frame, are within `margin` [m]."""
+    if first.inner is None or second.inner is None:
+        return False
+    request, result = coal.CollisionRequest(), coal.CollisionResult()
+    request.security_margin = margin
+    T_1, T_2 = (transform(T.rotation, T.translation) for T in (T_first, T_second))
+    return bool(coal.collide(first.inner, T_1, second.inner, T_2, request, result))
 
 
 def in_doubt(distance: Any) -> Any:

@@ -1,0 +1,50 @@
+"""The proof that two pieces of a machine never meet as they are written, though their convex pieces overlap.
+
+A box of postures is halved until, in the middle of each part, the two are further apart than they can
+come nearer within it: sum_j h_j r_j, with half the width h_j of the part [rad or m] and r_j of
+`travel_bounds`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine.collision_model import travel_bounds
+from backhoe_planner.machine.robot import Robot
+from backhoe_planner.machine.shape import shapes
+
+_LOOKS = 3000  # postures that are looked at, at most; chosen: below a second
+
+
+def proven_apart(robot: Robot, pair: tuple[int, int], lower: Vector, upper: Vector) -> bool:
+    """Whether two pieces are proven never to meet, by shapes nowhere larger than what is written.
+
+    Parameters
+    ----------
+    pair: indices into `robot.pieces`, the one further out first.
+    lower, upper: (n,) finite ends of the joints' positions; only those between the two count [rad or m].
+    """
+    outer, inner = (robot.pieces[index] for index in pair)
+    between = slice(inner.joint, outer.joint)
+    travel = travel_bounds(robot, np.vstack((lower, upper)))[pair[0], between]
+    data, q = robot.model.createData(), robot.middle.copy()
+    parts = [(lower[between], upper[between])]
+    looks = 0
+    while parts:
+        low, high = parts.pop()
+        looks += 1
+        q[between] = 0.5 * (low + high)
+        pin.forwardKinematics(robot.model, data, q)
+        T = data.oMi[inner.joint].actInv(data.oMi[outer.joint]) * outer.piece.placement
+        nearer = 0.5 * (high - low) * travel
+        if not shapes.within(outer.piece, T, inner.piece, inner.piece.placement, float(nearer.sum())):
+            continue
+        if looks + 2 * len(parts) >= _LOOKS or shapes.within(outer.piece, T, inner.piece, inner.piece.placement, 0.0):
+            return False
+        widest = int(np.argmax(nearer))
+        middle_high, middle_low = high.copy(), low.copy()
+        middle_high[widest] = middle_low[widest] = q[between][widest]
+        parts += [(low, middle_high), (middle_low, high)]
+    return True
