@@ -86,7 +86,22 @@ class SelfPairs:
     left_out: tuple[LeftOut, ...]
 
 
-@lru_cache(maxsize=8)
+class _Shaped:
+    """A machine that equals its copies with the same pieces, ranges and, where it slides, tracking error."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        tube = robot.tube.joints.tobytes() if robot.tube is not None and robot.prismatic.any() else b""
+        # a machine with another tip, or other held joints, has other pieces: these are alive as long as this is
+        self._key = id(robot.pieces), robot.limits.lower.tobytes(), robot.limits.upper.tobytes(), tube
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Shaped) and self._key == other._key
+
+
 def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPairs:
     """The pairs of a machine's pieces that must not touch, and what is left out.
 
@@ -97,6 +112,12 @@ def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPa
     posture: n joint positions [rad or m], where the machine may stand outside of its joints' ranges:
         they are taken to reach so far.
     """
+    return _pairs_of(_Shaped(robot), posture)
+
+
+@lru_cache(maxsize=8)
+def _pairs_of(shaped: _Shaped, posture: tuple[float, ...] | None) -> SelfPairs:
+    robot = shaped.robot
     kept, reasons = _judged(robot, posture)
     if robot.as_described is not robot:
         _, whole = _judged(robot.as_described, None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 import trimesh
 
 import backhoe_planner as bp
-from backhoe_planner.machine import Robot, load_robot, self_pairs
+from backhoe_planner.machine import Robot, TrackingTube, load_robot, self_pairs
 
 
 def link(name: str, *boxes: str) -> str:
@@ -326,3 +327,11 @@ def test_a_wheel_in_a_hole_that_its_hull_closes_is_left_out(hole: float, why: st
     robot = machine(tmp_path, ring, wheel, joint("turn", "ring", "wheel", kind="continuous"), tip="wheel")
     assert self_pairs(robot).kept == ()
     assert [pair.why for pair in self_pairs(robot).left_out] == [why]
+
+
+def test_pairs_are_found_once_for_copies_that_differ_in_nothing_they_depend_on(tmp_path: Path) -> None:
+    """A tracking error of hinges changes no pair; a range that ends before the post at 1.25 rad does."""
+    robot = swept_post(tmp_path, post_at=f"{np.cos(1.25):.6f} {np.sin(1.25):.6f} 0.05", limits=(-2.0, 2.0))
+    assert self_pairs(replace(robot, tube=TrackingTube(np.array([0.01])))) is self_pairs(robot)
+    narrow = replace(robot, limits=replace(robot.limits, upper=np.array([1.0])))
+    assert (len(self_pairs(robot).kept), len(self_pairs(narrow).kept)) == (1, 0)
