@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.law.qp import Kind, QuadraticProgram, Rows, solve_program
+from backhoe_planner.law.qp import Kind, QuadraticProgram, Rows, StackedRows, solve_program
 
 MOST_SOFT_ROWS = 48  # in a problem that is solved; an ordinary step has up to 25 (scripts/bench_servo.py)
 _ROUNDS = 4  # chosen; where all rows can be kept, 2 or 3 are enough
@@ -48,18 +48,21 @@ class BindingSolution(NamedTuple):
     iterations: int
 
 
-def solve_with_binding_rows(program: QuadraticProgram, *, first: Indices | None = None) -> BindingSolution | None:
+def solve_with_binding_rows(
+    program: QuadraticProgram, *, first: Indices | None = None, stacked: StackedRows | None = None
+) -> BindingSolution | None:
     """The solution; None where no x keeps bounds, hard and equal rows, or the solver needs too many iterations.
 
+    Parameters
+    ----------
     first: (K,) soft rows to begin with, as those that were kept of a similar program with the same rows.
+    stacked: the program's rows, where several programs share them.
     """
-    count = count_soft = 0
-    for block in program.rows:
-        count += len(block.h)
-        if block.kind is Kind.SOFT:
-            count_soft += len(block.h)
-    if count_soft <= MOST_SOFT_ROWS:
-        solution = solve_program(program, most_iterations=MOST_ITERATIONS)
+    if stacked is None:
+        stacked = StackedRows.of(program.rows, len(program.f))
+    count = len(stacked.high)
+    if stacked.soft <= MOST_SOFT_ROWS:
+        solution = solve_program(program, most_iterations=MOST_ITERATIONS, stacked=stacked)
         return None if solution is None else BindingSolution(solution.x, _NONE, count, 1, solution.iterations)
     soft = [block for block in program.rows if block.kind is Kind.SOFT]
     others = tuple(block for block in program.rows if block.kind is not Kind.SOFT)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import daqp
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 
 PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
 UNBOUNDED = 1e30  # daqp takes a bound of this size for none
@@ -82,6 +82,47 @@ class QuadraticProgram(NamedTuple):
     rows: tuple[Rows, ...] = ()
 
 
+class StackedRows(NamedTuple):
+    """All conditions of a program one below the other, as daqp takes them; the bounds of x (n,) come first.
+
+    Attributes
+    ----------
+    G: (K, n).
+    low, high: (K,); -UNBOUNDED for none.
+    senses: (n + K,) daqp's, of bounds and rows.
+    soft: how many rows are soft.
+    """
+
+    G: Matrix
+    low: Vector
+    high: Vector
+    senses: Indices
+    soft: int
+
+    @classmethod
+    def of(cls, rows: tuple[Rows, ...], n: int) -> StackedRows:
+        """The conditions on x (n,)."""
+        blocks = [block for block in rows if len(block.h)]
+        if not blocks:
+            return cls(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(n, dtype=np.int32), 0)
+        G, h = blocks[0].G, blocks[0].h
+        if len(blocks) > 1:
+            G, h = np.concatenate([block.G for block in blocks]), np.concatenate([block.h for block in blocks])
+        senses: Indices = np.zeros(n + len(h), dtype=np.int32)
+        low = np.full(len(h), -UNBOUNDED)
+        first = soft = 0
+        for block in blocks:
+            after = first + len(block.h)
+            if block.kind is not Kind.HARD:
+                senses[n + first : n + after] = block.kind
+            if block.kind is Kind.SOFT:
+                soft += len(block.h)
+            elif block.kind is Kind.EQUAL:
+                low[first:after] = block.h
+            first = after
+        return cls(G, low, h, senses, soft)
+
+
 class Solution(NamedTuple):
     """The x that costs least.
 
@@ -124,28 +165,23 @@ class Solution(NamedTuple):
         return float(max(np.abs(pull).max(), *(part.max(initial=0.0) for part in off)))
 
 
-def solve_program(program: QuadraticProgram, *, most_iterations: int = 1000) -> Solution | None:
+def solve_program(
+    program: QuadraticProgram, *, most_iterations: int = 1000, stacked: StackedRows | None = None
+) -> Solution | None:
     """The solution, or None where no x keeps bounds, hard and equal rows.
 
+    Parameters
+    ----------
     most_iterations: of the solver; where it needs more, there is no solution either.
+    stacked: the program's rows, where several programs share them.
     """
-    n = len(program.f)
-    rows = [block for block in program.rows if len(block.h)]
-    upper = np.concatenate([program.high, *[block.h for block in rows]])
-    sense = np.zeros(len(upper), dtype=np.int32)
-    lower = np.empty(len(upper))
-    lower[:n] = program.low
-    lower[n:] = -UNBOUNDED
-    first = n
-    for block in rows:
-        after = first + len(block.h)
-        if block.kind is not Kind.HARD:
-            sense[first:after] = block.kind
-        if block.kind is Kind.EQUAL:
-            lower[first:after] = block.h
-        first = after
-    G = np.concatenate([block.G for block in rows]) if rows else np.zeros((0, n))
-    x, _, flag, more = daqp.solve(program.H, program.f, G, upper, lower, sense, iter_limit=most_iterations)
+    if stacked is None:
+        stacked = StackedRows.of(program.rows, len(program.f))
+    upper = np.concatenate((program.high, stacked.high))
+    lower = np.concatenate((program.low, stacked.low))
+    x, _, flag, more = daqp.solve(
+        program.H, program.f, stacked.G, upper, lower, stacked.senses, iter_limit=most_iterations
+    )
     if flag < 1 or not all(map(math.isfinite, x.tolist())):
         return None
     return Solution(program, x, more["lam"], more["iterations"])

@@ -52,7 +52,7 @@ def test_braking_path_by_hand() -> None:
     proportion."""
     path = BrakingPath(
         np.zeros(2), np.array([0.4, -0.2]), 0.1,
-        acceleration=[0.5, 1.0], furthest=[1.0, 1.0], turning=np.ones(2),
+        acceleration=[0.5, 1.0], furthest=np.ones(2), turning=np.ones(2),
     )  # fmt: skip
     np.testing.assert_allclose(path.end, [0.2, -0.1], atol=1e-15)
     assert path.time == pytest.approx(0.9)
@@ -63,12 +63,12 @@ def test_the_derivative_of_the_paths_end(v: list[float]) -> None:
     def end(rates: Vector) -> Vector:
         return BrakingPath(
             np.zeros(3), rates, 0.01,
-            acceleration=[0.5, 1.0, 1.5], furthest=[1.0] * 3, turning=np.ones(3),
+            acceleration=[0.5, 1.0, 1.5], furthest=np.ones(3), turning=np.ones(3),
         ).end  # fmt: skip
 
     D = BrakingPath(
         np.zeros(3), np.array(v), 0.01,
-        acceleration=[0.5, 1.0, 1.5], furthest=[1.0] * 3, turning=np.ones(3),
+        acceleration=[0.5, 1.0, 1.5], furthest=np.ones(3), turning=np.ones(3),
     ).D  # fmt: skip
     numeric = np.array([(end(np.array(v) + step) - end(np.array(v) - step)) / 2e-6 for step in 1e-6 * np.eye(3)]).T
     np.testing.assert_allclose(D, numeric, atol=1e-8)
@@ -80,7 +80,7 @@ def test_braking_stays_on_the_path_that_was_proven() -> None:
     for _ in range(50):
         v, acceleration, dt = rng.normal(size=4), rng.uniform(0.3, 3.0, 4), 0.001
         path = BrakingPath(
-            np.zeros(4), v, 0.0, acceleration=acceleration.tolist(), furthest=[1.0] * 4, turning=np.ones(4)
+            np.zeros(4), v, 0.0, acceleration=acceleration.tolist(), furthest=np.ones(4), turning=np.ones(4)
         )
         q, rates = np.zeros(4), v.copy()
         while np.any(rates):
@@ -106,9 +106,8 @@ def test_no_point_bends_more_than_said(backhoe: Robot) -> None:
         q, delta = backhoe.random_q(rng), rng.normal(size=4) * 0.3
         for sample in range(3):
             at.place(sample, q + 0.5 * sample * delta)
-        separation.normal[pairs] = rng.normal(size=3)
-        separation.normal[pairs] /= np.linalg.norm(separation.normal[pairs[0]])
-        separation.offset[pairs] = 0.0
+        normal = rng.normal(size=3)
+        separation.planes[pairs] = *(normal / np.linalg.norm(normal)), 0.0
         gaps = separation.gaps(pairs, at, 3).all
         off = np.abs(gaps[:, 1] - 0.5 * (gaps[:, 0] + gaps[:, 2])).max(axis=1)
         bound = (separation.travel @ bend_weights(delta, separation.turning))[separation.classes[pairs]] / 8.0

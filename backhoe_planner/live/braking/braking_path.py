@@ -12,6 +12,7 @@ proven clear at one step, the motion can always be ended without touching anythi
 from __future__ import annotations
 
 import math
+from operator import truediv
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from backhoe_planner.machine import Robot, bend_weights
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
+_PARTS = [np.arange(1, parts + 1)[:, None] / max(parts, 1) for parts in range(MOST_PARTS + 1)]
 _BEND = BUFFER  # m that a point may deviate from the chord of a part: the chords miss no more than the rows do
 
 
@@ -74,7 +76,7 @@ class Placements:
 
     Attributes
     ----------
-    T: (S, joints, 3, 4) pose [R | t] of every joint's frame in the world; joint 0 is the world.
+    T: (S, joints, 4, 4) pose of every joint's frame in the world, homogeneous; joint 0 is the world.
     R, t: (S, joints, 3, 3) and (S, joints, 3), views of it.
     J: (S, 6, n) Pinocchio's joint Jacobians, linear part taken at the world's origin.
     """
@@ -84,13 +86,14 @@ class Placements:
         self._model = model
         self._data = model.createData()
         count, n = model.njoints, robot.n
-        self.T = np.zeros((most, count, 3, 4))
-        self.R, self.t = self.T[..., :3], self.T[..., 3]
+        self.T = np.zeros((most, count, 4, 4))
+        self.T[..., 3, 3] = 1.0
+        self.R, self.t = self.T[..., :3, :3], self.T[..., :3, 3]
         self.J = np.zeros((most, 6, n))
         # views of Pinocchio's own memory, which is never allocated anew
         self._poses = _one_behind_the_other([(pose.rotation, pose.translation) for pose in self._data.oMi])
         self._jacobian = self._data.J.reshape(6, n)
-        self._rows = [(self.T[sample], self.J[sample]) for sample in range(most)]
+        self._rows = [(self.T[sample, :, :3], self.J[sample]) for sample in range(most)]
 
     def place(self, sample: int, q: Vector) -> None:
         """Fill row `sample` with the placements at q (n,)."""
@@ -118,27 +121,22 @@ class BrakingPath:
     v: (n,) velocity of the step that is about to be taken [rad/s or m/s].
     dt: length of the step [s]; 0 for braking from now on.
     acceleration: n numbers that braking is planned with [rad/s^2 or m/s^2].
-    furthest: n numbers, the largest travel radius of any pair, see `travel_bounds`.
+    furthest: (n,) the largest travel radius of any pair, see `travel_bounds`.
     turning: (n,) 1 for hinges, 0 for slides.
 
     Attributes
     ----------
     delta: (n,) e - q [rad or m].
     end: (n,) e [rad or m].
-    parts: how many parts it has; `parts + 1` rows of the placements belong to it.
     time: until the machine stands [s].
     look: the time that the path is worth at v, dt + T / 2 [s].
     """
 
     def __init__(
-        self, q: Vector, v: Vector, dt: float, *, acceleration: list[float], furthest: list[float], turning: Vector
+        self, q: Vector, v: Vector, dt: float, *, acceleration: list[float], furthest: Vector, turning: Vector
     ) -> None:
-        braking, slowest, sign = 0.0, 0, 1.0
-        rates = v.tolist()
-        for joint, (rate, a) in enumerate(zip(rates, acceleration, strict=True)):
-            time = abs(rate) / a
-            if time > braking:
-                braking, slowest, sign = time, joint, math.copysign(1.0 / a, rate)
+        times: list[float] = list(map(truediv, map(abs, v.tolist()), acceleration))
+        braking = max(times)
         look = dt + 0.5 * braking
         self.q = q
         self.v = v
@@ -146,15 +144,23 @@ class BrakingPath:
         self.end = q + self.delta
         self.look = look
         self.time = dt + braking
-        self._slowest = slowest
-        self._per_rate = 0.5 * sign if braking > 0.0 else 0.0
-        self._bend = bend_weights(self.delta, turning)
-        most = float(self._bend @ np.array(furthest))  # no point of any pair bends more than this
-        self.parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
+        self._times, self._acceleration = times, acceleration
+        self._furthest, self._turning = furthest, turning
+        self._parts = 0  # not known yet: most paths have no pair that could come too close
+
+    @property
+    def parts(self) -> int:
+        """How many parts it has; `parts + 1` rows of the placements belong to it."""
+        if self._parts == 0:
+            self._bend = bend_weights(self.delta, self._turning)
+            most = float(self._bend @ self._furthest)  # no point of any pair bends more than this
+            self._parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
+        return self._parts
 
     def off_chord(self, travel: Matrix) -> Vector:
         """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""
-        return np.asarray(travel @ self._bend / (8.0 * self.parts * self.parts))
+        parts = self.parts
+        return np.asarray(travel @ self._bend / (8.0 * parts * parts))
 
     @property
     def D(self) -> Matrix:
@@ -162,11 +168,13 @@ class BrakingPath:
         n = len(self.v)
         D = np.zeros((n, n))
         D.reshape(-1)[:: n + 1] = self.look
-        D[:, self._slowest] += self.v * self._per_rate
+        braking = max(self._times)
+        if braking > 0.0:
+            slowest = self._times.index(braking)
+            D[:, slowest] += self.v * math.copysign(0.5 / self._acceleration[slowest], self.v[slowest])
         return D
 
     def place(self, placements: Placements) -> None:
         """Fill the placements at the ends of the parts. Row 0, at q, must already be there."""
-        parts = np.arange(1, self.parts + 1)
-        for part, q in enumerate(self.q + (parts / self.parts)[:, None] * self.delta, 1):
+        for part, q in enumerate(self.q + _PARTS[self.parts] * self.delta, 1):
             placements.place(part, q)

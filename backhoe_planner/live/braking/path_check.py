@@ -53,6 +53,7 @@ class PathCheck:
         self.separation, self.bounds, self.joints, self.at = separation, bounds, joints, at
         self._before = 0
         self._memory = Memory()
+        self._last: tuple[Awake, BrakingPath, PathClearance] | None = None
         self._paths = self._rows = self._problems = self._iterations = 0
 
     # --- work --------------------------------------------------------------------------
@@ -100,22 +101,38 @@ class PathCheck:
         return self.bounds.awake(np.array(change))
 
     def clearance(
-        self, awake: Awake, path: BrakingPath, *, first: tuple[BrakingPath, PathClearance] | None = None
+        self,
+        awake: Awake,
+        path: BrakingPath,
+        *,
+        first: tuple[BrakingPath, PathClearance] | None = None,
+        by_rows: bool = False,
     ) -> PathClearance:
         """What is proven of a path for the pairs `awake`. If there are any, the placements hold the path then.
 
+        Parameters
+        ----------
         first: of the paths of this step the one that was checked for all pairs, and what was found. What moves
             then has the bound that follows from there, as it does not decide whether a path may be taken.
+        by_rows: whether the path's velocity keeps rows already. What moves is not measured anew then.
         """
-        separation, at, pairs = self.separation, self.at, awake.pairs
+        pairs = awake.pairs
         if first is not None:
             stands = self.bounds.stands.take(pairs)
             if np.count_nonzero(stands) < len(pairs):
                 return self._clearance_of_standing(awake, stands, path, *first)
         self._paths += 1
         if len(pairs) == 0:
-            return _NOTHING_AWAKE
-        path.place(at)
+            found = _NOTHING_AWAKE
+        else:
+            path.place(self.at)
+            found = self._look_along(pairs, path, by_rows=by_rows)
+        self._last = awake, path, found
+        return found
+
+    def _look_along(self, pairs: Indices, path: BrakingPath, *, by_rows: bool) -> PathClearance:
+        """The same for pairs (K,) of all kinds, where the placements hold the path."""
+        separation, at = self.separation, self.at
         required, stands = self.bounds.required.take(pairs), self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
         bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
@@ -127,7 +144,8 @@ class PathCheck:
         if len(short):
             # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes
             # longest
-            again = short[stands[pairs[short]] | (bound[short] > 0.0)]
+            decides = stands[pairs[short]]
+            again = short[decides if by_rows else decides | (bound[short] > 0.0)]
             if len(again):
                 self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
                 left = bound - required
@@ -195,10 +213,38 @@ class PathCheck:
             gaps.put(closely.nonzero()[0], separation.gaps(pairs[closely], at, path.parts + 1))
         self.bounds.renew_soon(pairs[again])
 
-    def rows(self, awake: Awake, path: BrakingPath, found: PathClearance, *, firm: bool = False) -> tuple[Rows, ...]:
+    def keep(self, path: BrakingPath) -> None:
+        """A path was taken: if it is the one that was checked last, its rows are good for the next step, too."""
+        if self._last is not None and self._last[1] is not path:
+            self._last = None
+
+    def forget(self) -> None:
+        """What was found of the path that was taken is no longer true."""
+        self._last = None
+
+    def rows_before(self, now: BrakingPath, *, firm: bool) -> tuple[Rows, ...]:
+        """The rows of a path `now` by what was found of the path that was taken a step ago; none where that is unknown.
+
+        The two paths are so close to each other that the gaps along the one follow from those along the
+        other and from how fast they fall.
+        """
+        return () if self._last is None else self.rows(*self._last, firm=firm, now=now)
+
+    def rows(
+        self,
+        awake: Awake,
+        path: BrakingPath,
+        found: PathClearance,
+        *,
+        firm: bool = False,
+        now: BrakingPath | None = None,
+    ) -> tuple[Rows, ...]:
         """The rows of what could bind along a path [m/s]. The placements must hold the path.
 
-        found: of the first path of a step, with the gaps of all pairs.
+        Parameters
+        ----------
+        found: of that path, with the gaps of all pairs.
+        now: a path one step later, which the rows are to be of.
         firm: whether those of what stands are hard, and those of what moves a block of their own. Soft ones are
             weighed against a person who walks into the machine, and what comes out runs into the post behind it.
             A machine that stands still keeps the hard ones.
@@ -239,15 +285,25 @@ class PathCheck:
             k, columns = chosen or binding.tightest(MOST_CANDIDATES)
         samples, corners = np.divmod(columns, corners_each)
         samples += 1
-        G = separation.rows(pairs.take(k), samples, corners, self.at) @ path.D
-        G /= path.look
+        pairs = pairs.take(k)
+        G = separation.rows(pairs, samples, corners, self.at)
         h = binding.gaps[k, columns]
         h -= needed.take(k)
-        h /= samples / path.parts * path.look
-        h += G @ path.v
-        # never ask for more than the start itself is short of
+        part = samples / path.parts
         short = wanted.take(k)
         short -= all_gaps[k, 0, corners]
+        if now is not None:
+            comes = self.joints.dt * separation.drift.take(pairs)
+            moved = G @ np.array((now.q - path.q, now.end - path.end)).T
+            moved -= comes[:, None]
+            short += moved[:, 0]
+            h -= moved[:, 0] + part * (moved[:, 1] - moved[:, 0])
+            path = now
+        G = G @ path.D
+        G /= path.look
+        h /= part * path.look
+        h += G @ path.v
+        # never ask for more than the start itself is short of
         np.maximum(short, 0.0, out=short)
         short *= -2.0
         np.maximum(h, short, out=h)

@@ -70,9 +70,10 @@ class Separation:
     classes: (P,) row of `travel` that holds for the pair.
     velocity: (P, 3) of the obstacle [m/s], world.
     drift: (P,) rate at which the obstacle's own motion moves its plane along the normal [m/s].
-    normal, offset: (P, 3) and (P,) of the planes, in the frame of the other body.
+    planes: (P, 4) minus the normal, and how far along the normal a link without radius may come, in the
+        frame of the other body: the product with a corner and a 1 is the gap between them [m].
     travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
-    furthest: n numbers, the largest of `travel` for each joint.
+    furthest: (n,) the largest of `travel` for each joint.
     turning: (n,) 1 for hinges, 0 for slides.
     measured: how many distances were measured so far.
     """
@@ -106,7 +107,7 @@ class Separation:
         classes = classes.reshape(-1)
         self._class_of_piece = np.zeros(len(robot.pieces), dtype=np.intp)
         self._class_of_piece[self._moving] = classes[: len(self._moving)]
-        self.furthest: list[float] = self.travel.max(axis=0, initial=0.0).tolist()
+        self.furthest: Vector = self.travel.max(axis=0, initial=0.0)
         self.turning = np.where(robot.prismatic, 0.0, 1.0)
         self.owner = np.full(len(pairs), MACHINE, dtype=np.intp)
         self.classes = np.asarray(classes[len(self._moving) :], dtype=np.intp)
@@ -116,8 +117,7 @@ class Separation:
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
         self._body: list[_Stand | None] = [None] * len(pairs)
         self._stands_of: dict[int, list[_Stand]] = {}
-        self.normal = np.zeros((len(pairs), 3))  # in the frame of the other body
-        self.offset = np.full(len(pairs), -FAR)
+        self.planes = _no_planes(len(pairs))
         self.velocity = np.zeros((len(pairs), 3))
         self.drift = np.zeros(len(pairs))
         self._refresh()
@@ -140,8 +140,7 @@ class Separation:
         self._stands_of[number] = [_Stand(piece) for piece in obstacle.pieces]
         for stand in self._stands_of[number]:
             self._body.extend([stand] * len(links))
-        self.normal = np.vstack((self.normal, np.zeros((count, 3))))
-        self.offset = np.append(self.offset, np.full(count, -FAR))
+        self.planes = np.vstack((self.planes, _no_planes(count)))
         self.velocity = np.vstack((self.velocity, np.tile(obstacle.velocity, (count, 1))))
         self.drift = np.append(self.drift, np.zeros(count))
         self._refresh()
@@ -150,7 +149,7 @@ class Separation:
     def remove(self, number: int) -> Flags:
         """Forget an obstacle by its number, and return which pairs are left, (P,)."""
         kept = self.owner != number
-        for name in ("owner", "clearance", "classes", "piece", "other_piece", "normal", "offset", "velocity", "drift"):
+        for name in ("owner", "clearance", "classes", "piece", "other_piece", "planes", "velocity", "drift"):
             setattr(self, name, getattr(self, name)[kept])
         del self._stands_of[number]
         self._body = [body for body, keep in zip(self._body, kept.tolist(), strict=True) if keep]
@@ -190,13 +189,13 @@ class Separation:
         if self.other_piece[pair] >= 0:
             second, own = self._own_shapes[int(self.other_piece[pair])]
             placed = at.T[sample, other] @ own
-            there = shapes.transform(placed[:, :3], placed[:, 3])
+            there = shapes.transform(placed[:3, :3], placed[:3, 3])
         else:
             stand = self._body[pair]
             assert stand is not None
             second, there = stand.piece.shape, stand.place()
         distance, n, p_link, p_other = self._gauge.measure(
-            shape, shapes.transform(here[:, :3], here[:, 3]), second, there
+            shape, shapes.transform(here[:3, :3], here[:3, 3]), second, there
         )
         if other:
             R_o = at.R[sample, other]
@@ -229,8 +228,8 @@ class Separation:
         return np.asarray(self.gaps(pairs, at, slice(sample, sample + 1)).least[:, 0])
 
     def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
-        self.normal[pair] = n
-        self.offset[pair] = offset
+        self.planes[pair, :3] = -n
+        self.planes[pair, 3] = offset - self._fat_of_pair[pair]
         self.drift[pair] = n @ self.velocity[pair]
 
     # --- gaps ------------------------------------------------------------------------
@@ -254,21 +253,19 @@ class Separation:
         """
         T = at.T[samples if isinstance(samples, slice) else slice(samples)]
         count = len(T)
-        n = self.normal.take(pairs, axis=0)[:, None, :]
-        offset = self.offset.take(pairs)
-        offset -= self._fat_of_pair.take(pairs)
+        planes = self.planes.take(pairs, axis=0)
         if self.some_relative and np.count_nonzero(other := self.other.take(pairs)):
             frames = T.take(other, axis=1)
-            n = np.matmul(n, frames.transpose(0, 1, 3, 2)[:, :, :3])
-            offset = offset + np.matmul(n, frames[..., 3:])[:, :, 0, 0]
+            inside, planes = planes, np.empty((count, len(pairs), 4))
+            normals = planes[..., :3] = np.matmul(frames[..., :3, :3], inside[:, :3, None])[..., 0]
+            planes[..., 3] = inside[:, 3] - np.vecdot(normals, frames[..., :3, 3])
         if drift_time > 0.0:
             drift = np.minimum(self.drift.take(pairs), 0.0)
             if np.count_nonzero(drift):
-                offset = offset + (drift_time / (count - 1) * np.arange(count))[:, None] * drift
-        # the planes as seen from the links: n R, and n t less the offset, which the 1 below each corner takes
-        local = np.matmul(n, T.take(self.joint.take(pairs), axis=1))[:, :, 0]
-        local[..., 3] -= offset
-        np.negative(local, out=local)
+                planes = np.repeat(planes[None], count, axis=0) if planes.ndim == 2 else planes
+                planes[..., 3] += (drift_time / (count - 1) * np.arange(count))[:, None] * drift
+        # as seen from the links; the 1 below each corner takes the last number
+        local = np.matmul(planes[..., None, :], T.take(self.joint.take(pairs), axis=1))[:, :, 0]
         memory = Memory() if memory is None else memory
         columns = memory.columns(self._columns4, self.piece.take(pairs))
         gaps = memory.gaps(len(pairs), count, columns.shape[2])
@@ -309,7 +306,7 @@ class Separation:
         found = [self.measure(pair, at, sample) for sample in measured]
         distance = [entry[0] for entry in found]
         normals, offsets = np.array([entry[1] for entry in found]), np.array([entry[2] for entry in found])
-        corners = self._corners4[piece] @ at.T[:count, joint].transpose(0, 2, 1)  # (S, V, 3)
+        corners = self._corners4[piece] @ at.T[:count, joint, :3].transpose(0, 2, 1)  # (S, V, 3)
         if other:
             corners = np.matmul(corners - at.t[:count, None, other], at.R[:count, other])
         gaps = (offsets - self._fat[piece] - corners @ normals.T).min(axis=1)  # (S, planes)
@@ -361,13 +358,14 @@ class Separation:
         part = (gaps.least[:, :1] + _BLENDED) - gaps.all[:, 0]
         np.maximum(part, 0.0, out=part)
         part *= part
-        points = np.einsum("kv,kcv->kc", part, gaps.columns)
+        points = np.matmul(gaps.columns, part[:, :, None])[..., 0]
         points /= points[:, 3:]  # the sum of the parts, by the 1 behind each corner
         return self._rows_of(pairs, 0, points, at)
 
     def _rows_of(self, pairs: Indices, samples: Indices | int, corner: Matrix, at: Placements) -> Matrix:
         """The same for points (R, 4) in the links' frames, with a 1 behind each."""
-        n = self.normal.take(pairs, axis=0)
+        n = self.planes[:, :3].take(pairs, axis=0)
+        np.negative(n, out=n)
         joints = self.joint.take(pairs)
         at_once = isinstance(samples, int)
         if self.some_relative and np.count_nonzero(other := self.other.take(pairs)):
@@ -386,4 +384,12 @@ class Separation:
     def world_normal(self, pair: int, at: Placements) -> Vector:
         """(3,) the normal of a pair's plane at the first sample, in the world."""
         other = int(self.other[pair])
-        return np.asarray(at.R[0, other] @ self.normal[pair] if other else self.normal[pair].copy())
+        normal = -self.planes[pair, :3]
+        return np.asarray(at.R[0, other] @ normal if other else normal)
+
+
+def _no_planes(count: int) -> Matrix:
+    """(count, 4) planes of which nothing is known: the bound -FAR says nothing."""
+    planes = np.zeros((count, 4))
+    planes[:, 3] = -FAR
+    return planes

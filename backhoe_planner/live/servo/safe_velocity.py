@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from backhoe_planner.arrays import Indices, Matrix, Vector
-from backhoe_planner.law import QuadraticProgram, Rows, solve_with_binding_rows
+from backhoe_planner.law import QuadraticProgram, Rows, StackedRows, solve_with_binding_rows
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import (
     FASTEST_RECOVERY,
@@ -30,6 +30,7 @@ from backhoe_planner.live.braking.pair_bounds import Awake, Near
 from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, Candidates, PathCheck
 from backhoe_planner.live.recovery.recovery import ATTEMPTS, BLENDS, Recovery, RecoveryStep
 
+_BINDING = 1e-5  # rad/s or m/s: a row that is kept by more does not bind; the solver's tolerance is 1e-6
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
 _ATTEMPTS_IF_TORN = 2  # as `ATTEMPTS`, where something moves: chosen, the next step corrects again
 _FREE = 0.005  # m^2: weight of the null space beside the tip; chosen, small beside the square of an arm's length
@@ -59,6 +60,27 @@ class VelocityWish(NamedTuple):
     range: VelocityRange
 
 
+class Weights(NamedTuple):
+    """How much the velocities of the joints weigh.
+
+    Attributes
+    ----------
+    tip: (n, n) by the velocity of the tip alone, task^T task.
+    all: (n, n) the same, and a little for what the tip does not notice.
+    """
+
+    tip: Matrix
+    all: Matrix
+
+    @classmethod
+    def of(cls, task: Matrix) -> Weights:
+        """Those of a task (m, n)."""
+        tip = task.T @ task
+        everything = tip.copy()
+        everything.reshape(-1)[:: len(tip) + 1] += _FREE
+        return cls(tip, everything)
+
+
 class SafeVelocity(NamedTuple):
     """The velocity of a step.
 
@@ -83,7 +105,7 @@ def velocity_program(
     high: Vector,
     rows: tuple[Rows, ...],
     *,
-    serves: Matrix | None = None,
+    weights: Weights | None = None,
 ) -> QuadraticProgram:
     """The problem whose solution is the velocity nearest to `target` (n,), as the tip notices it.
 
@@ -95,17 +117,12 @@ def velocity_program(
     wish: gives the task and the null space.
     low, high: (n,) bounds of the velocity [rad/s or m/s].
     rows: that it must keep.
-    serves: (n, n) task^T task, where it is known already.
+    weights: of the task, where they are known already.
     """
-    n = len(target)
     if wish.task is None:
-        return QuadraticProgram(np.eye(n), -target, low, high, rows)
-    if serves is None:
-        serves = wish.task.T @ wish.task
-    f = -(serves @ target) - _FREE * wish.null
-    H = serves.copy()
-    H.reshape(-1)[:: n + 1] += _FREE
-    return QuadraticProgram(H, f, low, high, rows)
+        return QuadraticProgram(np.eye(len(target)), -target, low, high, rows)
+    serves, H = weights or Weights.of(wish.task)
+    return QuadraticProgram(H, -(serves @ target) - _FREE * wish.null, low, high, rows)
 
 
 class VelocityFilter:
@@ -128,7 +145,6 @@ class VelocityFilter:
         if len(self._bounds.inside) or self._recovery.held_outside(state.q):
             return self._recover(state, wish, near)
         check, (low, high, *_) = self._check, wish.range
-        v, wish = self._within_limits(state, wish)
         awake = check.awake(state, wish.range.look)
         evasion = self._evasion_rows(near, low, high)
         held_back = evading = False
@@ -137,11 +153,19 @@ class VelocityFilter:
         torn = self._bounds.anything_moves and (
             len(evasion.h) > 0 or int(np.count_nonzero(self._bounds.stands.take(awake.pairs))) < len(awake.pairs)
         )
-        most = _ATTEMPTS_IF_TORN if torn else ATTEMPTS
-        for attempt in range(most):
+        before = check.rows_before(check.path(state.q, wish.target), firm=torn)
+        if before and not all(block.are_kept_by(wish.target, -_BINDING) for block in (*before, evasion)):
+            # what held the machine back a step ago mostly still does: no path at the wish has to be checked first
+            start, held_back, evading = 1, True, not evasion.are_kept_by(wish.target, TOLERANCE)
+            v, wish = self._within_limits(state, wish, (*before, evasion))
+        else:
+            start = 0
+            v, wish = self._within_limits(state, wish)
+        most = start + (_ATTEMPTS_IF_TORN if torn else ATTEMPTS)
+        for attempt in range(start, most):
             late = not evasion.are_kept_by(v, TOLERANCE)
             path = check.path(state.q, v)
-            found = check.clearance(awake, path, first=first)
+            found = check.clearance(awake, path, first=first, by_rows=attempt > 0)
             first = first or (path, found)
             if (found.free if attempt == 0 else found.clear) and not late:
                 return self._accept(path, awake, found, held_back=held_back, evading=evading)
@@ -175,6 +199,10 @@ class VelocityFilter:
         self, path: BrakingPath, awake: Awake, found: PathClearance, *, held_back: bool = True, evading: bool = False
     ) -> SafeVelocity:
         self._bounds.accept(awake.pairs, found)
+        if held_back:
+            self._check.keep(path)
+        else:
+            self._check.forget()
         return SafeVelocity(path.v, held_back, evading, path.end)
 
     def _recover(self, state: JointState, wish: VelocityWish, near: Near) -> SafeVelocity:
@@ -208,8 +236,10 @@ class VelocityFilter:
         change = self._joints.change
         return np.minimum(np.maximum(self._joints.brake(v), v - change), v + change)
 
-    def _within_limits(self, state: JointState, wish: VelocityWish) -> tuple[Vector, VelocityWish]:
-        """(n,) the next velocity on the way to the wish, or to the part that the joints' limits leave of it.
+    def _within_limits(
+        self, state: JointState, wish: VelocityWish, rows: tuple[Rows, ...] = ()
+    ) -> tuple[Vector, VelocityWish]:
+        """(n,) the next velocity on the way to the wish, or to the part that the joints' limits and rows leave of it.
 
         Also the wish, without its null space where a limit cuts it.
         """
@@ -218,12 +248,13 @@ class VelocityFilter:
             if not least <= rate <= most:
                 break
         else:
-            return target, wish
-        if not wish.for_tip:
+            return self._within_rows(state, wish, rows) if rows else target, wish
+        if wish.for_tip:
+            # clipped joint by joint, the others would lead the tip elsewhere
+            wish = wish._replace(null=np.zeros(len(target)))
+        elif not rows:
             return np.minimum(np.maximum(target, low), high), wish
-        # clipped joint by joint, the others would lead the tip elsewhere
-        wish = wish._replace(null=np.zeros(len(target)))
-        return self._within_rows(state, wish, ()), wish
+        return self._within_rows(state, wish, rows), wish
 
     def _within_rows(self, state: JointState, wish: VelocityWish, rows: tuple[Rows, ...]) -> Vector:
         """(n,) the next velocity on the way to the part of the wish that rows and limits leave.
@@ -232,8 +263,10 @@ class VelocityFilter:
         step, within the joints' accelerations, need not lead there.
         """
         low, high, least, most, *_ = wish.range
-        serves = None if wish.task is None else wish.task.T @ wish.task
-        steady, kept = self._solve(state, velocity_program(wish, wish.v, least, most, rows, serves=serves))
+        weights = None if wish.task is None else Weights.of(wish.task)
+        stacked = StackedRows.of(rows, len(low))
+        program = velocity_program(wish, wish.v, least, most, rows, weights=weights)
+        steady, kept = self._solve(state, program, stacked)
         over = self._joints.over_rates(state.q, steady)
         if over > 1.0:
             slower = steady / over
@@ -243,13 +276,14 @@ class VelocityFilter:
         v = np.minimum(np.maximum(target, low), high)
         if not np.count_nonzero(v != target) and all(block.are_kept_by(v) for block in rows):
             return v
-        return self._solve(state, velocity_program(wish, target, low, high, rows, serves=serves), first=kept)[0]
+        program = velocity_program(wish, target, low, high, rows, weights=weights)
+        return self._solve(state, program, stacked, first=kept)[0]
 
     def _solve(
-        self, state: JointState, program: QuadraticProgram, *, first: Indices | None = None
+        self, state: JointState, program: QuadraticProgram, stacked: StackedRows, *, first: Indices | None = None
     ) -> tuple[Vector, Indices | None]:
         """(n,) the solution within its bounds, or braking where there is none; and the rows that were kept."""
-        solution = solve_with_binding_rows(program, first=first)
+        solution = solve_with_binding_rows(program, first=first, stacked=stacked)
         self._check.note(solution)
         x = self._joints.brake(state.v) if solution is None else solution.x
         return np.minimum(np.maximum(x, program.low), program.high), None if solution is None else solution.kept

@@ -279,6 +279,7 @@ class Servo:
 
     def _update_moving(self) -> None:
         """Update which pairs move, and how far in a step."""
+        self._check.forget()
         per_step = self.dt * self._site.speed
         # the braking path of one step later may end up to 2 / BRAKING steps later
         self._bounds.sort(self._site.stands, per_step, (1.0 + 2.0 / BRAKING) * per_step)
@@ -287,6 +288,7 @@ class Servo:
         """Measure pairs (K,) that are new or were moved."""
         if len(pairs) == 0:
             return
+        self._check.forget()
         self._tip.place(self._state.q)
         path = self._check.path(self._state.q, self._state.v, step=False)
         path.place(self._at)

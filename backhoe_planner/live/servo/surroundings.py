@@ -192,7 +192,7 @@ class Surroundings:
 
     def drift(self, dt: float) -> None:
         """Let the obstacles that move, and the planes of their pairs, move on for dt [s]."""
-        self._separation.offset += dt * self._separation.drift
+        self._separation.planes[:, 3] += dt * self._separation.drift
         self._shifts += dt * self._velocities
 
     def _find(self, name: str) -> _Placed:

@@ -74,7 +74,7 @@ class TipTask:
         """Forward kinematics at q (n,), and the tip's Jacobian."""
         at = self._at
         at.place(0, q)
-        self.position = at.T[0, self._joint] @ self._t
+        self.position = (at.T[0, self._joint] @ self._t)[:3]
         x, y, z = self.position.tolist()
         to = self._to_tip  # its upper right part is omega -> omega x tip
         to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
