@@ -39,6 +39,9 @@ it imports `backhoe_planner` by its doors, and no script.
     mujoco_model       machine and site as a MuJoCo model
     mujoco_replay      motions replayed in it, and what touches
     placements         an obstacle put on a plan while a servo follows it
+    startup_times      processor time of whole commands
+    benches            every benchmark as a function that gives its figures
+    bench_figures      these figures in a file, and beside those of an earlier run
     tables             rows of figures as an aligned table and as CSV
 
 Lengths in metres, angles in radians, times in seconds; x away from the machine, z up.

@@ -1,0 +1,210 @@
+"""The figures of a bench, in a file, and beside those of an earlier one.
+
+A time is compared as a multiple of a reference that was measured in the same run beside it, so that
+a faster or a busier machine makes no difference. Every figure says by which part of it two runs of
+the same code may differ; what differs by more is told.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError
+
+import backhoe_planner as bp
+from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.files.records import Record, explain
+from validation.tables import Row, markdown
+
+VERSION: Literal[1] = 1
+_LIBRARIES = ("backhoe_planner", "pin", "coal", "numpy", "scipy", "yourdfpy")
+
+Amount = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Part = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
+
+
+class Figure(Record):
+    """One figure of a bench."""
+
+    name: Annotated[str, Field(min_length=1)]
+    """Unique in a run."""
+    value: Amount
+    """In `unit`."""
+    unit: str
+    """As `s`, `us`, or empty."""
+    better: Literal["less", "more"] = "less"
+    """Which way is better."""
+    noise: Part
+    """The part by which two runs of the same code may differ."""
+    reference: Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)] | None = None
+    """A time of the same run, in the same unit, whose multiple is compared; the value itself by default."""
+
+    @property
+    def compared(self) -> float:
+        """What two runs are compared by."""
+        return self.value if self.reference is None else self.value / self.reference
+
+
+class BenchRun(Record):
+    """All figures of a run, and where it was made."""
+
+    version: Literal[1] = VERSION
+    """Of this format."""
+    setting: Literal["short", "long"]
+    """How much was measured."""
+    processor: str
+    """Its name."""
+    versions: dict[str, str]
+    """Of Python and of the libraries."""
+    seconds: Part
+    """Of the processor, all in all."""
+    figures: tuple[Figure, ...]
+    """In the order in which they were measured."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """A figure of two runs.
+
+    Attributes
+    ----------
+    name: of the figure.
+    before, now: it, where the run has it.
+    ratio: now over before, as they are compared; 1 where both are 0, NaN where one run does not have it.
+    verdict: ``better``, ``worse``, ``same`` within the noise, ``new``, or ``gone``.
+    """
+
+    name: str
+    before: Figure | None
+    now: Figure | None
+    ratio: float
+    verdict: Literal["better", "worse", "same", "new", "gone"]
+
+
+def made_here(setting: Literal["short", "long"], seconds: float, figures: Sequence[Figure]) -> BenchRun:
+    """A run on this machine."""
+    versions = {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}
+    return BenchRun(setting=setting, processor=_processor(), versions=versions, seconds=seconds, figures=tuple(figures))
+
+
+def save(run: BenchRun, path: Path) -> None:
+    """Write a run, whole or not at all.
+
+    Raises
+    ------
+    OutputError: the file cannot be written.
+    """
+    with whole_file(path) as stream:
+        stream.write(run.model_dump_json(indent=1) + "\n")
+
+
+def load(path: Path) -> BenchRun:
+    """A run that was saved.
+
+    Raises
+    ------
+    InputError: the file cannot be read, or is none that `save` wrote; what is wrong with it is said.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise bp.InputError(f"cannot be read: {error.strerror}", file=path) from error
+    except ValueError as error:
+        raise bp.InputError(f"is not JSON: {error}", file=path) from error
+    if not isinstance(content, dict) or content.get("version") != VERSION:
+        found = content.get("version") if isinstance(content, dict) else type(content).__name__
+        raise bp.InputError("is not a file of this bench", file=path, key="version", found=found, allowed=str(VERSION))
+    try:
+        run = BenchRun.model_validate(content)
+    except ValidationError as error:
+        raise bp.InputError(explain(error, content, root=BenchRun), file=path) from None
+    names = [figure.name for figure in run.figures]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise bp.InputError("two figures have the same name", file=path, key="figures", found=", ".join(twice))
+    return run
+
+
+def compare(before: BenchRun, now: BenchRun) -> list[Change]:
+    """Every figure of two runs, in the order of the later one; what only the earlier one has at the end.
+
+    Raises
+    ------
+    InputError: one is short and the other is long, so that they measured different things.
+    """
+    if before.setting != now.setting:
+        raise bp.InputError("is of another setting", key="setting", found=before.setting, allowed=now.setting)
+    earlier = {figure.name: figure for figure in before.figures}
+    names = {figure.name for figure in now.figures}
+    return [_change(earlier.get(figure.name), figure) for figure in now.figures] + [
+        Change(figure.name, figure, None, float("nan"), "gone") for figure in before.figures if figure.name not in names
+    ]
+
+
+def _change(before: Figure | None, now: Figure) -> Change:
+    if before is None:
+        return Change(now.name, None, now, float("nan"), "new")
+    old, new = before.compared, now.compared
+    if old == new:
+        return Change(now.name, before, now, 1.0, "same")
+    ratio = new / old if old != 0.0 else float("inf") if new > 0.0 else float("-inf")
+    if abs(new - old) <= max(before.noise, now.noise) * max(abs(old), abs(new)):
+        return Change(now.name, before, now, ratio, "same")
+    return Change(now.name, before, now, ratio, "better" if (new < old) == (now.better == "less") else "worse")
+
+
+def figures_table(run: BenchRun) -> str:
+    """All figures of a run."""
+    return markdown(
+        [
+            {
+                "figure": figure.name,
+                "value": figure.value,
+                "unit": figure.unit,
+                "/reference": float("nan") if figure.reference is None else figure.compared,
+            }
+            for figure in run.figures
+        ]
+    )
+
+
+def changes_table(changes: Sequence[Change]) -> str:
+    """What is not the same, what is worse first; or that all is."""
+    order = ("worse", "gone", "better", "new")
+    told = sorted((one for one in changes if one.verdict != "same"), key=lambda one: order.index(one.verdict))
+    if not told:
+        return f"all {len(changes)} figures are the same within their noise"
+    rows: list[Row] = []
+    for one in told:
+        at = [float("nan") if figure is None else figure.compared for figure in (one.before, one.now)]
+        noise = max(figure.noise for figure in (one.before, one.now) if figure is not None)
+        rows.append({
+            "": one.verdict, "figure": one.name, "before": at[0], "now": at[1], "now/before": one.ratio, "noise": noise,
+        })  # fmt: skip
+    return markdown(rows)
+
+
+def differences(before: BenchRun, now: BenchRun) -> list[str]:
+    """In which processor and versions two runs differ, in words."""
+    found = []
+    if before.processor != now.processor:
+        found.append(f"processor: {before.processor} before, {now.processor} now")
+    for name in sorted({*before.versions, *now.versions}):
+        old, new = before.versions.get(name, "none"), now.versions.get(name, "none")
+        if old != new:
+            found.append(f"{name}: {old} before, {new} now")
+    return found
+
+
+def _processor() -> str:
+    """The processor's name."""
+    described = Path("/proc/cpuinfo")
+    lines = described.read_text().splitlines() if described.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
