@@ -40,6 +40,7 @@ from .motion import Goal as Goal
 from .motion import Keep as Keep
 from .motion import Moments as Moments
 from .motion import Problem as Problem
+from .motion import SpotTurn as SpotTurn
 from .motion import TipPath as TipPath
 from .motion import Tracking as Tracking
 from .motion import Trajectory as Trajectory

@@ -24,6 +24,8 @@ from .problem import Problem as Problem
 from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains
 from .problem import keep_of as keep_of
+from .spot_turns import SpotTurn as SpotTurn
+from .spot_turns import largest_spot_turn as largest_spot_turn
 from .timing.drive import Drive as Drive
 from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of

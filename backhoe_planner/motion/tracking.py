@@ -20,6 +20,7 @@ from backhoe_planner.motion.chords import chord_errors
 from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
 from backhoe_planner.motion.orientation import angle_bounds
 from backhoe_planner.motion.path import TURN_LEVER, TipPath
+from backhoe_planner.motion.spot_turns import SpotTurn, largest_spot_turn
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.motion.waypoint_steps import WaypointStep, longest_step
 from backhoe_planner.site import Obstruction
@@ -92,6 +93,7 @@ class Tracking:
     max_speed, max_speed_time: of the tip on the followed parts [m/s], and when [s];
         10 tolerances next to a detour, where it swings out and in again, do not count.
     joint_step: the longest of a joint from waypoint to waypoint; None where the joints may move freely.
+    spot_turn: the largest turn of the joints while the tip stands; None where there is none, or they may turn.
     goal: number of the goal at which the motion ends, or of the nearest, from 1; 0 for a path.
     """
 
@@ -107,6 +109,7 @@ class Tracking:
     max_speed: float = 0.0
     max_speed_time: float = 0.0
     joint_step: WaypointStep | None = None
+    spot_turn: SpotTurn | None = None
     goal: int = 0
 
     @property
@@ -140,6 +143,7 @@ def track_path(
     *,
     angle_tolerance: float = ANGLE_TOLERANCE,
     joint_steps: Vector | None = None,
+    may_turn: bool = True,
 ) -> Tracking:
     """How the tip keeps to `path` at the samples, with a bound for what lies between them.
 
@@ -149,6 +153,7 @@ def track_path(
     trajectory, kinematics: the motion, and the machine that makes it.
     tolerance, angle_tolerance: within which the tip counts as on the path [m], [rad].
     joint_steps: (n,) how far a joint may move from waypoint to waypoint [rad or m]; None where all may freely.
+    may_turn: whether the joints may go to another posture while the tip stands.
     """
     station, error, angle, tips, at_begin = _follow(path, tolerance, angle_tolerance, trajectory, kinematics)
     robot = kinematics.robot
@@ -195,6 +200,9 @@ def track_path(
     if joint_steps is not None:
         rows, own = slice(first, last + 1), [(a - first, b - first) for a, b in gaps]
         step = longest_step(path, station[rows], trajectory.q[rows], joint_steps, gaps=own, slack=tolerance)
+    turn = None
+    if not may_turn:
+        turn = largest_spot_turn(trajectory.time, trajectory.q, station, on, tolerance=tolerance)
     missing = []
     if not at_begin[first] if path.turns else station[first] > tolerance:
         missing.append(f"the path is joined at {path.describe(station[first])} instead of at its start")
@@ -216,6 +224,7 @@ def track_path(
         max_speed=max_speed,
         max_speed_time=max_speed_time,
         joint_step=step,
+        spot_turn=turn,
     )
 
 

@@ -14,6 +14,7 @@ from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import (
     Detour,
     Problem,
+    SpotTurn,
     Tracking,
     Trajectory,
     WaypointStep,
@@ -124,7 +125,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
     if path is not None and task is not None:
         tracking = track_path(
             path, task.tolerance, trajectory, kinematics, angle_tolerance=task.rotation_tolerance,
-            joint_steps=problem.joint_steps,
+            joint_steps=problem.joint_steps, may_turn=task.turn_on_the_spot,
         )  # fmt: skip
     else:
         tracking = track_goals(problem.goals, trajectory, kinematics)
@@ -156,6 +157,14 @@ def describe_step(problem: Problem, step: WaypointStep) -> str:
     return f"{name} moves by {step.size:.4g} {unit} {places}; max_joint_step allows {step.allowed:.4g} {unit}"
 
 
+def _describe_turn(problem: Problem, turn: SpotTurn) -> str:
+    """How far a joint turns on the spot, in words."""
+    assert problem.path is not None
+    name, unit = problem.robot.joint_names[turn.joint], "m" if problem.robot.prismatic[turn.joint] else "rad"
+    place = f"at {problem.path.describe(turn.station)} of {problem.path.describe_end()}"
+    return f"{name} moves by {turn.size:.4g} {unit} while the tip stands {place}; turn_on_the_spot is false"
+
+
 def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking, kinematics: Kinematics) -> list[str]:
     """What is wrong with the start of the motion, its velocities, and how it keeps to its task."""
     found, q = [], trajectory.q[0]
@@ -175,4 +184,6 @@ def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking,
     step = tracking.joint_step
     if step is not None and not step.kept:
         found.append(describe_step(problem, step))
+    if tracking.spot_turn is not None:
+        found.append(_describe_turn(problem, tracking.spot_turn))
     return found

@@ -190,6 +190,15 @@ def test_an_angle_that_is_passed_between_two_samples_counts(backhoe: bp.Robot) -
     assert bp.certify(backhoe, asked, turning(backhoe, -1.6, -2.5)).tracking.done
 
 
+@pytest.mark.parametrize("may", [True, False])
+def test_a_path_of_orientations_alone_may_be_forbidden_to_turn_otherwise(backhoe: bp.Robot, may: bool) -> None:
+    """The bucket turns as asked: that is no turn on the spot that `turn_on_the_spot` forbids."""
+    asked = site(*TO_AND_FRO, turn_on_the_spot=may)
+    certificate = bp.certify(backhoe, asked, turning(backhoe, -1.6, -2.2, -1.6))
+    assert certificate.tracking.done
+    assert certificate.tracking.spot_turn is None
+
+
 def test_progress_goes_on_while_the_tip_stands(backhoe: bp.Robot) -> None:
     """A third of a turn of 0.6 rad, which is as long as 0.15 m."""
     problem = build_problem(backhoe, site(*TO_AND_FRO))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.motion import TipPath, build_problem, longest_step
+from backhoe_planner.motion import TipPath, build_problem, largest_spot_turn, longest_step
 from backhoe_planner.planning import EdgeKind, LayeredGraph
 from backhoe_planner.site import Waypoint
 
@@ -166,6 +167,63 @@ def test_the_joints_turn_only_while_the_tip_moves_where_they_may_not_otherwise(p
     plan = bp.plan(planar4, site(points, obstacles=[BALL], start=start, turn_on_the_spot=False), effort="quick")
     assert plan.verified, plan.message
     assert largest_turn(plan) < 0.15
+    # the certificate judges it too
+    certificate = bp.certify(planar4, plan.scene, turning.trajectory)
+    assert not certificate.verified
+    [problem] = certificate.problems
+    assert problem.endswith("while the tip stands at 0.00 m of 1.20 m; turn_on_the_spot is false")
+    assert certificate.tracking.spot_turn is not None
+    assert certificate.tracking.spot_turn.size == pytest.approx(largest_turn(turning), rel=0.2)
+
+
+def by_hand(*parts: tuple[float, float, float], on: bool = True) -> dict[str, Any]:
+    """Samples of (arc length [m], joint [rad], time to get there [s]), 20 steps from each to the next."""
+    table = np.array(parts)
+    table[:, 2] = np.cumsum(table[:, 2])
+    rows = np.vstack([a + k / 20 * (b - a) for a, b in pairwise(table) for k in range(20)] + [table[-1:]])
+    return {"station": rows[:, 0], "q": rows[:, 1:2], "time": rows[:, 2], "on": np.full(len(rows), on)}
+
+
+GO = (0.0, 0.0, 0.0), (0.5, 0.4, 1.0)  # half a metre, on which the joint moves by 0.4 rad
+
+
+def test_a_turn_on_the_spot_by_hand() -> None:
+    """It stands at 0.5 m for 0.7 rad, and a step of 25 mm with 0.02 rad before is more than where it stands."""
+    turn = largest_spot_turn(**by_hand(*GO, (0.5, 1.1, 1.0), (1.0, 1.1, 1.0)), tolerance=0.005)
+    assert turn is not None
+    assert (turn.joint, turn.station, turn.time) == (0, 0.5, 1.0)
+    assert turn.size == pytest.approx(0.7)
+    # creeping by 0.4 mm, a tenth of the tolerance is 0.5 mm
+    turn = largest_spot_turn(**by_hand(*GO, (0.5004, 1.1, 1.0), (1.0, 1.1, 1.0)), tolerance=0.005)
+    assert turn is not None
+    assert turn.size == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        (*GO, (1.0, 1.1, 1.0)),  # the tip moves all the while
+        (*GO, (0.5, 0.4, 2.0), (1.0, 1.1, 1.0)),  # it stands, the joint too
+        (*GO, (0.5, 0.49, 1.0), (1.0, 1.1, 1.0)),  # it turns by less than 0.1 rad
+        (*GO, (0.65, 1.0, 1.0), (1.0, 1.1, 1.0)),  # a turn of 0.6 rad that is asked for is 0.15 m of progress
+    ],
+)
+def test_what_is_no_turn_on_the_spot(parts: tuple[tuple[float, float, float], ...]) -> None:
+    assert largest_spot_turn(**by_hand(*parts), tolerance=0.005) is None
+
+
+def test_off_the_path_and_on_the_way_to_it_a_turn_is_none() -> None:
+    motion = by_hand(*GO, (0.5, 1.1, 1.0), (1.0, 1.1, 1.0))
+    off = motion["on"].copy()
+    off[21:40] = False  # a detour
+    assert largest_spot_turn(**(motion | {"on": off}), tolerance=0.005) is None
+    assert largest_spot_turn(**(motion | {"on": ~off & False}), tolerance=0.005) is None
+    arriving = by_hand((0.0, 0.0, 0.0), (0.0, 0.9, 1.0), (1.0, 1.1, 1.0))
+    at_once = largest_spot_turn(**arriving, tolerance=0.005)
+    assert at_once is not None
+    assert at_once.size == pytest.approx(0.9)
+    arriving["on"][0] = False  # it comes from elsewhere, and turns where the path begins
+    assert largest_spot_turn(**arriving, tolerance=0.005) is None
 
 
 def test_a_turn_that_the_path_asks_for_is_not_forbidden(backhoe: bp.Robot) -> None:
