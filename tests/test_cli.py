@@ -206,6 +206,15 @@ def test_check_says_what_of_a_path_is_left_out(run: Run, tmp_path: Path) -> None
     assert 0.3 <= float(found[1]) < 1.0
 
 
+def test_check_says_why_a_plan_failed(run: Run, tmp_path: Path) -> None:
+    far = REACH | {"start": {"joints": JOINTS | {"joint2": 9.0}}}
+    assert run("plan", PLANAR4, scene_file(tmp_path, far), "-o", "far.json")[0] == 1
+    status, said, _ = run("check", "far.json")
+    assert status == 1
+    assert said.startswith("not verified: outside_limits\n  joint2 starts at 9 rad, allowed -")
+    assert said.splitlines()[1].endswith(" rad")
+
+
 def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
     run("plan", PLANAR4, scene_file(tmp_path))
     content = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
@@ -213,7 +222,7 @@ def test_a_tampered_plan_fails_the_check(run: Run, tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
     status, said, _ = run("check", "plan.json")
     assert status == 1
-    assert said.startswith("not verified\n")
+    assert said.startswith("not verified: ")
     assert "joint1 exceeds its velocity limit" in said
 
 

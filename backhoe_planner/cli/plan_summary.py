@@ -109,7 +109,9 @@ def print_certificate(plan: bp.Plan) -> None:
     if certificate.verified:
         OUT.print(Text("verified", style="bold green"))
     else:
-        OUT.print(Text("not verified", style="bold red"))
+        OUT.print(Text(f"not verified: {plan.reason}", style="bold red"))
+        if plan.failure and plan.note:
+            OUT.print(f"  {plan.note}")
         for problem in certificate.problems:
             OUT.print(f"  {problem}")
     if not live.is_recording(plan):

@@ -88,9 +88,10 @@ def bad_posture(world: World, q: Vector, what: str, *, time: float = 0.0) -> Out
     limits, names = world.problem.limits, world.problem.robot.joint_names
     outside = np.flatnonzero((q < limits.lower) | (q > limits.upper))
     if len(outside):
+        units = np.where(world.problem.robot.prismatic, "m", "rad")
         words = "; ".join(
-            f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g}, "
-            f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} (radians or metres)"
+            f"{names[j]} {'starts at' if starts else f'at the {what} is'} {q[j]:.4g} {units[j]}, "
+            f"allowed {limits.lower[j]:.4g} to {limits.upper[j]:.4g} {units[j]}"
             for j in outside
         )
         return Outcome(stays, "outside_limits", words, Findings(joints=tuple(names[j] for j in outside)))
