@@ -51,6 +51,11 @@ class Keep:
         self.band = next((one for one in self.conditions if isinstance(one, PitchBand)), None)
         self._travel = tip_travel_bound(robot)
 
+    @property
+    def has_cone(self) -> bool:
+        """Whether an orientation is to be kept within a cone."""
+        return any(isinstance(one, RotationCone) for one in self.conditions)
+
     def margins(self, q: Vector) -> Vector:
         """(K,) of every condition at the joints `q` (n,), 0 or more where it holds [rad or m]; smooth in `q`."""
         q = self.robot.check_q(q)

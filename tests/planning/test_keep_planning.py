@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import backhoe_planner as bp
 from backhoe_planner.motion import build_problem
@@ -231,3 +232,30 @@ def test_a_waypoint_that_cannot_keep_it_is_named(backhoe: bp.Robot) -> None:
     tipped = bp.plan(backhoe, bp.scene_from_dict(content))
     assert tipped.reason == "goal_breaks_keep"
     assert tipped.message.startswith("at waypoint 1 of the path the pitch of the bucket is -114.6 deg")
+
+
+# --- within a cone of orientations ---------------------------------------------------------
+
+
+def test_a_glass_is_carried_round_a_ball_within_two_degrees(panda: bp.Robot) -> None:
+    """No straight motion of the joints keeps so narrow a cone for long, and no sample lies in it by chance."""
+    start = np.array([-0.8, -0.3, 0.0, -2.2, 0.0, 1.9, 0.8])
+    at, cone = bp.Kinematics(panda).at(start), 0.03
+    x, y, z, w = Rotation.from_matrix(at.tip_rotation).as_quat().tolist()
+    upright = {"quaternion": [w, x, y, z]}
+
+    def swung(angle: float) -> list[float]:
+        return [float(part) for part in Rotation.from_euler("z", angle).as_matrix() @ at.tip_position]
+
+    task = {
+        "goal": upright | {"position": swung(1.6), "rotation_tolerance": cone},
+        "keep": {"rotation": upright | {"tolerance": cone}},
+    }
+    ball = {"name": "ball", "shape": "sphere", "radius": 0.12, "position": swung(0.8), "clearance": 0.01}
+    joints = dict(zip(panda.joint_names, start.tolist(), strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": task, "obstacles": [ball]}
+    plan = bp.plan(panda, bp.scene_from_dict(content), effort="quick")
+    assert plan.verified, plan.message
+    kinematics = bp.Kinematics(panda)
+    turned = [kinematics.at(q).tip_rotation @ at.tip_rotation.T for q in plan.trajectory.q]
+    assert np.max(Rotation.from_matrix(np.array(turned)).magnitude()) <= cone + 1e-6

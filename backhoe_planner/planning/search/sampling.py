@@ -17,8 +17,9 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import JointLimits
-from backhoe_planner.motion import KEPT_TO
+from backhoe_planner.motion import KEPT_TO, Keep
 from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.search.kept_trees import KeptTrees
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
 _RANGE = 1.0  # s: the longest motion that is added to a tree; chosen
@@ -96,7 +97,10 @@ def sample_path(
     most_motions = work.effort.motions_per_search if most_motions is None else most_motions
     if not open_goals or min(most_motions, work.motions) <= 0:
         return None
-    return _Search(check, work, most_motions, longest).run(start, open_goals, seed)
+    search, keep = _Search(check, work, most_motions, longest), check.problem.keep
+    if keep is not None and keep.has_cone:
+        return search.run_kept(keep, start, open_goals, seed)
+    return search.run(start, open_goals, seed)
 
 
 # OMPL has one seed and one log level for the whole process: one search at a time
@@ -120,6 +124,22 @@ class _Search:
         self._rate = check.rate
         self._chart = _Chart(check)
         self._raised: BaseException | None = None
+
+    def run_kept(self, keep: Keep, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
+        """The same where samples are projected onto what is to be kept, without OMPL."""
+
+        def allows(a: Vector, b: Vector) -> bool:
+            self._work.motions -= 1
+            return self._can_lead_on(b) and self._check.segment_is_clear(a, b)
+
+        self._start, self._ends = start, np.array(goals)
+        limits = self._check.problem.limits
+        low, high = np.min([start, *goals], axis=0), np.max([start, *goals], axis=0)
+        lower = np.where(np.isfinite(limits.lower), limits.lower, low - 2.0 * np.pi)
+        upper = np.where(np.isfinite(limits.upper), limits.upper, high + 2.0 * np.pi)
+        trees = KeptTrees(keep, rate=self._rate, lower=lower, upper=upper, allows=allows, ended=self._ended)
+        q = trees.connect(start, goals, lower, upper, np.random.default_rng(seed))
+        return None if q is None else JointPath(q)
 
     def run(self, start: Vector, goals: list[Vector], seed: int) -> JointPath | None:
         from ompl import util

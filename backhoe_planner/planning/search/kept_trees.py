@@ -1,0 +1,104 @@
+"""Ways along which something is kept that no sample keeps by chance, such as a narrow cone of orientations.
+
+Two trees grow towards each other (RRTConnect); every new configuration is projected onto what is to be
+kept before it is joined (Berenson et al., Manipulation planning on constraint manifolds, 2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.motion import Keep
+
+_STEP = 0.25  # s of the slowest joint in one step; chosen: further a projected step bends away from what is kept
+_AHEAD = 0.2  # part of a step that must be gained by it; chosen, so that no tree creeps along a limit
+
+
+class KeptTrees:
+    """Two trees of configurations that keep everything.
+
+    Parameters
+    ----------
+    keep: what is to be kept.
+    rate: (n,) by which the joints are weighed [rad/s or m/s].
+    lower, upper: (n,) limits of the joints [rad or m].
+    allows: whether the straight motion between two configurations may be taken; it counts the work.
+    ended: whether to stop.
+    """
+
+    def __init__(
+        self, keep: Keep, *, rate: Vector, lower: Vector, upper: Vector,
+        allows: Callable[[Vector, Vector], bool], ended: Callable[[], bool],
+    ) -> None:  # fmt: skip
+        self._keep, self._rate, self._allows, self._ended = keep, rate, allows, ended
+        self._lower, self._upper = lower, upper
+
+    def connect(
+        self, start: Vector, goals: Sequence[Vector], low: Vector, high: Vector, rng: np.random.Generator
+    ) -> Matrix | None:
+        """(K, n) corners of a way from `start` to one of `goals`; None where none is found in time.
+
+        Parameters
+        ----------
+        low, high: (n,) the box of samples [rad or m].
+        """
+        trees = (_Tree([start], self._rate), _Tree(goals, self._rate))
+        forward = True
+        while not self._ended():
+            one, other = trees if forward else trees[::-1]
+            tip = self._grow(one, rng.uniform(low, high))
+            if tip is not None:
+                reached = self._grow(other, one.nodes[tip])
+                if reached is not None and np.array_equal(other.nodes[reached], one.nodes[tip]):
+                    here, there = one.way_to(tip), other.way_to(reached)
+                    return np.array(here + there[-2::-1] if forward else there + here[-2::-1])
+            forward = not forward
+        return None
+
+    def _grow(self, tree: _Tree, towards: Vector) -> int | None:
+        """The last node that was added on the way to `towards` (n,), from the nearest; None where none was."""
+        at = tree.nearest(towards)
+        last, left = None, tree.distance(at, towards)
+        while not self._ended():
+            q = tree.nodes[at]
+            if left <= _STEP and self._allows(q, towards):
+                return tree.add(towards, at)
+            part = min(_STEP / max(left, _STEP), 1.0)
+            found = self._keep.project(q + part * (towards - q), self._lower, self._upper)
+            if found is None:
+                return last
+            now = float(np.max(np.abs(towards - found) / self._rate))
+            if now > left - _AHEAD * part * left or not self._allows(q, found):
+                return last
+            at = last = tree.add(found, at)
+            left = now
+        return last
+
+
+class _Tree:
+    def __init__(self, roots: Sequence[Vector], rate: Vector) -> None:
+        self.nodes = list(roots)
+        self._rate = rate
+        self._parents = [-1] * len(self.nodes)
+
+    def add(self, q: Vector, parent: int) -> int:
+        self.nodes.append(q)
+        self._parents.append(parent)
+        return len(self.nodes) - 1
+
+    def nearest(self, q: Vector) -> int:
+        return int(np.argmin(np.max(np.abs(np.array(self.nodes) - q) / self._rate, axis=1)))
+
+    def distance(self, node: int, q: Vector) -> float:
+        return float(np.max(np.abs(self.nodes[node] - q) / self._rate))
+
+    def way_to(self, node: int) -> list[Vector]:
+        """From its root."""
+        way = []
+        while node >= 0:
+            way.append(self.nodes[node])
+            node = self._parents[node]
+        return way[::-1]
