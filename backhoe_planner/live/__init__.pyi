@@ -3,6 +3,7 @@ from .braking.braking_path import Placements as Placements
 from .braking.joint_bounds import VelocityRange as VelocityRange
 from .braking.separation import Separation as Separation
 from .braking.step_work import MOST_DISTANCES as MOST_DISTANCES
+from .braking.step_work import MOST_NEAR as MOST_NEAR
 from .braking.step_work import StepWork as StepWork
 from .follower import FollowerState as FollowerState
 from .follower import FollowerStatus as FollowerStatus

@@ -12,6 +12,8 @@ import backhoe_planner as bp
 from backhoe_planner.law import MOST_ITERATIONS, MOST_SOFT_ROWS, Rows, solve_program
 from backhoe_planner.live import (
     MOST_DISTANCES,
+    MOST_NEAR,
+    Placements,
     Servo,
     ServoState,
     Status,
@@ -136,6 +138,56 @@ def test_the_work_of_a_step_is_bounded_however_much_is_near(backhoe: Robot) -> N
         most = max(most, slow.work.rows)
     assert slow.last_error is None
     assert most > 10
+
+
+def stones_around(robot: Robot, q: list[float], count: int, rng: np.random.Generator) -> list[dict[str, object]]:
+    """Up to `count` balls of 2 cm at random, 5.5 to 8 cm off the links of the machine at q (n,)."""
+    at = Placements(robot, 1)
+    at.place(0, np.array(q))
+    moving = [piece for piece in robot.pieces if piece.joint > 0]
+    links = [piece.piece.hull @ at.R[0, piece.joint].T + at.t[0, piece.joint] for piece in moving]
+    corners = np.vstack(links)
+    found: list[list[float]] = []
+    while len(found) < count:
+        link = links[rng.integers(len(links))]
+        corner = link[rng.integers(len(link))]
+        out = corner - link.mean(axis=0) + rng.normal(size=3) * 0.02
+        place = corner + rng.uniform(0.085, 0.1) * out / np.linalg.norm(out)
+        if np.linalg.norm(corners - place, axis=1).min() > 0.085:
+            found.append(place.tolist())
+    stones: list[dict[str, object]] = [
+        {"name": f"stone {number}", "shape": "sphere", "radius": 0.02, "position": place}
+        for number, place in enumerate(found)
+    ]
+    obstacles = bp.build_obstacles(standing(robot, q, obstacles=stones).scene, robot)
+    around = bp.Proximity(robot, obstacles, self_collision=False)
+    too_near = set(around.owner[around.distances(np.array(q)) < 0.055].tolist())
+    return [stone for number, stone in enumerate(stones) if number not in too_near]
+
+
+def test_the_work_of_a_step_is_bounded_between_hundreds_of_obstacles(panda: Robot) -> None:
+    """Whichever way the arm goes, corners of most of its links come too close to many things at once.
+
+    Every corner in reach was a row once: 1,937 rows in one problem.
+    """
+    robot = panda.with_tip("panda_hand")
+    q = [0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8]
+    rng = np.random.default_rng(11)
+    servo = standing(robot, q, obstacles=stones_around(robot, q, 330, rng))
+    works = []
+    for step in range(60):
+        if step % 20 == 0:
+            wish = rng.normal(size=3)
+        state = servo.step(wish)
+        assert state.proven
+        assert within_bounds(servo.work)
+        works.append(servo.work)
+    assert servo.last_error is None
+    proximity = bp.Proximity(robot, bp.build_obstacles(servo.scene, robot))
+    assert 0.0 <= state.margin <= (proximity.distances(servo.q) - proximity.clearance).min() + 1e-9
+    assert max(work.rows for work in works) == 24  # as many as one path may have: there were more to choose from
+    assert max(work.pairs for work in works) == MOST_NEAR
+    assert max(work.iterations for work in works) < 48  # two problems of 24 rows
 
 
 @pytest.mark.parametrize("clearance", [0.05, 0.3, 0.5])

@@ -17,6 +17,7 @@ from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathC
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.separation import FAR, Separation
+from backhoe_planner.live.braking.step_work import MOST_NEAR
 from backhoe_planner.site import pace
 
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
@@ -33,12 +34,16 @@ class Near(NamedTuple):
     pairs: (K,) their indices.
     gaps: from every corner of the link to the pair's plane, at one sample; working memory.
     distance, margin: (K,) proven lower bounds of the distance, and of distance minus clearance [m].
+    next: the tightest of the pairs that are left out because too many are near; -1 where none is.
+    next_margin: of that pair [m].
     """
 
     pairs: Indices
     gaps: Gaps
     distance: Vector
     margin: Vector
+    next: int = -1
+    next_margin: float = math.inf
 
 
 class Awake(NamedTuple):
@@ -156,7 +161,10 @@ class PairBounds:
     # --- during a step -------------------------------------------------------------------
 
     def near(self, at: Placements) -> Near:
-        """Pairs that may be within the influence distance, by the placements' row 0."""
+        """Pairs that may be within the influence distance, by the placements' row 0; of many the tightest.
+
+        What is known of a pair that is left out becomes less with every step, so that its turn comes.
+        """
         separation = self._separation
         odometer = self._start_odometer.take(separation.classes)
         lower = self._distance + self._distance_at
@@ -164,12 +172,26 @@ class PairBounds:
         pairs = (lower < self._within).nonzero()[0]
         if len(pairs) == 0:
             return Near(pairs, NO_GAPS, np.zeros(0), np.zeros(0))
+        left_out = -1, math.inf
+        if len(pairs) > MOST_NEAR:
+            pairs, left_out = self._tightest_of(pairs, lower.take(pairs) - separation.clearance.take(pairs))
         gaps = separation.gaps(pairs, at, 1, memory=self._memory)
         distance = lower.take(pairs)
         np.maximum(distance, gaps.least[:, 0], out=distance)
         self._distance[pairs] = distance
         self._distance_at[pairs] = odometer.take(pairs)
-        return Near(pairs, gaps, distance, distance - separation.clearance.take(pairs))
+        return Near(pairs, gaps, distance, distance - separation.clearance.take(pairs), *left_out)
+
+    def _tightest_of(self, pairs: Indices, margin: Vector) -> tuple[Indices, tuple[int, float]]:
+        """The tightest of `pairs` (K,) and all that slow the machine down; of the others the tightest, and its margin.
+
+        margin: (K,) of the pairs [m].
+        """
+        kept = self._slow_from.take(pairs) > 0.0
+        kept[margin.argpartition(MOST_NEAR)[:MOST_NEAR]] = True
+        margin[kept] = np.inf
+        rest = int(margin.argmin())
+        return pairs[kept], (-1 if kept[rest] else int(pairs[rest]), float(margin[rest]))
 
     def pace(self, near: Near) -> float:
         """The part of the wished speed that the slow distances of zones leave."""
@@ -253,6 +275,10 @@ class PairBounds:
         margins -= self._moved_by.take(separation.classes.take(pairs))
         row = int(margins.argmin())
         pair, margin = int(pairs[row]), float(margins[row])
+        if near.next >= 0:
+            beyond = near.next_margin - float(self._moved_by.max())
+            if beyond < margin:
+                pair, margin = near.next, beyond
         if margin < 0.0 and self.stands[pair]:  # what is required was proven, of this step or of braking before it
             margin = max(margin, float(self.required[pair] - separation.clearance[pair]))
         return pair, margin

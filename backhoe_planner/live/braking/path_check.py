@@ -54,13 +54,14 @@ class PathCheck:
         self._before = 0
         self._memory = Memory()
         self._last: tuple[Awake, BrakingPath, PathClearance] | None = None
-        self._paths = self._rows = self._problems = self._iterations = 0
+        self._paths = self._rows = self._problems = self._iterations = self._pairs = 0
 
     # --- work --------------------------------------------------------------------------
 
-    def begin_step(self) -> None:
-        """From now on the work is that of a new step."""
+    def begin_step(self, near: int) -> None:
+        """From now on the work is that of a new step, in which so many pairs are near."""
         self._before = self.separation.measured
+        self._pairs = near
         self._paths = self._rows = self._problems = self._iterations = 0
 
     def note(self, solution: BindingSolution | None) -> None:
@@ -79,7 +80,7 @@ class PathCheck:
     def work(self) -> StepWork:
         """The work of this step until now."""
         distances = self.separation.measured - self._before
-        return StepWork(self._rows, self._problems, self._iterations, self._paths, distances)
+        return StepWork(self._rows, self._problems, self._iterations, self._paths, distances, self._pairs)
 
     # --- paths -------------------------------------------------------------------------
 

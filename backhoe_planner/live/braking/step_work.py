@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 MOST_DISTANCES = 41  # of coal in a step, each some 10 to 30 us with what is made of it; an ordinary step has up to 2
+MOST_NEAR = 128  # pairs that act on the wish, and all that slow down; chosen, an arm among people has up to 100
 CLOSER_LOOK = 4  # of them for one pair with a plane for each part of its path, see `Separation.closer_look`
 
 
@@ -22,6 +23,7 @@ class StepWork(NamedTuple):
     problems, iterations: such programs, and the solver's iterations in all of them.
     paths: braking paths that were checked.
     distances: pairs of bodies whose distance was measured.
+    pairs: that were near, so that they could act on the wish.
     """
 
     rows: int = 0
@@ -29,3 +31,4 @@ class StepWork(NamedTuple):
     iterations: int = 0
     paths: int = 0
     distances: int = 0
+    pairs: int = 0

@@ -324,7 +324,7 @@ class Servo:
     def _move(self, command: Command) -> ServoState:
         """Find what is near, the wish and the nearest safe velocity, and take the step."""
         near = self._look()
-        self._check.begin_step()
+        self._check.begin_step(len(near.pairs))
         q, v, _ = self._state
         wish = self._tip.wish(q, self._commands, near, circulate=self.circulate)
         pace = min(self._bounds.pace(near), self._pace_of_sectors())
