@@ -86,6 +86,7 @@ class MotionSearch:
     Attributes
     ----------
     best: the best so far.
+    ended: where descents ended, among them motions that are not proven.
     looked_at: how many motions sampling looked at in vain, of ways that were not found.
     """
 
@@ -108,6 +109,7 @@ class MotionSearch:
         self._reserved = 0  # rounds of descents that are kept for what comes later
         self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
         self.best: FoundMotion | None = None
+        self.ended: list[FoundMotion] = []
         self.looked_at = 0
 
     def run(self) -> str:
@@ -118,6 +120,8 @@ class MotionSearch:
         Empty; or that time ran out, in words.
         """
         try:
+            if not self._problem.objective.is_time:
+                self._go_fast()
             self._go_straight(self._order)
             if self._is_far():
                 self._look_for_postures()
@@ -128,6 +132,24 @@ class MotionSearch:
         return ""
 
     # --- first ways -------------------------------------------------------------------
+
+    def _go_fast(self) -> None:
+        """What the search for the fastest motion ends at is offered, and where it costs least brought down."""
+        world = self._world.for_time()
+        found = find_goal_postures(world, self._problem.goals, near=self._start, time=self._time)
+        if isinstance(found, Outcome):
+            return
+        search = MotionSearch(world, self._start, found, time=self._time)
+        search.run()
+        ended = search.ended if search.best is None else [*search.ended, search.best]
+        ended = [replace(one, cost=motion_cost(self._problem, one.motion)) for one in ended]
+        if search.best is not None:
+            self._offer(ended[-1])
+        self._reserved = self._world.work.descent_rounds // 2
+        for one in sorted(ended, key=lambda one: one.cost)[: self._world.work.effort.ways_at_once]:
+            self._descend(
+                JointCurve.fitted(one.motion, _PIECES, self._problem.limits), one.motion.duration, one.goal, one.way
+            )
 
     def _take(self, found: GoalPostures) -> list[int]:
         """Count further postures in; which they are, the soonest first."""
@@ -140,8 +162,9 @@ class MotionSearch:
 
     def _look_for_postures(self) -> None:
         """Look for more postures that can be reached sooner than the best motion ends, and go straight there."""
-        goals = tuple(dict.fromkeys(self._goals))
-        found = find_goal_postures(self._world, goals, near=self._start, time=self._time, more=_MORE_POSTURES)
+        found = find_goal_postures(
+            self._world, self._problem.goals, near=self._start, time=self._time, more=_MORE_POSTURES
+        )
         if not isinstance(found, Outcome):
             self._go_straight(self._take(found))
 
@@ -272,7 +295,9 @@ class MotionSearch:
                 return False
             if self._goes_where_another_ended(found):
                 return True
-            if self._offer(FoundMotion(found.motion, found.cost, goal, way)):
+            ended = FoundMotion(found.motion, found.cost, goal, way)
+            if self._offer(ended):
+                self.ended.append(ended)
                 self._known.add(found.curve, found.cost)
                 return True
             curve, duration, rounds, box = found.curve, found.duration, _FEW_ROUNDS, _SMALL_BOX

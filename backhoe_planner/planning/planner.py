@@ -13,10 +13,12 @@ import reprlib
 import time as clock
 from dataclasses import replace
 
+import numpy as np
+
 from backhoe_planner.arrays import Vector, as_count, as_number
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot
-from backhoe_planner.motion import Problem, build_problem, drive_of, retime
+from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_problem, drive_of, limit_usage, retime
 from backhoe_planner.planning.goal_planning import ToGoal
 from backhoe_planner.planning.kept_path import narrow_path, waypoint_breaks_keep
 from backhoe_planner.planning.moving_obstacles import plan_over_time
@@ -35,6 +37,8 @@ from backhoe_planner.site import Scene
 _LARGEST_SEED = 2**32 - 1  # what OMPL's generator takes
 _SLOWER = 3  # plans at most, each with slower joints; chosen, as each is a whole plan
 _TOO_MUCH = 10.0  # times a limit: chosen, slower joints are not tried for what is so far beyond it
+_BINDS = 0.95  # part of a limit from which on it binds; samples tell accelerations to some percent
+_SHORT = 10.0 * SAMPLE_PERIOD  # s: what is shorter has too few samples for its limits to show; chosen
 _LONG_SEARCH = 4  # times the usual starting points, for a start that is given by the tip; chosen: all else hangs on it
 
 
@@ -95,6 +99,8 @@ def plan(
     note = outcome.message
     if note and not outcome.reason and not certificate.verified:
         note = "; ".join((note, *certificate.problems))
+    if certificate.verified and not outcome.reason:
+        note = "; ".join(filter(None, (note, _describe_unused_limits(problem, outcome.trajectory))))
     return Plan(
         problem=problem,
         method=checked,
@@ -115,6 +121,14 @@ def plan(
         bound=measure_bound(problem, outcome.trajectory, certificate, boxes=EFFORTS[asked].boxes),
         effort=asked,
     )
+
+
+def _describe_unused_limits(problem: Problem, motion: Trajectory) -> str:
+    """That a motion to a goal comes near no limit at any time, so that a faster one exists; empty where it does."""
+    if not problem.goals or problem.is_dynamic or motion.duration < _SHORT:
+        return ""
+    used = float(np.max(limit_usage(problem, motion).ratio))
+    return "" if used >= _BINDS else f"the motion uses at most {100.0 * used:.0f} % of any limit: it could be faster"
 
 
 def _plan_drivable(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import Problem, TipPath, Trajectory
+from backhoe_planner.motion import OBJECTIVES, Problem, TipPath, Trajectory
 from backhoe_planner.planning.paths.local_resolution import resolve_along
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.reactive.stepping import PlannerStep, Stepper, Watcher
@@ -47,6 +48,14 @@ class World:
         other._put(obstacles)
         return other
 
+    def for_time(self) -> World:
+        """The same problem, to be solved in the least time, with work of its own; nobody watches."""
+        other = copy.copy(self)
+        other.problem = replace(self.problem, objective=OBJECTIVES["time"])
+        other.work, other._watch = Work(self.work.effort, self.work.brake), None
+        other._put(self._obstacles)
+        return other
+
     def stepper(self, q: Vector) -> Stepper:
         """A motion that begins at `q` (n,), at rest."""
         return Stepper(self.problem, q, proximity=self.proximity, kinematics=self.kinematics, watch=self._watch)
@@ -73,6 +82,7 @@ class World:
         return resolve_along(self.problem, path, s, q, proximity=self.proximity, kinematics=self.kinematics, time=time)
 
     def _put(self, obstacles: Sequence[Obstacle]) -> None:
+        self._obstacles = obstacles
         self.proximity = Proximity(self.problem.robot, obstacles)
         self.postures = Postures(
             self.problem, proximity=self.proximity, kinematics=self.kinematics, rng=np.random.default_rng(self.seed)

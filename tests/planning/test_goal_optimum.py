@@ -14,6 +14,7 @@ from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve, basis
 from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.planning.descent.linear_model import LinearModel, find_margins
+from backhoe_planner.planning.outcome import Outcome
 
 Data = dict[str, Any]
 
@@ -70,6 +71,40 @@ def test_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> No
     assert plan.verified, plan.message
     usage = limit_usage(plan.problem, plan.trajectory)
     assert np.mean(usage.greatest > 0.95) > 0.85
+
+
+@pytest.mark.parametrize("way", ["search", "law", "fallback on the law"])
+@pytest.mark.parametrize("goal", [[3.5, 3.5, 0.2], [4.0, 2.0, 1.0]])
+def test_whatever_way_a_motion_to_a_goal_comes_a_limit_binds(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, way: str, goal: list[float]
+) -> None:
+    if way == "fallback on the law":
+        monkeypatch.setattr("backhoe_planner.planning.motion_search.MotionSearch.run", lambda _: "")
+    scene = digger({"position": goal}, WALL)
+    plan = bp.plan(backhoe, scene, effort="quick", method="reactive" if way == "law" else "auto")
+    assert plan.verified, plan.message
+    assert np.max(limit_usage(plan.problem, plan.trajectory).greatest) > 0.95
+    assert "of any limit" not in plan.note
+
+
+def test_a_plan_that_binds_no_limit_says_so(backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four times as slow, velocities are at most a quarter of their limits, and accelerations a sixteenth."""
+    found = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}), effort="quick").trajectory
+    slow = bp.Trajectory.from_steps(4.0 * found.time, found.q)
+    monkeypatch.setattr("backhoe_planner.planning.goal_planning.ToGoal.from_rest", lambda *_: Outcome(slow))
+    plan = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}), effort="quick")
+    assert plan.verified, plan.message
+    assert "of any limit: it could be faster" in plan.note
+
+
+def test_least_work_is_not_above_that_of_the_fastest_motion(backhoe: bp.Robot) -> None:
+    """Which is found by the same seed and effort."""
+    fast, cheap = (
+        bp.plan(backhoe, digger({"position": [3.5, 3.5, 1.5]}, WALL, objective=name), effort="quick", seed=3)
+        for name in ("time", "work")
+    )
+    assert cheap.verified, cheap.message
+    assert cheap.metrics.energy["work"] <= fast.metrics.energy["work"] * 1.001
 
 
 def test_less_work_is_done_where_work_is_asked_for(backhoe: bp.Robot) -> None:

@@ -155,3 +155,20 @@ def test_iterates_that_stay_in_one_place_are_a_motion_at_rest(planar4: bp.Robot)
     problem = build_problem(planar4, bp.load_scene(SCENES / "paper_planar.yaml"))
     motion = time_iterates(problem, np.full((5, 4), 0.1), proximity=bp.Proximity(planar4))
     assert motion.duration == 0.0
+
+
+@pytest.mark.parametrize("slower", [3.0, 40.0])
+def test_a_law_that_leaves_every_limit_unused_is_hastened(
+    backhoe: bp.Robot, monkeypatch: pytest.MonkeyPatch, slower: float
+) -> None:
+    """Its samples stay where they are, also where no smoother motion is proven clear, and a limit binds."""
+    q, scene = free_goal(backhoe, 0)
+    begun, arrived = by_law(build_problem(backhoe, scene), q)
+    slow = arrived.trajectory()
+    dawdling = begun.branch(attempt=1)
+    dawdling.play(bp.Trajectory.from_steps(slower * slow.time, slow.q))
+    monkeypatch.setattr("backhoe_planner.planning.reactive.law_timing.segment_is_clear", lambda *_, **__: False)
+    found = speed_up(begun, dawdling).trajectory()
+    np.testing.assert_array_equal(found.q, slow.q)
+    assert found.duration < dawdling.trajectory().duration / 2.0
+    assert 0.99 < np.max(limit_usage(begun.problem, found).greatest) <= 1.0
