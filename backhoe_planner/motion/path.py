@@ -8,6 +8,7 @@ direction to the other's: the way is C1, and d2q/ds2 is piecewise constant.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -86,6 +87,8 @@ class TipPath:
         self.turning: Flags = turned > moved
         self._standing: Flags = moved == 0.0
         self.stations = np.concatenate(([0.0], np.cumsum(np.maximum(moved, turned))))
+        self._marks: list[float] = self.stations.tolist()
+        self._has_doubles = bool(np.any(np.diff(self.stations) == 0.0))
         self._arcs = np.concatenate(([0.0], np.cumsum(moved)))
 
     @property
@@ -263,10 +266,6 @@ class TipPath:
 
     # --- legs ---------------------------------------------------------------------
 
-    @property
-    def _has_doubles(self) -> bool:
-        return bool(np.any(np.diff(self.stations) == 0.0))
-
     def _travel(self, s: float) -> Vector:
         """(7,) how position [m], orientation and pitch [rad, times 0.25 m] change with s."""
         leg, _ = self._locate(s)
@@ -297,10 +296,11 @@ class TipPath:
         return float(np.clip(along, low, high))
 
     def _locate(self, s: float) -> tuple[int, float]:
-        s = float(np.clip(as_number(s, key="s"), 0.0, self.length))
-        leg = int(np.clip(np.searchsorted(self.stations, s, side="right") - 1, 0, len(self.points) - 2))
-        span = self.stations[leg + 1] - self.stations[leg]
-        return leg, float((s - self.stations[leg]) / span) if span > 0.0 else 0.0
+        marks = self._marks
+        s = min(max(as_number(s, key="s"), 0.0), marks[-1])
+        leg = min(max(bisect_right(marks, s) - 1, 0), len(marks) - 2)
+        span = marks[leg + 1] - marks[leg]
+        return leg, (s - marks[leg]) / span if span > 0.0 else 0.0
 
     def _pitch(self, leg: int, part: float) -> tuple[float, float] | None:
         before, after = self._targets[leg].pitch, self._targets[leg + 1].pitch

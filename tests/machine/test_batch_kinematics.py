@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
@@ -100,3 +101,19 @@ def test_out_of_reach_is_not_reached(backhoe: bp.Robot) -> None:
     batch = TargetBatch.of([TipTarget(np.array([50.0, 0.0, 0.0]))] * 8)
     _, reached = solve_batch(BatchKinematics(backhoe), batch, _random(backhoe, 8))
     assert not reached.any()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 1.0, 2.6, 2.7, np.pi - 1e-3, np.pi - 1e-9])
+def test_errors_of_orientation_are_the_turn_that_is_left(panda: bp.Robot, angle: float) -> None:
+    """The asked orientation is the tip's, turned about a known axis by a known angle, up to half a turn."""
+    rng = np.random.default_rng(int(1e6 * angle))
+    q = np.array([panda.random_q(rng) for _ in range(5)])
+    axes = rng.standard_normal((5, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    at = BatchKinematics(panda).at(q)
+    asked = [
+        TipTarget(p, rotation=pin.exp3(angle * axis) @ R)
+        for p, R, axis in zip(at.tip_position, at.tip_rotation, axes, strict=True)
+    ]
+    turns = TargetBatch.of(asked).errors(at)[:, 3:6]
+    np.testing.assert_allclose(turns, angle * axes, atol=1e-7 if angle > 3.0 else 1e-12)

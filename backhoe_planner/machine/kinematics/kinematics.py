@@ -187,11 +187,12 @@ class BatchKinematics:
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         model = robot.model
-        # a serial chain: joint j hangs on joint j - 1
-        self._placements = [(p.rotation.copy(), p.translation.copy()) for p in model.jointPlacements][1:]
-        # rotation by Rodrigues: I + sin K + (1 - cos) K^2
-        self._skew = [pin.skew(axis) for axis in robot.joint_axes]
-        self._square = [skew @ skew for skew in self._skew]
+        # A serial chain: joint j hangs on joint j - 1. By Rodrigues its rotation is I + sin K + (1 - cos) K^2, and
+        # all that multiplies the rotation before it stands in one (3, 11) matrix: R, R K, R K^2, the axis, the origin.
+        self._factors = []
+        for placement, axis in zip(list(model.jointPlacements)[1:], robot.joint_axes, strict=True):
+            R, skew = placement.rotation, pin.skew(axis)
+            self._factors.append(np.column_stack((R, R @ skew, R @ skew @ skew, R @ axis, placement.translation)))
         frame = model.frames[robot.tip_frame]
         self._tip = (frame.placement.rotation.copy(), frame.placement.translation.copy())
         self._sense = robot.pitch_sense if robot.has_pitch else 0.0
@@ -206,25 +207,23 @@ class BatchKinematics:
         origins = np.empty((count, self.robot.n, 3))
         rotations = np.empty((count, self.robot.n, 3, 3))
         sine, versine = np.sin(q), 1.0 - np.cos(q)
-        for joint, (R, p) in enumerate(self._placements):
-            position = position + rotation @ p
-            rotation = rotation @ R
-            axes[:, joint] = rotation @ self.robot.joint_axes[joint]
+        for joint, factors in enumerate(self._factors):
+            # one product of (3 B, 3) is several times as fast as B of (3, 3)
+            parts = (rotation.reshape(-1, 3) @ factors).reshape(count, 3, 11)
+            position = position + parts[:, :, 10]
+            axes[:, joint] = parts[:, :, 9]
             if self.robot.prismatic[joint]:
                 position = position + axes[:, joint] * q[:, joint, None]
+                rotation = parts[:, :, :3]
             else:
-                turn = (
-                    np.eye(3)
-                    + sine[:, joint, None, None] * self._skew[joint]
-                    + versine[:, joint, None, None] * self._square[joint]
-                )
-                rotation = rotation @ turn
+                rotation = parts[:, :, :3] + sine[:, joint, None, None] * parts[:, :, 3:6]
+                rotation += versine[:, joint, None, None] * parts[:, :, 6:9]
             origins[:, joint] = position
             rotations[:, joint] = rotation
         return ConfigurationBatch(
             q=q,
-            tip_position=position + rotation @ self._tip[1],
-            tip_rotation=rotation @ self._tip[0],
+            tip_position=position + (rotation.reshape(-1, 3) @ self._tip[1]).reshape(count, 3),
+            tip_rotation=(rotation.reshape(-1, 3) @ self._tip[0]).reshape(count, 3, 3),
             axes=axes,
             origins=origins,
             rotations=rotations,

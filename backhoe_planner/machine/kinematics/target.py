@@ -13,6 +13,8 @@ from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_arr
 from backhoe_planner.errors import check_kind
 from backhoe_planner.machine.kinematics.kinematics import Configuration, ConfigurationBatch, wrap_angle
 
+_NO_SINE = 1e-12  # of an angle so small that it equals its sine
+_NEAR_HALF_TURN = -0.9  # cosine from which on a rotation vector is found from a quaternion; chosen, 154 degrees
 _NO_TURN = 1e-12  # rad: less has no axis, and is within any tolerance
 _IMMOVABLE = 1e-9  # m/rad or rad/rad: rounding in a Jacobian of metres is 1e-15, a lever of 1 um is 1e-6
 
@@ -204,9 +206,23 @@ class TargetBatch:
 
     def _turns_from(self, at: ConfigurationBatch) -> Array:
         """(B, 3) rotation vectors from the tip's orientations to the asked ones, in world axes [rad]."""
+        return rotation_vectors(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2))
+
+
+def rotation_vectors(rotation: Array) -> Array:
+    """(B, 3) rotation vectors of rotation matrices (B, 3, 3) [rad]."""
+    # twice the axis times the sine, from the part that is not symmetric
+    twice = rotation[:, (2, 0, 1), (1, 2, 0)] - rotation[:, (1, 2, 0), (2, 0, 1)]
+    sine = 0.5 * np.sqrt(np.einsum("bi,bi->b", twice, twice))
+    cosine = 0.5 * (rotation[:, 0, 0] + rotation[:, 1, 1] + rotation[:, 2, 2] - 1.0)
+    ratio = np.where(sine > _NO_SINE, np.arctan2(sine, cosine) / np.maximum(sine, _NO_SINE), 1.0)
+    found = 0.5 * ratio[:, None] * twice
+    half_turn = np.flatnonzero(cosine < _NEAR_HALF_TURN)
+    if len(half_turn):  # there the sine says little
         from scipy.spatial.transform import Rotation
 
-        return np.asarray(Rotation.from_matrix(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2)).as_rotvec())
+        found[half_turn] = Rotation.from_matrix(rotation[half_turn]).as_rotvec()
+    return np.asarray(found)
 
 
 def movable_rows(jacobian: Matrix) -> Flags:

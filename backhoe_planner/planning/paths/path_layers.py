@@ -3,7 +3,7 @@
 What the path leaves free of the joints is its redundancy, r = n - m. With r = 1 the one
 free parameter is laid out on a grid: the pitch, where the machine has one and the path
 leaves it free, else the length along the curves of self-motion. With more the
-configurations nearest to a fixed set of quasi-random ones (Sobol) are taken, the same
+configurations nearest to a fixed set of quasi-random ones are taken, the same
 set at every sample of the path, so that neighbouring layers hold neighbouring nodes.
 With none there are the branches of the inverse kinematics.
 """
@@ -26,17 +26,18 @@ if TYPE_CHECKING:
 Mask = NDArray[np.bool_]
 
 _SAME = 0.01  # rad or m: chosen, solutions nearer than this are one
-_BRANCHES = 8  # guesses per value of the pitch where branches are looked for; chosen, a power of 2
+_BRANCHES = 8  # guesses per value of the pitch where branches are looked for; chosen
 _SEED_EVERY = 0.4  # m of path from one search for branches to the next; chosen: between, nodes are carried on
-_SAMPLES = 256  # configurations per layer where the redundancy has several dimensions; chosen, a power of 2
+_SAMPLES = 256  # configurations per layer where the redundancy has several dimensions; chosen
 _RANK = 1e-6  # singular values of a Jacobian [1, m] below this count as 0; chosen far above rounding
 _FOLLOWED = 0.2  # rad or m: chosen, a node with another this near in the next layer is followed there
 _CARRIED = 0.6  # rad or m that a node may move when it is carried to the next layer; chosen: three times that
 _MOST = 500  # nodes of a layer to which no more are carried; chosen: twice `_SAMPLES`, since steps grow by its square
 _SPREADS = (0.1, 0.3, 0.8)  # rad or m around a given beginning; chosen: near, further and far
 _AROUND = 16  # guesses for each of `_SPREADS`; chosen
+_ROOT_ROUNDS = 60  # each brings the root of g^(n + 1) = g + 1 nearer by more than half
 _PORTION = 1000  # configurations that are solved for between two looks at the brake; chosen
-_CURVE_GUESSES = 64  # from which branches or curves of self-motion are looked for; chosen, a power of 2
+_CURVE_GUESSES = 64  # from which branches or curves of self-motion are looked for; chosen
 _CURVE_ROUNDS = 2  # in which they are traced: the second from those that the first has not come by
 _CURVE_FIRST = 12  # of them in the first round, at each station; chosen: there are some eight curves
 _COARSER = 1.3  # times the distance of nodes where they are too many; chosen
@@ -148,7 +149,7 @@ class PathLayers:
 
     def _branches(self, batch: TargetBatch, seeds: NDArray[np.intp], *, pitch: bool) -> list[Matrix]:
         """All solutions at some stations, over the whole grid."""
-        guesses = _sobol(self._box, _BRANCHES if pitch else _CURVE_GUESSES)
+        guesses = _spread(self._box, _BRANCHES if pitch else _CURVE_GUESSES)
         rows, values = [], []
         for row in seeds.tolist():
             value = self._values(batch, row, pitch=pitch)
@@ -202,7 +203,7 @@ class PathLayers:
         seeds = _seeds(stations)
         rows = np.repeat(seeds, _CURVE_GUESSES)
         # other guesses at every seed: a curve that one misses another finds, and it is carried on
-        guesses = np.vstack([_sobol(self._box, _CURVE_GUESSES, seed) for seed in range(len(seeds))])
+        guesses = np.vstack([_spread(self._box, _CURVE_GUESSES, seed) for seed in range(len(seeds))])
         q, reached = self._solve_all(batch.take(rows), guesses)
         q, rows = q[reached], rows[reached]
         found = [np.zeros((0, self._robot.n))] * len(stations)
@@ -260,7 +261,7 @@ class PathLayers:
     # --- several parameters ---------------------------------------------------------
 
     def _on_samples(self, batch: TargetBatch) -> list[Matrix]:
-        guesses = _sobol(self._box, _SAMPLES)
+        guesses = _spread(self._box, _SAMPLES)
         rows = np.repeat(np.arange(len(batch)), len(guesses))
         q, reached = self._solve_all(batch.take(rows), np.tile(guesses, (len(batch), 1)))
         q, reached = q.reshape(len(batch), len(guesses), -1), reached.reshape(len(batch), len(guesses))
@@ -355,12 +356,18 @@ def redundancy_of(robot: Robot, target: TipTarget) -> int:
     return robot.n - int(np.max(np.linalg.matrix_rank(J, tol=_RANK)))
 
 
-def _sobol(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
-    """(count, n) quasi-random configurations in `box`, always the same for one `seed`; `count` is a power of 2."""
-    # scipy has Sobol's sequence in scipy.stats alone, which takes seconds to load: only where a path is planned
-    from scipy.stats import qmc
+def _spread(box: tuple[Vector, Vector], count: int, seed: int = 0) -> Matrix:
+    """(count, n) quasi-random configurations in `box`, always the same for one `seed`.
 
-    points = qmc.Sobol(len(box[0]), scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(count))))
+    The additive sequence of M. Roberts (2018): steps of 1/g, 1/g^2, ..., modulo 1, with g the root of
+    g^(n + 1) = g + 1. scipy has Sobol's in scipy.stats, which takes as long to load as half a path to plan.
+    """
+    n = len(box[0])
+    root = 2.0
+    for _ in range(_ROOT_ROUNDS):
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    begin = np.random.default_rng(seed).random(n)
+    points = np.mod(begin + np.arange(1, count + 1)[:, None] * root ** -np.arange(1.0, n + 1.0), 1.0)
     return np.asarray(box[0] + points * (box[1] - box[0]))
 
 
