@@ -113,19 +113,25 @@ class Descent:
         if here is None:
             return None
         price = _MISSED_WORTH * here.cost
+        # a cost other than the time is linearised about T, but counted of the fastest run: each model fails elsewhere
+        free_time, was_vain = True, self._problem.objective.is_time
         for number in range(most_rounds):
             if is_hopeless(here, number):
                 break
             self._brake.check()
             self.rounds += 1
             worst = here.cost + price * here.missed
-            there = self._step(here, free, spare, density, box, below=worst)
+            there = self._step(here, free, spare, density, box, free_time=free_time, below=worst)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
-                box *= _SHRINK
-                if box < _SMALLEST_BOX:
-                    break
+                if was_vain:
+                    box *= _SHRINK
+                    if box < _SMALLEST_BOX:
+                        break
+                if not self._problem.objective.is_time:
+                    free_time, was_vain = free_time == was_vain, not was_vain
                 continue
+            was_vain = self._problem.objective.is_time
             here, box = self._in_its_own_time(there, price, spare, density), min(_GROW * box, _LARGEST_BOX)
             if gain < _ENOUGH * here.cost and here.missed <= _KEPT:
                 break
@@ -142,9 +148,9 @@ class Descent:
         return there
 
     def _step(
-        self, here: Timed, goal: Goal | None, spare: float, density: int, box: float, *, below: float
+        self, here: Timed, goal: Goal | None, spare: float, density: int, box: float, *, free_time: bool, below: float
     ) -> Timed | None:
-        """The curve after the best small step; None where there is none, or none that costs less than `below`."""
+        """The curve after the best small step, of T too where that is free; None where none costs less than `below`."""
         curve = here.curve
         model = LinearModel(self._problem, curve, here.duration, end_moves=goal is not None, box=box * self._unit)
         model.keep_joint_limits()
@@ -152,7 +158,9 @@ class Descent:
         model.keep_clear(here.margins, _places(curve, density))
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
-        solution = solve_program(model.program(here.cost, _MISSED_PRICE), most_iterations=_ITERATIONS)
+        solution = solve_program(
+            model.program(here.cost, _MISSED_PRICE, free_time=free_time), most_iterations=_ITERATIONS
+        )
         if solution is None:
             return None
         control, duration = model.step(solution.x)

@@ -152,13 +152,14 @@ class LinearModel:
 
     # --- what is to be small -----------------------------------------------------------
 
-    def program(self, cost: float, slack_price: float) -> QuadraticProgram:
+    def program(self, cost: float, slack_price: float, *, free_time: bool = True) -> QuadraticProgram:
         """The program whose solution is the best step.
 
         Parameters
         ----------
         cost: of the curve now, by the problem's objective.
         slack_price: of a missed metre, as a part of the cost.
+        free_time: whether the duration may change.
         """
         T, problem = self._T, self._problem
         f = np.zeros(self._steps + 2)
@@ -172,8 +173,8 @@ class LinearModel:
         price = np.concatenate((_KEEP_STILL / (self._box**2 * len(self._moving)), [_KEEP_STILL / T**2, 1e-2]))
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
         lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
-        low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T, 0.0]))
-        high = np.concatenate((np.maximum(np.minimum(self._box, upper), 0.0), [2.0 * T, 1.0]))
+        low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T * free_time, 0.0]))
+        high = np.concatenate((np.maximum(np.minimum(self._box, upper), 0.0), [2.0 * T * free_time, 1.0]))
         return QuadraticProgram(np.asarray(np.diag(price)), f, low, high, tuple(self._rows))
 
     def step(self, x: Vector) -> tuple[Matrix, float]:
