@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
-from backhoe_planner.machine import Kinematics, bend_weights, tip_travel_bound
+from backhoe_planner.machine import BatchKinematics, Kinematics, TargetBatch, bend_weights, tip_travel_bound
 from backhoe_planner.motion.chords import chord_errors
 from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
 from backhoe_planner.motion.orientation import angle_bounds
@@ -358,7 +358,7 @@ def _missed_angles(
         left out where the tip only passes, not where it stands to turn.
     """
     found = []
-    rows = np.flatnonzero(on)
+    rows, batch = np.flatnonzero(on), BatchKinematics(kinematics.robot)
     for index in path.turned_waypoints.tolist():
         mark = float(path.stations[index])
         if index not in path.standing_waypoints and any(begin <= mark <= end for begin, end in left):
@@ -369,10 +369,12 @@ def _missed_angles(
         count = max(_PARTS, min(int(np.ceil(turned / (_TURN_PART * angle_tolerance))), _MOST_PARTS))
         parts = np.linspace(0.0, 1.0, count + 1 if after - before == 1 else 2)[:, None]
         between = (1.0 - parts) * trajectory.q[before] + parts * trajectory.q[after]
-        misses = [path.target(mark).distances(kinematics.at(q)) for q in between]
-        near = [angle for distance, angle in misses if distance <= tolerance]
-        if not near or min(near) > angle_tolerance:
-            off = np.degrees(min(near, default=misses[0][1]))
+        target = TargetBatch.of([path.target(mark)]).take(np.zeros(len(between), dtype=np.intp))
+        errors = target.errors(batch.at(between))
+        distances, angles = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
+        near = angles[distances <= tolerance]
+        if not len(near) or np.min(near) > angle_tolerance:
+            off = np.degrees(float(np.min(near)) if len(near) else float(angles[0]))
             found.append(f"waypoint {path.number(index)} is passed with the bucket {off:.1f} deg from its angle")
     return found
 
