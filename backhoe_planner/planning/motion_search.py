@@ -26,8 +26,8 @@ from backhoe_planner.planning.search.sampling import sample_path
 from backhoe_planner.planning.search.shortening import shorten
 from backhoe_planner.planning.world import World
 from backhoe_planner.proof import LeastTimes, least_duration, motion_is_clear
+from backhoe_planner.site import ClearanceScreen
 
-_PIECES = 12  # of a curve; chosen: 20 gain 1 % more and take twice as long
 _FINE_PIECES = 20  # of the best curve at the end
 _SPARES = (0.01, 0.002)  # m kept beyond every clearance by a sampled way, in turn
 _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
@@ -38,6 +38,9 @@ _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
+_PLACES = 25  # at a straight line, where one alone is tried; chosen, about every 2 to 10 cm of the tip
+_SOONEST = 4  # postures of which one is then chosen
+_MOST_BLOCKED = 0.3  # part of the line that may then not be clear; chosen
 _TRIED = 4  # rounds after which a descent is judged
 _LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
 _FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
@@ -122,8 +125,8 @@ class MotionSearch:
         try:
             if not self._problem.objective.is_time:
                 self._go_fast()
-            self._go_straight(self._order)
-            if self._is_far():
+            self._go_straight(self._order if self._goes_on() else self._least_blocked())
+            if self._goes_on() and self._is_far():
                 self._look_for_postures()
             self._go_round()
             self._refine()
@@ -148,8 +151,28 @@ class MotionSearch:
         self._reserved = self._world.work.descent_rounds // 2
         for one in sorted(ended, key=lambda one: one.cost)[: self._world.work.effort.ways_at_once]:
             self._descend(
-                JointCurve.fitted(one.motion, _PIECES, self._problem.limits), one.motion.duration, one.goal, one.way
+                JointCurve.fitted(one.motion, self._world.work.effort.pieces, self._problem.limits),
+                one.motion.duration,
+                one.goal,
+                one.way,
             )
+
+    def _goes_on(self) -> bool:
+        """Whether the search goes on where it has found a motion."""
+        return self._world.work.effort.dull_searches > 0
+
+    def _least_blocked(self) -> list[int]:
+        """The one of the soonest postures to which the straight line is most nearly clear, if that is enough."""
+        screen = ClearanceScreen(self._world.proximity, time=self._time)
+        part = np.linspace(0.0, 1.0, _PLACES)[:, None]
+        blocked: list[float] = []
+        for index in self._order[:_SOONEST]:
+            line = self._start + part * (self._postures[index] - self._start)
+            blocked.append(1.0 - float(np.mean(screen.keeps(line))))
+            if not blocked[-1]:
+                break
+        best = int(np.argmin(blocked))
+        return [self._order[best]] if blocked[best] <= _MOST_BLOCKED else []
 
     def _take(self, found: GoalPostures) -> list[int]:
         """Count further postures in; which they are, the soonest first."""
@@ -177,7 +200,7 @@ class MotionSearch:
                 return
             if not self._is_open(index):
                 continue
-            line = JointCurve.straight(self._start, self._postures[index], _PIECES)
+            line = JointCurve.straight(self._start, self._postures[index], work.effort.pieces)
             if not self._descend(line, self._least[index], self._goals[index], "straight for the joints"):
                 return
 
@@ -194,7 +217,7 @@ class MotionSearch:
             number += work.effort.ways_at_once
             for way in ways:
                 if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
-                    curve = JointCurve.fitted(way.motion, _PIECES, self._problem.limits)
+                    curve = JointCurve.fitted(way.motion, work.effort.pieces, self._problem.limits)
                     self._descend(curve, way.motion.duration, way.goal, "sampled")
             if self.best is None and (work.motions <= 0 or number >= len(_SPARES)):
                 return
@@ -204,6 +227,8 @@ class MotionSearch:
     def _patience(self) -> int:
         """How often in a row a search may gain nothing."""
         usual = self._world.work.effort.dull_searches
+        if not self._goes_on():
+            return 0
         return usual * next((factor for part, factor in _PATIENCE if self._is_above(part)), 1)
 
     def _is_above(self, part: float) -> bool:
@@ -263,7 +288,7 @@ class MotionSearch:
     def _is_optimal(self) -> bool:
         """Whether no motion can be better by more than `_LEAST_GAIN`."""
         best = self.best
-        if best is None or not self._problem.objective.is_time:
+        if best is None or not self._problem.objective.is_time or not self._goes_on():
             return False
         if not self._bound:
             known, boxes = best.motion.duration, self._world.work.effort.boxes // _FEWER_BOXES

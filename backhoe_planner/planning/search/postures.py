@@ -17,9 +17,10 @@ from backhoe_planner.machine import (
     solve_inverse_kinematics,
 )
 from backhoe_planner.motion import Problem
-from backhoe_planner.site import Obstruction, Proximity
+from backhoe_planner.site import ClearanceScreen, Obstruction, Proximity
 
 _SPARE = 0.003  # m beyond the clearance; chosen: more than the 2 mm that a motion that ends there keeps
+_ITERATIONS = 20  # of the inverse kinematics from one starting point; chosen, one in fifty arrives later
 _SAME = 0.05  # rad or m: chosen, configurations nearer than this count as one
 
 
@@ -68,23 +69,21 @@ class Postures:
         part = np.ones(count - 1)
         part[::2] = self._rng.random(len(part[::2]))
         guesses = np.vstack((near, near + part[:, None] * (anywhere - near)))
-        ends, reached = solve_batch(self._batch, TargetBatch.of([target] * count), guesses)
+        ends, reached = solve_batch(self._batch, TargetBatch.of([target] * count), guesses, iterations=_ITERATIONS)
         ends = ends[reached]
         if len(ends):
             best = InverseKinematics(True, ends[0], *target.distances(self._kinematics.at(ends[0])), count)
         else:
             best = solve_inverse_kinematics(robot, target, start=near, rng=self._rng)
             ends = best.q[None, :] if best.reached else ends
-        clear: list[Vector] = []
-        mildest: Obstruction | None = None
+        apart: list[Vector] = []
         for q in ends:
-            if any(float(np.max(np.abs(q - other))) <= _SAME for other in clear):
-                continue
-            contact = self._proximity.tightest(q, time=time)
-            if contact is None or contact.margin >= _SPARE:
-                clear.append(q)
-            elif mildest is None or contact.margin > mildest.margin:
-                mildest = contact
+            if all(float(np.max(np.abs(q - other))) > _SAME for other in apart):
+                apart.append(q)
+        keeps = ClearanceScreen(self._proximity, time=time, spare=_SPARE).keeps(np.array(apart).reshape(-1, robot.n))
+        clear = [q for q, kept in zip(apart, keeps, strict=True) if kept]
+        contacts = () if clear else (self._proximity.tightest(q, time=time) for q in apart)
+        mildest = max((found for found in contacts if found), key=lambda found: found.margin, default=None)
         rate = self._problem.limits.velocity
         clear.sort(key=lambda q: float(np.max(np.abs(q - near) / rate)))
-        return PostureResult(tuple(clear), best, None if clear else mildest)
+        return PostureResult(tuple(clear), best, mildest)
