@@ -22,7 +22,6 @@ import numpy as np
 from backhoe_planner.arrays import Array
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Dynamics, Hydraulics, MotionEnergy, Robot
-from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.site import SoilReaction
 
 # (B, 3) or (3,) of the tip on the step that ends at a node and on the one that begins there [m/s], None for at rest
@@ -188,10 +187,6 @@ class Objective(ABC, Generic[Parts]):
         ----------
         v: (T, n) velocities of the joints there [rad/s or m/s].
         """
-
-    def of_motion(self, motion: Trajectory, energy: MotionEnergy) -> float:
-        """The cost of a finished motion, in `unit`: the integral of `rate`."""
-        return float(np.trapezoid(self.rate(motion.v, energy), motion.time))
 
     def duration(self, dt: Array, a: Parts, b: Parts, machine: LoadedMachine) -> Array:
         """(...) duration of the steps from a to b [s], of which tip and joints need `dt` (...) [s]."""

@@ -87,6 +87,53 @@ def test_a_planned_lift_costs_m_g_h(tmp_path: Path) -> None:
     assert comparison(plan).saving_percent == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.parametrize("heights", [(0.5, 2.0), (0.5, 1.1, 2.0), (0.5, 0.9, 0.9, 1.7, 2.0)])
+def test_a_hand_written_lift_costs_m_g_h_however_few_its_samples(tmp_path: Path, heights: tuple[float, ...]) -> None:
+    """At 0.1 m/s, slower than gravity brakes within a corner: the cage gives back what it gains in speed."""
+    problem = build_problem(machine(tmp_path, LIFT, "cage"), along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0)))
+    lift = MASS * GRAVITY * 1.5
+    time = np.concatenate(([0.0], np.cumsum(np.maximum(np.diff(heights) / 0.1, 1.0))))
+    motion = Trajectory.from_steps(time, np.array(heights)[:, None])
+    assert trajectory_costs(problem, motion)["work"] == pytest.approx(lift, rel=1e-9)
+    # of the same motion with a sample every 0.02 s or 0.01 s
+    for period in (0.02, 0.01):
+        often = np.union1d(np.arange(0.0, time[-1], period), time)
+        dense = Trajectory.from_steps(often, motion.at(often))
+        assert trajectory_costs(problem, dense)["work"] == pytest.approx(lift, rel=3e-3)
+    # going down the load drives the hoist
+    down = Trajectory.from_steps(time[-1] - time[::-1], motion.q[::-1])
+    assert trajectory_costs(problem, down)["work"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_hand_written_motion_costs_what_its_corners_take(tmp_path: Path) -> None:
+    """Up by 1 m in 2 s, stand for 1 s, down again in 2 s: every corner is rounded off within 0.02 s."""
+    problem = build_problem(machine(tmp_path, LIFT, "cage"), along((0.0, 0.0, 0.5), (0.0, 0.0, 2.0)))
+    motion = Trajectory.from_steps(np.array([0.0, 2.0, 3.0, 5.0]), np.array([[0.5], [1.5], [1.5], [0.5]]))
+    speed, weight, period = 0.5, MASS * GRAVITY, 0.02
+    energy = 0.5 * MASS * speed**2
+    way = 0.5 * speed * period  # of a corner from or to a stand
+    # it starts with the speed and the lift of the way; at the top it coasts; it is pushed down against nothing but
+    # its inertia; at the bottom it brakes, which takes nothing
+    pushed = energy - weight * way
+    assert pushed > 0.0
+    expected = weight * (1.0 - way) + energy + pushed
+    costs = trajectory_costs(problem, motion)
+    assert costs["work"] == pytest.approx(expected, rel=1e-9)
+    assert trajectory_energy(problem, motion).work[[0, 2, 3]] == pytest.approx(
+        [0.0, weight * (1.0 - way) + energy + 0.5 * pushed, expected], rel=0.05
+    )
+    assert costs["time"] == pytest.approx(5.0, rel=1e-12)
+    assert costs["velocity_norm"] == pytest.approx(4.0 * speed**2, rel=0.01)
+
+
+def test_a_hand_written_swing_up_costs_m_g_h(tmp_path: Path) -> None:
+    """A pendulum from -0.7 to 0.8 rad in two samples, slowly: what bends between them counts too."""
+    problem = build_problem(machine(tmp_path, PENDULUM, "end"), along((2.0, 0.0, 2.0), (1.9, 0.0, 2.5)))
+    lift = MASS * GRAVITY * LENGTH * (np.sin(0.8) - np.sin(-0.7))
+    motion = Trajectory.from_steps(np.array([0.0, 60.0]), np.array([[-0.7], [0.8]]))
+    assert trajectory_costs(problem, motion)["work"] == pytest.approx(lift, rel=1e-3)
+
+
 def test_every_objective_of_a_pendulum_step_by_hand(tmp_path: Path) -> None:
     """From level by 0.2 rad up over 0.4 m at 0.4 m/s, so in 1 s."""
     robot = machine(tmp_path, PENDULUM, "end")
