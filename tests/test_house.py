@@ -155,9 +155,9 @@ def test_doors_are_sorted_and_open(file: Path) -> None:
         assert all(hasattr(module, name) for name in names)
 
 
-def test_coal_is_called_in_one_file() -> None:
+def test_coal_is_called_in_two_files() -> None:
     users = [module_name(file) for file in FILES if {"coal", "hppfcl"} & {m.split(".")[0] for m in imported(file)}]
-    assert users == ["backhoe_planner.machine.shape.shapes"]
+    assert users == [f"backhoe_planner.machine.shape.{name}" for name in ("shapes", "trees")]
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_name)

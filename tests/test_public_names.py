@@ -20,9 +20,10 @@ ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 ROOMS = sorted(door.parent.name for door in PACKAGE.glob("*/__init__.pyi"))
 PUBLIC = {name: getattr(backhoe_planner, name) for name in dir(backhoe_planner) if not name.startswith("_")}
-# what a scene file holds is described by `scene_schema`, a machine by its URDF
+# what a scene file holds is described by `scene_schema`, a machine by its URDF, a scan by its file
 FILE_ENTRIES = tuple(
-    f"backhoe_planner.{part}" for part in ("site.scene_file", "site.schema", "machine.description", "machine.robot")
+    f"backhoe_planner.{part}"
+    for part in ("site.scene_file", "site.schema", "machine.description", "machine.robot", "machine.shape.cluster")
 )
 
 

@@ -98,6 +98,25 @@ def tip_travel_bound(robot: Robot, q: Matrix | None = None) -> Vector:
     return _bounds_of_points(robot, int(frame.parentJoint), tip, 0.0, _slide_reach(robot, q))
 
 
+def reach_ball(robot: Robot, q: Matrix | None = None) -> tuple[Vector, float]:
+    """A ball that no moving piece ever leaves: its centre (3,) and radius [m], world; `q` as in `travel_bounds`."""
+    model, slides = robot.model, _slide_reach(robot, q)
+    centre = np.array(model.jointPlacements[1].translation)
+    away = np.zeros(robot.n + 1)  # how far the origin of each joint can be from that of the first
+    for joint in range(2, robot.n + 1):
+        inner, step = int(model.parents[joint]), model.jointPlacements[joint].translation
+        if inner == 0:
+            away[joint] = float(np.linalg.norm(step - centre))
+        else:
+            away[joint] = away[inner] + slides[inner - 1] + float(np.linalg.norm(step))
+    radius = 0.0
+    for piece in robot.pieces:
+        if piece.joint > 0:
+            own = float(np.linalg.norm(piece.piece.hull, axis=1).max()) + piece.piece.radius
+            radius = max(radius, away[piece.joint] + float(slides[piece.joint - 1]) + own)
+    return centre, radius
+
+
 def _bounds_of_points(robot: Robot, joint: int, points: Matrix, radius: float, reach: Vector) -> Vector:
     """(n,) r for balls of `radius` [m] around points (k, 3) that are fixed in the frame of `joint`.
 

@@ -26,6 +26,7 @@ from .schema.names import check_name as check_name
 from .schema.obstacle_shapes import Box as Box
 from .schema.obstacle_shapes import Capsule as Capsule
 from .schema.obstacle_shapes import HalfSpace as HalfSpace
+from .schema.obstacle_shapes import scan_body as scan_body
 from .schema.quantities import Finite as Finite
 from .schema.survey_files import read_heights as read_heights
 from .schema.survey_files import read_points as read_points

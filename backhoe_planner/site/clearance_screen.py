@@ -1,7 +1,8 @@
 """Which of many configurations keep every clearance: yes or no, without the distances.
 
 Pinocchio's broad phase asks coal only about pairs whose boxes meet, all pairs of a configuration in
-one call. Each pair has its clearance as the margin within which it counts as touching.
+one call. Each pair has its clearance as the margin within which it counts as touching. Clusters are
+asked afterwards, where their lower bounds do not decide.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.cluster_distances import ClusterDistances
 from backhoe_planner.site.proximity import Proximity
 
 _ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other, beyond which they are sorted first
@@ -32,11 +34,15 @@ class ClearanceScreen:
         self._data = self._robot.createData()
         every = proximity.geometry[0].collisionPairs
         self._model = proximity.geometry[0].copy()
-        here = proximity.appears_at <= time
-        margins = (proximity.clearance + spare)[here].tolist()
+        margin = proximity.clearance + spare
+        present = proximity.appears_at <= time
+        self._clusters, self._time = ClusterDistances(proximity.robot, proximity.obstacles), time
+        self._least = np.where(present, margin, -np.inf)[proximity.plain :]
+        here = present[: proximity.plain]
+        margins = margin[: proximity.plain][here].tolist()
         for index in np.flatnonzero(~here).tolist():
             self._model.removeCollisionPair(every[index])
-        for index in np.flatnonzero(here & (proximity.speed > 0.0)).tolist():
+        for index in np.flatnonzero(here & (proximity.speed[: proximity.plain] > 0.0)).tolist():
             obstacle = int(proximity.owner[index])
             placement = proximity.obstacles[obstacle].pieces[proximity.second[index]].placement
             moved = placement.translation + proximity.obstacle_offset(obstacle, time)
@@ -57,4 +63,9 @@ class ClearanceScreen:
 
     def keeps_unchecked(self, q: Vector) -> bool:
         """The same of one configuration (n,), for callers in a loop, whose arguments are right as they are made."""
-        return not self._pairs or not pin.computeCollisions(self._robot, self._data, self._manager, q, True)
+        if self._pairs and pin.computeCollisions(self._robot, self._data, self._manager, q, True):
+            return False
+        if not len(self._clusters):
+            return True
+        pin.forwardKinematics(self._robot, self._data, q)
+        return self._clusters.keep(self._least, self._data, self._time)

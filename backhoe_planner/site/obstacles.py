@@ -3,7 +3,8 @@
 Every solid is a set of convex pieces that contains it: meshes by `convex_cover`,
 terrain by columns, point clouds by the voxels that hold a point. The signed distance
 to an obstacle is the least over its pieces; inside one of several pieces the depth is
-that of the piece.
+that of the piece. Where there would be more than a few pieces, the solid is a `Cluster`,
+which is measured as one.
 """
 
 from __future__ import annotations
@@ -17,11 +18,13 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, SceneError, check_kind
-from backhoe_planner.machine import Robot
+from backhoe_planner.machine import Cluster, Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema import obstacle_shapes
 from backhoe_planner.site.schema.zone_kinds import SwingSector, ZoneSpec
+
+_SWEPT_BOXES = 4_000  # cells of the grid whose cells stand for a cluster that moves; chosen
 
 
 @dataclass(frozen=True)
@@ -31,13 +34,14 @@ class Obstacle:
     Attributes
     ----------
     name: as in the scene.
-    pieces: convex, in world coordinates at the time of appearance.
+    pieces: convex, in world coordinates at the time of appearance; none where there is a cluster.
     clearance: signed distance that must be kept [m].
     links: the only links that must keep it, or None for all.
     appears_at: time before which it is not there [s].
     velocity: (3,) from then on [m/s], world.
     spec: the scene's own record.
     zone: the scene's record of the zone of which this is the solid; None for an obstacle.
+    cluster: the solid where it has thousands of cells, in world coordinates at the time of appearance.
     """
 
     name: str
@@ -48,6 +52,7 @@ class Obstacle:
     velocity: Vector
     spec: obstacle_shapes.ObstacleSpec
     zone: ZoneSpec | None = None
+    cluster: Cluster | None = None
 
     def __post_init__(self) -> None:
         check_kind(self.name, str, key="name")
@@ -136,30 +141,35 @@ def build_obstacle(
     ------
     InputError: its file is missing, empty or malformed, or takes too many pieces.
     """
-    pieces = spec.pieces(folder)
+    body = spec.body(folder)
+    cluster = body if isinstance(body, Cluster) else None
     velocity = np.array(spec.velocity, dtype=float)
     velocity.setflags(write=False)
     return Obstacle(
         name=spec.name,
-        pieces=tuple(pieces),
+        pieces=() if isinstance(body, Cluster) else tuple(body),
         clearance=clearance if spec.clearance is None else spec.clearance,
         links=spec.links,
         appears_at=spec.appears_at,
         velocity=velocity,
         spec=spec,
         zone=zone,
+        cluster=cluster,
     )
 
 
 def sweep(obstacle: Obstacle, start: float, end: float) -> Obstacle:
     """An obstacle at rest that contains all the space `obstacle` takes up from time `start` to `end` [s].
 
-    Round pieces become a little larger: a ball counts as the octahedron around it.
+    Round pieces become a little larger: a ball counts as the octahedron around it. A cluster becomes some
+    larger boxes that contain it.
     """
     ways = [obstacle.velocity * max(moment - obstacle.appears_at, 0.0) for moment in (start, end)]
+    pieces = obstacle.pieces if obstacle.cluster is None else obstacle.cluster.boxes(_SWEPT_BOXES)
     return replace(
         obstacle,
-        pieces=tuple(_sweep_piece(piece, *ways) for piece in obstacle.pieces),
+        pieces=tuple(_sweep_piece(piece, *ways) for piece in pieces),
+        cluster=None,
         appears_at=0.0,
         velocity=np.zeros(3),
     )

@@ -9,6 +9,10 @@ with coal's own normal n (from the link to the obstacle, also inside) and the Ja
 J_1, J_2 of the two witness points. A normal made from the witness points would change its
 sign inside.
 
+An obstacle of thousands of cells is one obstacle here, a `Cluster`: one pair with every piece of a
+link. Its distances are exact within `EXACT_WITHIN` and where one is asked for; else a lower
+bound is enough and takes a hundredth of the time.
+
 Broad phase: a pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints
 moved by dq, so pairs that are provably still out of reach are not measured again.
 """
@@ -23,10 +27,28 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Indices, Matrix, Vector, as_array, as_count, as_number, as_rows, as_vector
+from backhoe_planner.arrays import (
+    Flags,
+    Indices,
+    Matrix,
+    Vector,
+    as_array,
+    as_count,
+    as_number,
+    as_rows,
+    as_vector,
+)
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.machine import Robot, geometry_model, self_pairs, tracking_room, travel_bounds
+from backhoe_planner.machine import (
+    Reading,
+    Robot,
+    geometry_model,
+    self_pairs,
+    tracking_room,
+    travel_bounds,
+)
 from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
 
@@ -120,6 +142,7 @@ class Proximity:
     owner: (P,) index of the obstacle, -1 for the machine itself.
     second: (P,) index of the other body's piece, in the obstacle's pieces or in the machine's.
     appears_at: (P,) when the obstacle appears [s]; minus infinity for the machine itself.
+    plain: the first so many pairs are of two convex pieces; the others of a piece and a cluster.
     measured: how many distances `at` has measured so far.
     """
 
@@ -153,6 +176,13 @@ class Proximity:
             pairs.append(Pair(robot.pieces[outer].link, "machine", robot.pieces[inner].link, outer, 0.0))
             owner.append(-1)
             second.append(inner)
+        self.plain = len(pairs)
+        self._clusters = ClusterDistances(robot, self.obstacles)
+        for index, row in zip(self._clusters.owner.tolist(), self._clusters.piece.tolist(), strict=True):
+            obstacle = self.obstacles[index]
+            pairs.append(Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance))
+            owner.append(index)
+            second.append(0)
         self.second = tuple(second)
         self.owner = np.array(owner, dtype=int)
         first = np.array([pair.piece for pair in pairs], dtype=int)
@@ -233,16 +263,26 @@ class Proximity:
         reach = self.clearance + margin
         if within < np.inf:
             reach = np.minimum(reach, within)
+        self._raise_by_grids(lower, reach)
         found: list[int] = []
-        results = []
+        results: list[Any] = []
         for index in np.flatnonzero(lower <= reach).tolist():
+            self.measured += 1
+            if index >= self.plain:
+                reading = self._nearest(index, float(lower[index]), float(reach[index]))
+                if reading is None:
+                    lower[index] = reach[index]
+                    continue
+                lower[index] = reading.distance
+                found.append(index)
+                results.append(reading)
+                continue
             result = shapes.measure(self._model, self._geometry, index)
             distance = result.min_distance
             lower[index] = distance
             if distance <= reach[index]:
                 found.append(index)
                 results.append(result)
-            self.measured += 1
         self._bound, self._q_bound, self._bound_time = lower, q.copy(), time
         if self._some_appear:
             kept = [k for k, index in enumerate(found) if self.appears_at[index] <= time]
@@ -279,11 +319,17 @@ class Proximity:
         return np.asarray(lower)
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
-        """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears."""
-        self._place(*self._checked(q, time))
+        """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears.
+
+        From a cluster further away than `EXACT_WITHIN` it is a lower bound.
+        """
+        q, time = self._checked(q, time)
+        self._place(q, time)
         pin.computeDistances(self._model, self._geometry)
-        found = np.array([result.min_distance for result in self._geometry.distanceResults])
-        for index in np.flatnonzero(shapes.in_doubt(found)).tolist():
+        found = np.full(len(self.pairs), -np.inf)
+        found[: self.plain] = [result.min_distance for result in self._geometry.distanceResults]
+        self._measure_clusters(range(self.plain, len(self.pairs)), found)
+        for index in np.flatnonzero(shapes.in_doubt(found[: self.plain])).tolist():
             found[index] = shapes.measure_pair_again(self._model, self._geometry, index).min_distance
         if self._some_appear:
             found[self.appears_at > time] = np.inf
@@ -296,6 +342,11 @@ class Proximity:
             return None
         distances = self.distances(q, time=time)
         index = int(np.argmin(distances - self.clearance))
+        exact: set[int] = set()
+        while index >= self.plain and EXACT_WITHIN <= distances[index] < np.inf and index not in exact:
+            exact.add(index)
+            distances[index] = self.distance_of_unchecked(index, q, time=time)
+            index = int(np.argmin(distances - self.clearance))
         distance = float(distances[index])
         return self.pairs[index].at(distance, time=time) if np.isfinite(distance) else None
 
@@ -317,9 +368,15 @@ class Proximity:
             floor = as_array(floor, len(self.pairs), key="floor", finite=False)
         self._place(q, time)
         lower = self._lower(q, time)
+        self._raise_by_grids(lower, floor)
         needed = lower < floor
         for index in needed.nonzero()[0].tolist():
-            lower[index] = shapes.measure(self._model, self._geometry, index).min_distance
+            if index < self.plain:
+                lower[index] = shapes.measure(self._model, self._geometry, index).min_distance
+                continue
+            reading = self._nearest(index, float(lower[index]), float(floor[index]))
+            needed[index] = reading is not None
+            lower[index] = floor[index] if reading is None else reading.distance
         self._bound, self._q_bound, self._bound_time = lower, q.copy(), time
         return lower.copy(), needed
 
@@ -333,10 +390,17 @@ class Proximity:
     def distance_of_unchecked(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
         """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
-        return float(shapes.measure(self._model, self._geometry, pair).min_distance)
+        if pair < self.plain:
+            return float(shapes.measure(self._model, self._geometry, pair).min_distance)
+        reading = self._nearest(pair, -np.inf, np.inf)
+        assert reading is not None
+        return reading.distance
 
     def distances_of(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
-        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear."""
+        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear.
+
+        From a cluster further away than `EXACT_WITHIN` it is a lower bound.
+        """
         pairs = self._checked_pairs(pairs)
         q, time = self._checked(q, time)
         return self.distances_of_unchecked(pairs, q, time=time)
@@ -344,7 +408,15 @@ class Proximity:
     def distances_of_unchecked(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
         """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
-        return np.array([shapes.measure(self._model, self._geometry, index).min_distance for index in pairs.tolist()])
+        plain = pairs.tolist()
+        if not len(self._clusters):
+            return np.array([shapes.measure(self._model, self._geometry, index).min_distance for index in plain])
+        found = np.full(len(self.pairs), -np.inf)
+        self._measure_clusters([index for index in plain if index >= self.plain], found)
+        for index in plain:
+            if index < self.plain:
+                found[index] = shapes.measure(self._model, self._geometry, index).min_distance
+        return found[pairs]
 
     def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; stops at the first less."""
@@ -360,8 +432,36 @@ class Proximity:
         self._place(q, time)
         return all(
             shapes.measure(self._model, self._geometry, pair).min_distance >= bound
+            if pair < self.plain
+            else self._clusters.is_at_least(pair - self.plain, self._data, self._time, bound)
             for pair, bound in zip(pairs.tolist(), least.tolist(), strict=True)
         )
+
+    # --- clusters -------------------------------------------------------------------------
+
+    def _raise_by_grids(self, lower: Vector, needed: Vector) -> None:
+        """Raise the lower bounds (P,) of clusters, at the present placements, where one is below `needed` (P,)."""
+        own = lower[self.plain :]
+        if len(own) and (own < needed[self.plain :]).any():
+            np.maximum(own, self._clusters.lower(self._data, self._time), out=own)
+
+    def _measure_clusters(self, pairs: Iterable[int], found: Vector) -> None:
+        """Enter distances from clusters into `found` (P,), exact within `EXACT_WITHIN`."""
+        pairs = list(pairs)
+        if not pairs:
+            return
+        self._raise_by_grids(found, np.full(len(found), EXACT_WITHIN))
+        for index in pairs:
+            if found[index] < EXACT_WITHIN:
+                reading = self._nearest(index, float(found[index]), EXACT_WITHIN)
+                found[index] = EXACT_WITHIN if reading is None else reading.distance
+
+    def _nearest(self, pair: int, lower: float, reach: float) -> Reading | None:
+        """The distance of a pair with a cluster, at the present placements; None where it is not less than `reach`.
+
+        lower: what it is known to be at least [m].
+        """
+        return self._clusters.nearest(pair - self.plain, self._data, self._time, lower=lower, reach=reach)
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""
@@ -401,24 +501,29 @@ class Proximity:
         # for a handful of rows, one list of floats costs less than several arrays per row
         flat: list[float] = []
         for result in results:
-            nx, ny, nz = result.normal.tolist()
-            px, py, pz = result.getNearestPoint1().tolist()
-            flat += (result.min_distance, nx, ny, nz, px, py, pz)
+            if isinstance(result, Reading):
+                distance, normal, first, second = result
+            else:
+                distance, normal = result.min_distance, result.normal
+                first, second = result.getNearestPoint1(), result.getNearestPoint2()
+            nx, ny, nz = normal.tolist()
+            px, py, pz = first.tolist()
+            flat += (distance, nx, ny, nz, px, py, pz)
             flat += (py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
-            px, py, pz = result.getNearestPoint2().tolist()
+            px, py, pz = second.tolist()
             flat += (px, py, pz, py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
         raw = np.array(flat).reshape(-1, 16)
         pair = np.array(found, dtype=np.intp)
-        distance, normal = raw[:, 0], raw[:, 1:4]
+        distances, normals = raw[:, 0], raw[:, 1:4]
         # the speed of a point p along n is n . v + (p x n) . omega
         J = self._data.J.reshape(6, self._n)  # of one joint alone it is 1-D
-        along = normal @ J[:3]
+        along = normals @ J[:3]
         gradient = (along + raw[:, 7:10] @ J[3:]) * self._minus_mask_link[pair]
         if self._other_joint[pair].any():
             gradient += (along + raw[:, 13:] @ J[3:]) * self._mask_other[pair]
-        drift = np.einsum("ki,ki->k", normal, self._velocity[pair]) if self._moving else np.zeros(len(found))
+        drift = np.einsum("ki,ki->k", normals, self._velocity[pair]) if self._moving else np.zeros(len(found))
         return Nearby(
-            pair, distance, margin=distance - self.clearance[pair], normal=normal, point_link=raw[:, 4:7],
+            pair, distances, margin=distances - self.clearance[pair], normal=normals, point_link=raw[:, 4:7],
             point_obstacle=raw[:, 10:13], gradient=gradient, drift=drift, moves=self._moves[pair],
         )  # fmt: skip
 

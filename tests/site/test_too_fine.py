@@ -1,4 +1,7 @@
-"""A survey that is too fine to plan with is refused before its pieces are built: counted, not timed."""
+"""A survey that moves and is too fine is refused before its pieces are built; one that stands is built as one cluster.
+
+Counted, not timed.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import spatial
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
@@ -29,9 +33,10 @@ class Counted:
 @pytest.fixture
 def built(monkeypatch: pytest.MonkeyPatch) -> list[Counted]:
     """What is called to build boxes and hulls."""
-    found = [Counted(getattr(shapes, name)) for name in ("box", "convex", "ConvexHull")]
-    for name, counted in zip(("box", "convex", "ConvexHull"), found, strict=True):
-        monkeypatch.setattr(shapes, name, counted)
+    places: list[tuple[Any, str]] = [(shapes, "box"), (shapes, "convex"), (spatial, "ConvexHull")]
+    found = [Counted(getattr(*place)) for place in places]
+    for place, counted in zip(places, found, strict=True):
+        monkeypatch.setattr(*place, counted)
     return found
 
 
@@ -40,8 +45,9 @@ def calls(built: list[Counted]) -> int:
 
 
 def refused(folder: Path, **keys: Any) -> str:
+    spec = obstacle_from_dict({"name": "survey", "velocity": [1.0, 0.0, 0.0], **keys})
     with pytest.raises(InputError, match="too fine") as caught:
-        build_obstacle(obstacle_from_dict({"name": "survey", **keys}), folder=folder, clearance=0.1)
+        build_obstacle(spec, folder=folder, clearance=0.1)
     return str(caught.value)
 
 
@@ -61,6 +67,21 @@ def test_cloud_of_single_voxels_builds_no_box(tmp_path: Path, built: list[Counte
     np.savetxt(tmp_path / "scan.xyz", 0.1 * grid + 0.05, fmt="%.3f")
     said = refused(tmp_path, shape="pointcloud", file="scan.xyz", resolution=0.1)
     assert "found 62500 convex pieces; allowed: up to 20000" in said
+    assert calls(built) == 0
+
+
+def test_one_that_stands_builds_neither_boxes_nor_hulls(tmp_path: Path, built: list[Counted]) -> None:
+    grid = np.argwhere(np.indices((50, 50, 50)).sum(axis=0) % 2 == 0)
+    np.savetxt(tmp_path / "scan.xyz", 0.1 * grid + 0.05, fmt="%.3f")
+    write_map(tmp_path, np.random.default_rng(0).uniform(0.0, 1.0, (200, 200)))
+    for keys, cells in (
+        ({"shape": "pointcloud", "file": "scan.xyz", "resolution": 0.1}, 62_500),
+        ({"shape": "heightmap", "file": "map.csv", "size": [20.0, 20.0]}, 199 * 199),
+    ):
+        found = build_obstacle(obstacle_from_dict({"name": "survey", **keys}), folder=tmp_path, clearance=0.1)
+        assert found.cluster is not None
+        assert len(found.cluster) == cells
+        assert found.pieces == ()
     assert calls(built) == 0
 
 

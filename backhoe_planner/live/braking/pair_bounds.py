@@ -14,6 +14,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Vector
 from backhoe_planner.live.braking.braking_path import BUFFER, BrakingPath, PathClearance, Placements
+from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.gaps import NO_GAPS, Gaps, Memory
 from backhoe_planner.live.braking.joint_bounds import TOLERANCE
 from backhoe_planner.live.braking.separation import FAR, Separation
@@ -142,6 +143,45 @@ class PairBounds:
         self.set_proven(pairs, bound)
         self.required[pairs] = np.minimum(separation.clearance[pairs], bound)
         self.find_inside()
+
+    def find_boxes(
+        self, one: ClusterPairs, at: Placements, *, reach: float, path: BrakingPath | None = None, step: int = 0
+    ) -> None:
+        """Find anew the boxes that stand for a cluster around a link, by the placements' row 0.
+
+        Parameters
+        ----------
+        reach: distance within which its cells count [m].
+        path: the present braking path, which the placements hold, and of which distances that must be kept were
+            proven with the boxes before. None where none were.
+        """
+        separation, pairs = self._separation, one.pairs
+        kept = float(self.required[pairs].min())
+        odometer = float(self._start_odometer[one.classes])
+        found = separation.find_boxes(one, at, 0, reach=reach, odometer=odometer, is_new=path is None)
+        self.set_distance(pairs, found)
+        self._renewed_at[pairs] = step
+        if path is None:
+            return
+        bound = separation.proven_on(pairs, path, at, path.time)
+        self.set_proven(pairs, bound)
+        # boxes may hold more than the cells do: what was proven of the cells stays proven
+        self.required[pairs] = np.minimum(separation.clearance[pairs], np.maximum(bound, kept))
+        self.find_inside()
+
+    def most_urgent(self, needed: Vector, time: float) -> tuple[ClusterPairs | None, float]:
+        """The link whose boxes should be found anew before all others, and how urgent that is; see `ClusterPairs`.
+
+        needed: (C,) how far points of each class may move until this is asked again, and braking after it [m].
+        time: how long that takes [s].
+        """
+        most, urgency = None, 1.0
+        odometers, needs = self._start_odometer.tolist(), needed.tolist()
+        for one in self._separation.clusters:
+            found = one.urgency(odometers[one.classes], needs[one.classes], time)
+            if found >= urgency:
+                most, urgency = one, found
+        return most, urgency
 
     def find_inside(self) -> None:
         """Find the pairs of what stands that are closer than allowed."""

@@ -14,12 +14,24 @@ for a plane that moves with the link, and the corners of the obstacle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
+from backhoe_planner.live.braking.cluster_pairs import SLOTS, ClusterPairs
 from backhoe_planner.live.braking.gaps import Gaps, Memory
-from backhoe_planner.machine import Robot, bend_weights, self_pairs, tracking_room, travel_bounds
+from backhoe_planner.machine import (
+    Cluster,
+    Robot,
+    bend_weights,
+    covering_balls,
+    reach_ball,
+    self_pairs,
+    tracking_room,
+    travel_bounds,
+)
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
 
@@ -28,6 +40,7 @@ FAR = 1e3  # m: beyond any site; the bound -FAR says nothing
 _MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side; chosen, to bound the work
 _PLANES = 4  # measured along a path that is looked at closely; chosen, each costs some 20 us
 _BLENDED = 0.1  # m: chosen, corners that are this much further away have no part in the nearest point
+_FAR_AWAY = np.array([0.0, 0.0, 0.0, FAR])  # a plane that never counts
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 _NEXT_LAST, _LAST_NEXT = np.concatenate((_NEXT, _LAST)), np.concatenate((_LAST, _NEXT))
 
@@ -75,6 +88,7 @@ class Separation:
     travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
     furthest: (n,) the largest of `travel` for each joint.
     turning: (n,) 1 for hinges, 0 for slides.
+    clusters: the links' pairs with obstacles of thousands of cells.
     measured: how many distances were measured so far.
     """
 
@@ -120,6 +134,9 @@ class Separation:
         self.planes = _no_planes(len(pairs))
         self.velocity = np.zeros((len(pairs), 3))
         self.drift = np.zeros(len(pairs))
+        self.clusters: list[ClusterPairs] = []
+        self._shifts: dict[int, Vector] = {}
+        self._ball = reach_ball(robot, q)
         self._refresh()
 
     def __len__(self) -> int:
@@ -130,8 +147,9 @@ class Separation:
     def add(self, number: int, obstacle: Obstacle) -> Indices:
         """Take an obstacle in under a number, and return the indices of its pairs. They have no plane yet."""
         links = [row for row in self._moving if obstacle.links is None or self.robot.pieces[row].link in obstacle.links]
-        first, count = len(self), len(links) * len(obstacle.pieces)
-        pieces = np.tile(np.array(links, dtype=np.intp), len(obstacle.pieces))
+        first, places = len(self), len(obstacle.pieces) if obstacle.cluster is None else SLOTS
+        count = len(links) * places
+        pieces = np.tile(np.array(links, dtype=np.intp), places)
         self.owner = np.append(self.owner, np.full(count, number, dtype=np.intp))
         self.clearance = np.append(self.clearance, obstacle.clearance + self._room_of_piece[pieces])
         self.classes = np.append(self.classes, self._class_of_piece[pieces])
@@ -140,6 +158,9 @@ class Separation:
         self._stands_of[number] = [_Stand(piece) for piece in obstacle.pieces]
         for stand in self._stands_of[number]:
             self._body.extend([stand] * len(links))
+        if obstacle.cluster is not None:
+            self._body.extend([None] * count)
+            self._add_cluster(number, obstacle, obstacle.cluster, links)
         self.planes = np.vstack((self.planes, _no_planes(count)))
         self.velocity = np.vstack((self.velocity, np.tile(obstacle.velocity, (count, 1))))
         self.drift = np.append(self.drift, np.zeros(count))
@@ -152,7 +173,9 @@ class Separation:
         for name in ("owner", "clearance", "classes", "piece", "other_piece", "planes", "velocity", "drift"):
             setattr(self, name, getattr(self, name)[kept])
         del self._stands_of[number]
+        self._shifts.pop(number, None)
         self._body = [body for body, keep in zip(self._body, kept.tolist(), strict=True) if keep]
+        self.clusters = [one for one in self.clusters if one.number != number]
         self._refresh()
         return np.asarray(kept)
 
@@ -163,8 +186,53 @@ class Separation:
         """
         for stand in self._stands_of[number]:
             stand.shift = shift
+        self._shifts[number] = shift
+
+    def _add_cluster(self, number: int, obstacle: Obstacle, cluster: Cluster, links: Sequence[int]) -> None:
+        speed = float(np.linalg.norm(obstacle.velocity))
+        for link in links:
+            own = self.robot.pieces[link].piece
+            classes = int(self._class_of_piece[link])
+            kept = float(obstacle.clearance + self._room_of_piece[link])
+            one = ClusterPairs(number, cluster, link, own, classes, kept, self._ball, covering_balls(own), speed)
+            self.clusters.append(one)
+
+    def find_boxes(
+        self, one: ClusterPairs, at: Placements, sample: int, *, reach: float, odometer: float, is_new: bool
+    ) -> Vector:
+        """Find anew the boxes that stand for a cluster around a link; the distance from each of its pairs [m].
+
+        Parameters
+        ----------
+        reach: distance within which its cells count [m].
+        odometer: of its class now [m].
+        is_new: whether nothing is known of it from the step before.
+        """
+        shift = self._shifts[one.number]
+        parts = one.find(at.T[sample, self._joint_of[one.piece]], shift, reach, is_new=is_new)
+        one.odometer = odometer
+        self.measured += len(parts)
+        distance = np.full(len(one.pairs), FAR)
+        self.planes[one.pairs], self.drift[one.pairs] = _FAR_AWAY, 0.0
+        stands = self._stands_of[one.number]
+        for stand in [self._body[pair] for pair in one.pairs.tolist()]:
+            if stand is not None:
+                stands.remove(stand)
+        for pair in one.pairs.tolist():
+            self._body[pair] = None
+        for pair, part in zip(one.pairs.tolist(), parts, strict=False):
+            stand = _Stand(part.piece)
+            stand.shift = shift
+            stands.append(stand)
+            self._body[pair] = stand
+            n = part.reading.normal
+            self._keep_plane(pair, n, float((part.piece.hull @ n).min() + n @ shift))
+        distance[: len(parts)] = [part.reading.distance for part in parts]
+        return distance
 
     def _refresh(self) -> None:
+        for one in self.clusters:
+            one.pairs = ((self.owner == one.number) & (self.piece == one.piece)).nonzero()[0]
         self.joint = self._joint_of[self.piece]
         self.other = np.where(self.other_piece >= 0, self._joint_of[self.other_piece], 0)
         self.mask = self.robot.support[self.joint] - self.robot.support[self.other]
@@ -192,7 +260,8 @@ class Separation:
             there = shapes.transform(placed[:3, :3], placed[:3, 3])
         else:
             stand = self._body[pair]
-            assert stand is not None
+            if stand is None:  # of a cluster, and stands for nothing
+                return FAR, np.zeros(3), FAR, np.zeros(3)
             second, there = stand.piece.shape, stand.place()
         distance, n, p_link, p_other = self._gauge.measure(
             shape, shapes.transform(here[:3, :3], here[:3, 3]), second, there

@@ -31,6 +31,7 @@ import numpy as np
 from backhoe_planner.arrays import Indices, Vector, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.braking.braking_path import MOST_PARTS, JointState, Placements
+from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.pair_bounds import CLOSE, Near, PairBounds
 from backhoe_planner.live.braking.path_check import PathCheck
@@ -56,6 +57,8 @@ from backhoe_planner.site import (
     swing_sectors,
 )
 
+_BOXES_EVERY = 10  # steps after which boxes of scans are looked at again; chosen
+_BOXES_AHEAD = 0.3  # m beyond what counts now, within which boxes of a scan are found; chosen
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
 _LEAST_WISH = 1e-6  # rad/s or m/s: less counts as no wish; chosen, far above rounding
@@ -120,7 +123,7 @@ class Servo:
         q = _start(robot, scene) if q is None else robot.check_q(q)
         n = robot.n
         self._state = JointState(q, np.zeros(n), q)
-        self._steps = 0
+        self._steps = self._boxes_due = 0
         self.last_error: Exception | None = None
         self._joints = JointBounds(self.limits, dt, load)
         self._refusal = Refusal(dt, self._joints.changes)
@@ -290,6 +293,11 @@ class Servo:
             return
         self._check.forget()
         self._tip.place(self._state.q)
+        self._boxes_due = 0
+        moved = set(pairs.tolist())
+        for one in self._separation.clusters:
+            if not moved.isdisjoint(one.pairs.tolist()):
+                self._bounds.find_boxes(one, self._at, reach=self._reach_of(one))
         path = self._check.path(self._state.q, self._state.v, step=False)
         path.place(self._at)
         self._bounds.measure(pairs, path, self._at, self._steps)
@@ -323,7 +331,10 @@ class Servo:
 
     def _move(self, command: Command) -> ServoState:
         """Find what is near, the wish and the nearest safe velocity, and take the step."""
-        near = self._look()
+        self._drift()
+        if self._separation.clusters and not self._renew_boxes():
+            return self._brake(command, moved=False)
+        near = self._bounds.near(self._at)
         self._check.begin_step(len(near.pairs))
         q, v, _ = self._state
         wish = self._tip.wish(q, self._commands, near, circulate=self.circulate)
@@ -342,15 +353,45 @@ class Servo:
         self._advance(chosen.v, chosen.end)
         return self._report(command, near, wish, request, chosen, pace)
 
-    def _look(self) -> Near:
-        """Let obstacles appear and move on, and find the pairs that are near."""
+    def _drift(self) -> None:
+        """Let obstacles appear and move on, and place the machine where it is."""
         for obstacle in self._site.due(self.time):
             self._add(obstacle)
         if self._site.anything_moves:
             self._site.drift(self.dt)
             self._bounds.drift()
         self._tip.place(self._state.q)
-        return self._bounds.near(self._at)
+
+    def _reach_of(self, one: ClusterPairs) -> float:
+        """Distance from a link within which the cells of a cluster count [m]."""
+        return float(one.clearance + max(self._influence, self._next_path()[one.classes]) + _BOXES_AHEAD)
+
+    def _next_path(self) -> Vector:
+        """(C,) how far points of each class may move until boxes are looked at again, and braking after it [m]."""
+        length = self._joints.longest_way(self._state.v, _BOXES_EVERY)
+        return np.asarray(self._separation.travel @ np.maximum(length, np.abs(self._state.end - self._state.q)))
+
+    def _renew_boxes(self) -> bool:
+        """Find the boxes of one link and one cluster anew, where that is due; of more where it must be.
+
+        False where boxes cannot hold all that the machine could come to: it has to slow down.
+        """
+        if self._steps < self._boxes_due:
+            return True
+        needed, time = self._next_path(), self._joints.braking_time(self._state.v) + _BOXES_EVERY * self.dt
+        for _ in self._separation.clusters:
+            one, urgency = self._bounds.most_urgent(needed, time)
+            if one is None:
+                break
+            path = self._check.path(self._state.q, self._state.v, step=False)
+            path.place(self._at)
+            self._bounds.find_boxes(one, self._at, reach=self._reach_of(one), path=path, step=self._steps)
+            if urgency < math.inf:
+                break
+            if one.urgency(one.odometer, float(needed[one.classes]), time) == math.inf:
+                return False
+        self._boxes_due = self._steps + _BOXES_EVERY
+        return True
 
     def _pace_of_sectors(self) -> float:
         """The part of the wished speed that the slow distances of swing sectors leave."""

@@ -12,8 +12,7 @@ import pinocchio as pin
 from backhoe_planner.arrays import Flags, Indices, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.live.braking.separation import MACHINE, Separation
-from backhoe_planner.machine import Robot, voxel_boxes
-from backhoe_planner.machine.shape import shapes
+from backhoe_planner.machine import Cluster, Robot
 from backhoe_planner.site import (
     Obstacle,
     Obstruction,
@@ -22,6 +21,7 @@ from backhoe_planner.site import (
     check_links,
     check_name,
     obstacle_from_dict,
+    scan_body,
 )
 from backhoe_planner.site.schema import obstacle_shapes
 
@@ -124,15 +124,20 @@ class Surroundings:
             clearance = as_number(clearance, key="clearance", least=0.0, most=_FARTHEST)
         if len(cloud) == 0:
             return None
-        boxes = voxel_boxes(cloud, resolution)
+        try:
+            body = scan_body(cloud, resolution, pin.SE3.Identity())
+        except InputError as error:
+            raise InputError(str(error), key=f"points of {name}") from error
+        cluster = body if isinstance(body, Cluster) else None
         return Obstacle(
             name=name,
-            pieces=tuple(shapes.box(size, pin.SE3(np.eye(3), centre)) for centre, size in boxes),
+            pieces=() if isinstance(body, Cluster) else tuple(body),
             clearance=self._scene.clearance if clearance is None else clearance,
             links=None,
             appears_at=0.0,
             velocity=np.zeros(3),
             spec=obstacle_shapes.PointCloud(name=name, shape="pointcloud", file="", resolution=resolution),
+            cluster=cluster,
         )
 
     # --- changes -----------------------------------------------------------------------
@@ -187,6 +192,9 @@ class Surroundings:
         self.revision += 1
         pairs = self._pairs(placed)
         self._separation.velocity[pairs] = placed.velocity
+        for one in self._separation.clusters:
+            if one.number == placed.number:
+                one.speed = float(np.linalg.norm(placed.velocity))
         self._sort()
         return pairs
 
@@ -194,6 +202,8 @@ class Surroundings:
         """Let the obstacles that move, and the planes of their pairs, move on for dt [s]."""
         self._separation.planes[:, 3] += dt * self._separation.drift
         self._shifts += dt * self._velocities
+        for one in self._separation.clusters:
+            one.covered -= dt * one.speed
 
     def _find(self, name: str) -> _Placed:
         if check_kind(name, str, key="name") not in self._placed:
@@ -246,7 +256,8 @@ def shifted(obstacle: Obstacle, by: Vector) -> Obstacle:
         )
         for piece in obstacle.pieces
     )
-    return replace(obstacle, pieces=pieces)
+    cluster = None if obstacle.cluster is None else obstacle.cluster.shifted(by)
+    return replace(obstacle, pieces=pieces, cluster=cluster)
 
 
 def _three(values: object, key: str) -> Vector:

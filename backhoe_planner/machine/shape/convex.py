@@ -28,6 +28,7 @@ Block = tuple[int, int, int, int]
 
 _RESOLUTION = 60_000  # voxels into which V-HACD divides a mesh: those of a cube have 2.5 % of its edge
 _CORNERS = 48  # of one piece at most; chosen: the time of a distance grows with them
+_EXCESS = 1.08  # volumes of a mesh that its hull may have; chosen
 _HOLLOWS = (1, 2, 4, 8, 16)  # grid steps to either side with which a point is compared; chosen: wider ones are few
 _SAME_VOLUME = 1.001  # of a mesh, up to which its hull is the mesh; STL files round a convex mesh by far less
 _FURTHEST = 1e7  # m from the origin of a mesh: map coordinates go no further
@@ -59,7 +60,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = 1.08) -> list[Matrix]:
+def convex_cover(mesh: trimesh.Trimesh, *, pieces: int = 16, excess: float = _EXCESS) -> list[Matrix]:
     """Corner points of convex pieces whose union contains every triangle of `mesh`.
 
     Parameters
@@ -108,6 +109,12 @@ def cover_with_surface(mesh: trimesh.Trimesh, *, pieces: int, excess: float) -> 
     )
     hulls = [hull(np.asarray(points, dtype=float)) for points, _ in parts] or [around]
     return _grown_over_triangles(hulls, vertices[faces])
+
+
+def is_nearly_convex(mesh: trimesh.Trimesh, *, excess: float = _EXCESS) -> bool:
+    """Whether a mesh is flat, or its convex hull has at most `excess` times its volume."""
+    points = np.asarray(mesh.vertices, dtype=float)[np.unique(mesh.faces)]
+    return is_flat(points) or bool(hull(points).volume <= excess * abs(mesh.volume))
 
 
 def _grown_over_triangles(hulls: list[ConvexHull], triangles: Matrix) -> list[tuple[Matrix, Matrix | None]]:

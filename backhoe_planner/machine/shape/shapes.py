@@ -1,4 +1,4 @@
-"""Convex collision shapes: the one place where coal is called to make them.
+"""Convex collision shapes: the one place where coal is called to make them (trees of many are in `trees`).
 
 A `Piece` is a convex shape at a place on a body. It knows points and a radius that
 bound it, so that how far it can travel is computed without asking coal.
@@ -188,6 +188,26 @@ def _countable(around: ConvexHull) -> ConvexHull:
         found = hull(enclosing_corners(around, excess))
         excess *= 2.0
     return found
+
+
+def convex_of_cell(corners: Matrix) -> coal.CollisionGeometry:
+    """A cell with its `corners` (3, 3) or (8, 3) [m]: a triangle, or a box along the axes with the lowest first.
+
+    As they are made by the thousands, no hull is built.
+    """
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for point in corners:
+        points.append(point)
+    for a, b, c in _TRIANGLE if len(corners) == 3 else _CUBE:
+        triangles.append(coal.Triangle(a, b, c))
+    return coal.Convex(points, triangles)
+
+
+_TRIANGLE = ((0, 1, 2), (0, 2, 1))
+_CUBE = (  # corners as `np.ndindex(2, 2, 2)` counts them
+    (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+    (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+)  # fmt: skip
 
 
 def is_flat(points: Matrix) -> bool:

@@ -9,13 +9,14 @@ import numpy as np
 import trimesh
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.machine import load_mesh
+from backhoe_planner.machine import Cluster, load_mesh
 from backhoe_planner.show.drawing.palette import SOIL, Rgba
 from backhoe_planner.show.drawing.solids import Facets, cells, disc, facets, fattened, grid, solid, together
 from backhoe_planner.site import Obstacle, Scene, read_heights
 from backhoe_planner.site.schema import obstacle_shapes
 
 _MOST_ROUNDED = 60  # pieces of one obstacle whose shells are rounded off exactly; chosen, each costs milliseconds
+_MOST_TRIANGLES = 40_000  # that are drawn of one obstacle; chosen: some 3 MB of a page
 
 # colours, chosen by eye
 _SLATE = (0.45, 0.52, 0.60)
@@ -42,7 +43,7 @@ class SiteMesh:
     ----------
     name: of the obstacle.
     facets, rgba: the obstacle.
-    shell, shell_rgba: the surface at its clearance; None where that is 0.
+    shell, shell_rgba: the surface at its clearance; None where that is 0, and of scans and fine meshes.
     anchor: (3,) where its name is written [m].
     bounds: (2, 3) lowest and highest corner [m]; None for what has no end.
     """
@@ -74,6 +75,8 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     spec = obstacle.spec
     if isinstance(spec, obstacle_shapes.HalfSpace):
         return _plane(obstacle, spec, centre, reach)
+    if obstacle.cluster is not None:
+        return _cluster(obstacle, obstacle.cluster)
     if isinstance(spec, obstacle_shapes.HeightMap):
         surface = _terrain(spec, scene)
         top = surface.vertices[np.argmax(surface.vertices[:, 2])]
@@ -91,6 +94,22 @@ def site_mesh(obstacle: Obstacle, scene: Scene, *, centre: Vector, reach: float)
     if isinstance(spec, obstacle_shapes.Capsule) and high[2] - low[2] < 0.5 * max(high[0] - low[0], high[1] - low[1]):
         anchor = np.array([*spec.start[:2], spec.start[2] + spec.radius])  # a pipe: its end is easier to see
     return _mesh(obstacle, drawn, lambda: _shell(obstacle), _colour(obstacle, drawn), anchor)
+
+
+def _cluster(obstacle: Obstacle, cluster: Cluster) -> SiteMesh:
+    """A solid of thousands of cells as one surface, coarser than it is where it has too many triangles."""
+    drawn = trimesh.Trimesh(*cluster.drawing(_MOST_TRIANGLES), process=False)
+    low, high = drawn.bounds
+    anchor = np.array([*(0.5 * (low + high))[:2], high[2]])
+    if isinstance(obstacle.spec, obstacle_shapes.HeightMap):
+        lift = [0.0, 0.0, obstacle.clearance]
+        top = drawn.vertices[np.argmax(drawn.vertices[:, 2])]
+        return _mesh(obstacle, drawn, lambda: drawn.copy().apply_translation(lift), (*SOIL, 1.0), top)
+    found = SiteMesh(
+        name=obstacle.name, facets=facets(drawn), rgba=_colour(obstacle, drawn), shell=None,
+        shell_rgba=(0.0, 0.0, 0.0, 0.0), anchor=anchor, bounds=np.asarray(drawn.bounds, dtype=float),
+    )  # fmt: skip
+    return found
 
 
 def _mesh(

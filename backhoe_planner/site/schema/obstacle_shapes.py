@@ -14,8 +14,20 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field, field_validator, model_validator
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.files.records import Record
-from backhoe_planner.machine import mesh_cover, terrain_columns, voxel_boxes
+from backhoe_planner.machine import (
+    Cluster,
+    MeshSolid,
+    TerrainSolid,
+    VoxelSolid,
+    is_nearly_convex,
+    load_mesh,
+    mesh_cover,
+    terrain_columns,
+    voxel_boxes,
+    voxel_keys,
+)
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.schema.names import Name
 from backhoe_planner.site.schema.quantities import (
@@ -33,7 +45,13 @@ from backhoe_planner.site.schema.survey_files import read_heights, read_points
 
 _TERRAIN_TOLERANCE = 0.02  # m of roughness that may be filled up; chosen, about what a bucket's teeth leave behind
 _TERRAIN_DEPTH = 50.0  # m below the lowest point: no machine digs so deep
-_MOST_PIECES = 20_000  # of one obstacle; chosen: with the 20 pieces of a machine that is 400,000 pairs
+_FEW_BOXES = 32  # of a scan, measured one by one; chosen, about from where on one tree takes less time
+_FEW_CELLS = 100  # of a terrain, built as columns; chosen
+_FEW_TRIANGLES = 2_000  # of a mesh, covered by a few hulls; chosen
+_MOST_CELLS = 4_000_000  # of a terrain
+_MOST_VOXELS = 4_000_000  # of a scan: some 300 MB
+_MOST_TRIANGLES = 500_000  # of a mesh: some 300 MB
+_MOST_PIECES = 20_000  # of one obstacle that moves; chosen: with the 20 pieces of a machine that is 400,000 pairs
 _FLATTEST = 1e-5  # of the radius: no hull can be built of a flatter prism
 _ONE_POINT = 1e-9  # m: a shorter axis has no direction
 
@@ -64,6 +82,10 @@ class ObstacleRecord(Record):
         ------
         InputError: a file is missing, empty or malformed, or takes more than 20,000 pieces.
         """
+
+    def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
+        """The pieces, or one cluster where there would be more than a few and the obstacle stands still."""
+        return self.pieces(folder)
 
 
 class PlacedRecord(ObstacleRecord):
@@ -190,6 +212,16 @@ class Mesh(PlacedRecord):
         cover = mesh_cover(folder / self.file, np.asarray(self.scale, dtype=float))
         return [shapes.convex(points, self.placement) for points in cover.pieces]
 
+    def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
+        """Hulls, or the triangles of a mesh that is fine, hollowed and stands still."""
+        if any(self.velocity):
+            return self.pieces(folder)
+        mesh = load_mesh(folder / self.file)
+        mesh.apply_scale(self.scale)
+        if len(mesh.faces) <= _FEW_TRIANGLES or is_nearly_convex(mesh):
+            return self.pieces(folder)
+        return Cluster(MeshSolid(mesh, most=_MOST_TRIANGLES), self.placement)
+
 
 class HeightMap(PlacedRecord):
     """Ground given by heights on a grid; solid below."""
@@ -202,7 +234,16 @@ class HeightMap(PlacedRecord):
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Columns under the ground."""
+        return self._columns(read_heights(folder / self.file))
+
+    def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
+        """Columns, or the ground cell by cell where there are many and it stands still."""
         heights = read_heights(folder / self.file)
+        if (heights.shape[0] - 1) * (heights.shape[1] - 1) <= _FEW_CELLS or any(self.velocity):
+            return self._columns(heights)
+        return Cluster(TerrainSolid(heights, self.size, depth=_TERRAIN_DEPTH, most=_MOST_CELLS), self.placement)
+
+    def _columns(self, heights: Matrix) -> list[shapes.Piece]:
         columns = terrain_columns(
             heights, self.size, tolerance=_TERRAIN_TOLERANCE, depth=_TERRAIN_DEPTH, most=_MOST_PIECES
         )
@@ -220,8 +261,34 @@ class PointCloud(PlacedRecord):
 
     def pieces(self, folder: Path) -> list[shapes.Piece]:
         """Boxes that fill the voxels in which a point lies."""
-        boxes = voxel_boxes(read_points(folder / self.file), self.resolution, most=_MOST_PIECES)
+        return self._boxes(read_points(folder / self.file))
+
+    def body(self, folder: Path) -> list[shapes.Piece] | Cluster:
+        """A few boxes, or the voxels of a scan that stands still."""
+        points = read_points(folder / self.file)
+        return self._boxes(points) if any(self.velocity) else scan_body(points, self.resolution, self.placement)
+
+    def _boxes(self, points: Matrix) -> list[shapes.Piece]:
+        boxes = voxel_boxes(points, self.resolution, most=_MOST_PIECES)
         return [shapes.box(size, self.placement * pin.SE3(np.eye(3), centre)) for centre, size in boxes]
+
+
+def scan_body(points: Matrix, resolution: float, placement: pin.SE3) -> list[shapes.Piece] | Cluster:
+    """The voxels with an edge of `resolution` [m] in which `points` (n, 3) [m] lie: a few boxes, or a cluster.
+
+    Raises
+    ------
+    InputError: there are too many.
+    """
+    keys = voxel_keys(points, resolution)
+    if len(keys) <= _FEW_BOXES**2:
+        boxes = voxel_boxes(keys.astype(float) + 0.5, 1.0)
+        if len(boxes) <= _FEW_BOXES:
+            return [
+                shapes.box(resolution * size, placement * pin.SE3(np.eye(3), resolution * centre))
+                for centre, size in boxes
+            ]
+    return Cluster(VoxelSolid(keys, resolution, most=_MOST_VOXELS), placement)
 
 
 ObstacleSpec = Annotated[

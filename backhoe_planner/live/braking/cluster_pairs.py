@@ -1,0 +1,113 @@
+"""The pairs of a link with a cluster: a few boxes that stand for all of its cells nearby.
+
+A cluster has thousands of cells. What a link needs of it are the cells within some reach, in
+a few boxes (`Cluster.around`). They are found anew when the link has come too far from where
+they were found, one link in a step; in between, each box is an obstacle like any other. Each
+link has a fixed number of pairs for them. A pair that stands for nothing has a plane so far
+away that it never counts.
+
+The boxes hold all cells that are within `covered` of the link as it was then. A cell that is
+in none of them is at least that far away, less what the link has moved since.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine import Cluster, Part, Piece
+
+SLOTS = 16  # pairs of a link with a cluster; chosen: the ground, a wall and some clutter take 3 to 10
+_REST = 1  # of these, for what is left where it takes more
+_NEAR = 0.1  # m of margin, within which boxes are to be exact; chosen, where the servo warns
+_CLOSE = 0.3  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
+_ROOM = 0.05  # m beyond the clearance that boxes should cover at least; chosen
+_LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
+
+
+@dataclass
+class ClusterPairs:
+    """What one link's piece has around it of one cluster.
+
+    Attributes
+    ----------
+    number: that the obstacle was added with.
+    piece: row of the robot's pieces.
+    own: the piece.
+    classes: row of `Separation.travel` that holds for it.
+    clearance: to be kept [m].
+    ball: centre (3,) and radius [m] of where the machine can be, where the obstacle was built.
+    speed: of the obstacle [m/s].
+    covered: distance beyond which cells are in no box [m], when they were found.
+    nearest: the least distance from a box then [m].
+    odometer: of its class, when they were found [m].
+    was_inside: whether the piece was in the ground or in a closed mesh, and touched no cell.
+    balls: that cover the piece, centres (k, 3) and radius [m].
+    pairs: their indices.
+    """
+
+    number: int
+    cluster: Cluster
+    piece: int
+    own: Piece
+    classes: int
+    clearance: float
+    ball: tuple[Vector, float]
+    balls: tuple[Matrix, float]
+    speed: float = 0.0
+    covered: float = 0.0
+    nearest: float = 0.0
+    odometer: float = 0.0
+    was_inside: bool = False
+    pairs: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+
+    def find(self, pose: Matrix, shift: Vector, reach: float, *, is_new: bool) -> tuple[Part, ...]:
+        """The boxes around the piece where its body is at `pose` (4, 4), in coordinates of where it was built.
+
+        Parameters
+        ----------
+        shift: (3,) of the obstacle from where it was built [m].
+        reach: distance within which its cells count [m].
+        is_new: whether nothing is known of it from the step before.
+        """
+        T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
+        centres, radius = self.balls
+        at = centres @ T.rotation.T + T.translation
+        away = float(self.cluster.grid(*self.ball).lower(at).min()) - radius
+        if away > reach:
+            self.covered = self.nearest = away
+            return ()
+        found = self.cluster.around(self.own, T, reach, ball=self.ball, most=SLOTS - _REST)
+        parts, self.covered = found.parts, found.covered
+        if found.rest is not None and found.covered < min(reach, self.clearance + _ROOM):
+            parts, self.covered = (*parts, found.rest), reach
+        self.nearest = min((part.reading.distance for part in parts), default=found.covered)
+        if self.nearest > 0.0 and self.cluster.solid.is_full and (is_new or self.was_inside):
+            # what touches no cell may still be inside, in the ground or in a closed mesh
+            inside = self.cluster.inside_of(self.own, T)
+            self.was_inside = inside is not None
+            if inside is not None:
+                parts = (*parts[: SLOTS - 1], inside)
+                self.nearest = inside.reading.distance
+        return parts
+
+    def urgency(self, odometer: float, needed: float, time: float) -> float:
+        """How much the boxes have to be found anew: from 1 on they should be, infinite where they must.
+
+        Parameters
+        ----------
+        odometer: of its class now [m].
+        needed: how far the link may move until this is asked again, and braking after it [m].
+        time: how long that takes [s].
+        """
+        moved = odometer - self.odometer
+        left = self.covered - moved - self.clearance - needed - self.speed * time
+        if left <= 0.0:
+            return math.inf
+        ahead = self.nearest - moved - self.clearance
+        is_near = ahead < _NEAR + needed
+        return max(moved / max(_LEAST, _CLOSE * self.nearest) if is_near else 0.0, _LEAST / left)

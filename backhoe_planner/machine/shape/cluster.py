@@ -1,0 +1,287 @@
+"""An obstacle of thousands of cells that is measured as one: a scan, a terrain or a fine mesh where it stands.
+
+Three questions are answered, each by what answers it fastest:
+
+- How far away is it at least, of many points at once: a grid of lower bounds, one look-up each.
+- How far away is it exactly, within a reach: trees of coal, which descend only where it matters.
+- What of it stands around a link, as few convex pieces: `Cluster.around`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine.shape.cell_set import CellSet, CoarseCells, LinkBox
+from backhoe_planner.machine.shape.convex import voxel_boxes
+from backhoe_planner.machine.shape.distance_grid import DistanceGrid, GridFrame
+from backhoe_planner.machine.shape.shapes import Gauge, Piece, box, transform
+from backhoe_planner.machine.shape.solid import Placed, Solid
+from backhoe_planner.machine.shape.trees import Reading
+
+_AROUND = 1.5  # m around the solid that its grid covers; chosen, beyond the box around it is near enough
+_FINE_WITHIN = 0.25  # m of a link, within which cells are looked at one by one; chosen
+_HALF_DIAGONAL = 0.5 * 3.0**0.5  # of a cube's edge
+_COARSE = 0.1  # m, edge of the cells beyond it; chosen
+_SLACK = 0.15  # of the distance by which a plane may be moved towards the link, so that it has more cells behind it
+_BEYOND = 1e-9  # m by which a cell may reach across a plane that it counts as behind
+
+
+class Cluster:
+    """A solid of many cells at its place in the world.
+
+    Parameters
+    ----------
+    solid: in its own frame.
+    placement: T_world_solid.
+    """
+
+    def __init__(self, solid: Solid, placement: pin.SE3) -> None:
+        self.solid, self.placement = solid, placement
+        self._R, self._t = np.array(placement.rotation), np.array(placement.translation)
+        self._grids: dict[bytes, DistanceGrid] = {}
+        self._coarser: dict[bytes, CoarseCells] = {}
+
+    def __len__(self) -> int:
+        return len(self.solid)
+
+    def shifted(self, by: Vector) -> Cluster:
+        """The same, `by` (3,) from where it stands [m]."""
+        return Cluster(self.solid, pin.SE3(self._R, self._t + by))
+
+    @property
+    def bounds(self) -> Matrix:
+        """(2, 3) lowest and highest corner of a box around it [m], world."""
+        low, high = self.solid.bounds
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        centre, reach = self._R @ middle + self._t, np.abs(self._R) @ half
+        return np.array([centre - reach, centre + reach])
+
+    # --- bounds --------------------------------------------------------------------------
+
+    def grid(self, centre: Vector, radius: float) -> Distances:
+        """Lower bounds of the distance, finest within `radius` [m] of `centre` (3,), world. Kept for the next time."""
+        middle = (centre - self._t) @ self._R
+        low = np.maximum(middle - radius, self.solid.bounds[0] - _AROUND)
+        high = np.minimum(middle + radius, self.solid.bounds[1] + _AROUND)
+        if (high <= low).any():
+            return Distances(self._R, self._t, None, self.solid.bounds)
+        key = np.round(np.concatenate((low, high)), 6).tobytes()
+        if key not in self._grids:
+            frame = GridFrame(low, high, least_step=self.solid.finest)
+            self._grids[key] = DistanceGrid(frame, self.solid.taken(frame), self.solid.bounds)
+        return Distances(self._R, self._t, self._grids[key], self.solid.bounds)
+
+    # --- distances -----------------------------------------------------------------------
+
+    def _local(self, piece: Piece, T_world_body: pin.SE3, shift: Vector) -> Placed:
+        R = self._R.T @ T_world_body.rotation
+        return Placed.of(piece, R, (T_world_body.translation - self._t - shift) @ self._R)
+
+    def measure(
+        self, piece: Piece, T_world_body: pin.SE3, reach: float = np.inf, *, shift: Vector | None = None
+    ) -> Reading | None:
+        """The signed distance from a convex piece of a body; None where it is not less than `reach` [m].
+
+        Inside, the distance is that to the deepest cell. Of what is solid between cells too, the ground and
+        a closed mesh, what touches no cell is as deep as the nearest one is away. The true depth is not less.
+
+        Parameters
+        ----------
+        T_world_body: where the body stands.
+        shift: (3,) how far the cluster has moved [m].
+        """
+        shift = _NO_SHIFT if shift is None else shift
+        found = self.solid.measure(self._local(piece, T_world_body, shift), reach)
+        if found is None:
+            return None
+        base = self._t + shift
+        return Reading(
+            found.distance, self._R @ found.normal, self._R @ found.point + base, self._R @ found.other_point + base
+        )
+
+    # --- what stands around a link ----------------------------------------------------------
+
+    def around(
+        self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
+        shift: Vector | None = None,
+    ) -> Around:  # fmt: skip
+        """All cells within `reach` [m] of a convex piece of a body, in a few boxes.
+
+        The nearest cell and the piece leave a gap between two planes. All cells that lie wholly behind the
+        plane at the cell, or nearly so, go into one box, with a face on that plane. The nearest of those that
+        are left takes the next, and so on. The boxes contain all the cells, so that distances from them are
+        not more than from the cells. Where the piece is now, they are not less than 0.85 of it within
+        `_FINE_WITHIN` [m], and further away by no more than the edge of a coarse cell less.
+
+        Parameters
+        ----------
+        T_world_body, shift: as in `measure`.
+        ball: centre (3,) and radius [m] of where the machine can be, world.
+        most: the greatest number of boxes. Where it takes more, what is left is further away than `covered` [m].
+        """
+        shift = _NO_SHIFT if shift is None else shift
+        link = self._local(piece, T_world_body, shift)
+        near = self._cells_around(link, reach, ball)
+        off = near.off(LinkBox.around(link.hull, link.R, link.radius))
+        gauge, T_link = Gauge(), transform(link.R, link.t)
+        parts: list[Part] = []
+        while len(off) and len(parts) < most:
+            nearest = int(off.argmin())
+            distance, n, x_link, x_cell = gauge.measure(link.shape, T_link, near.shape(nearest), _HERE)
+            along = near.least_along(n)
+            plane = float(along[nearest])
+            behind = along >= plane - _SLACK * max(distance, 0.0) - _BEYOND
+            distance += min(float(along[behind].min()) - plane, 0.0)
+            own = self._box(near.only(behind), _frame_along(n, link.R))
+            parts.append(self._part(own, Reading(distance, n, x_link, x_cell), shift))
+            near, off = near.only(~behind), off[~behind]
+        if not len(off):
+            return Around(tuple(parts), reach)
+        around = self._box(near, link.R)
+        T_box = transform(around.placement.rotation, around.placement.translation)
+        rest = self._part(around, Reading(*gauge.measure(link.shape, T_link, around.shape, T_box)), shift)
+        return Around(tuple(parts), min(reach, float((off - near.radius()).min())), rest)
+
+    def _box(self, cells: CellSet, axes: Matrix) -> Piece:
+        """The box along `axes` (3, 3) around cells, in the frame of the solid."""
+        start, end = cells.extent(axes)
+        end = np.maximum(end, start + self.solid.finest)
+        return box(end - start, pin.SE3(axes, axes @ (0.5 * (start + end))))
+
+    def _cells_around(self, link: Placed, reach: float, ball: tuple[Vector, float]) -> CellSet:
+        """The cells within a reach of a link; further off, cubes that contain them."""
+        coarse, around = self._coarse(ball), LinkBox.around(link.hull, link.R, link.radius)
+        if reach <= _FINE_WITHIN or not coarse.hold(*link.box(reach), self.solid.bounds):
+            found = self.solid.near(*link.box(reach))
+            return found.only(found.off(around) - found.radius() <= reach)
+        cubes = coarse.near(*link.box(reach))
+        off = around.off(cubes)
+        cubes = cubes[(off > _FINE_WITHIN) & (off <= reach + coarse.step)]
+        # what is in none of these cubes is in one whose middle is nearer
+        fine = _FINE_WITHIN + _HALF_DIAGONAL * coarse.step
+        found = self.solid.near(*link.box(fine))
+        found = found.only(found.off(around) - found.radius() <= fine)
+        return found.together(CellSet.of_cubes(cubes, 0.5 * coarse.step))
+
+    def _part(self, own: Piece, reading: Reading, shift: Vector) -> Part:
+        """A box that is given in the frame of the solid, in the world."""
+        base, (distance, n, x_link, x_cell) = self._t + shift, reading
+        placed = pin.SE3(self._R @ own.placement.rotation, self._R @ own.placement.translation + base)
+        half = np.ptp(own.hull @ own.placement.rotation, axis=0)
+        return Part(box(half, placed), Reading(distance, self._R @ n, self._R @ x_link + base, self._R @ x_cell + base))
+
+    def inside_of(self, piece: Piece, T_world_body: pin.SE3) -> Part | None:
+        """For a piece of a body that is in the ground or in a closed mesh and touches no cell: a box around it.
+
+        The box ends where the nearest cell is. None for a piece that is not inside.
+        """
+        link = self._local(piece, T_world_body, _NO_SHIFT)
+        found = self.solid.measure(link, 0.0)
+        if found is None or found.distance >= 0.0:
+            return None
+        axes = _frame_along(found.normal, link.R)
+        at = link.hull @ axes
+        start, end = at.min(axis=0) - link.radius, at.max(axis=0) + link.radius
+        size = float((end - start).max())
+        start[1:] -= size
+        end += size
+        start[0] = float(found.other_point @ found.normal)
+        own = box(end - start, pin.SE3(axes, axes @ (0.5 * (start + end))))
+        return self._part(own, found, _NO_SHIFT)
+
+    def _coarse(self, ball: tuple[Vector, float]) -> CoarseCells:
+        """The surface of the solid in cubes, within a ball."""
+        middle = (ball[0] - self._t) @ self._R
+        step = max(_COARSE, 2.0 * self.solid.finest)
+        low = np.maximum(middle - ball[1] - _AROUND, self.solid.bounds[0])
+        high = np.minimum(middle + ball[1] + _AROUND, self.solid.bounds[1])
+        key = np.round(np.concatenate((low, high)), 6).tobytes()
+        if key not in self._coarser:
+            if (high < low).any():
+                self._coarser[key] = CoarseCells(np.zeros((0, 3)), step, (low, high))
+            else:
+                from scipy.ndimage import binary_erosion
+
+                frame = GridFrame(low, np.maximum(high, low + step), least_step=step)
+                taken = self.solid.taken(frame)
+                taken &= ~binary_erosion(taken)
+                self._coarser[key] = CoarseCells(frame.low + frame.step * np.argwhere(taken), frame.step, (low, high))
+        return self._coarser[key]
+
+    def boxes(self, cells: int) -> tuple[Piece, ...]:
+        """Boxes that contain it, of about so many cells of a grid around it, merged where they continue each other."""
+        low, high = self.solid.bounds
+        size = np.maximum(high - low, self.solid.finest)
+        frame = GridFrame(low, high, least_step=max(float(np.prod(size) / cells) ** (1.0 / 3.0), self.solid.finest))
+        found = voxel_boxes(np.argwhere(self.solid.taken(frame)).astype(float) + 0.5, 1.0)
+        return tuple(
+            box(frame.step * size, self.placement * pin.SE3(np.eye(3), frame.low + frame.step * centre))
+            for centre, size in found
+        )
+
+    def drawing(self, most: int) -> tuple[Matrix, Indices]:
+        """Vertices (k, 3) [m], world, and triangles (m, 3) of its surface, about `most` at most."""
+        vertices, triangles = self.solid.drawing(most)
+        return vertices @ self._R.T + self._t, triangles
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a cluster beside a link: a box that contains it, and the distance from the link as it is there."""
+
+    piece: Piece
+    reading: Reading
+
+
+@dataclass(frozen=True)
+class Around:
+    """What stands around a link: parts, which contain all cells that are within `covered` [m] of it.
+
+    Attributes
+    ----------
+    rest: what else is within the reach that was asked for; None where all is in the parts.
+    """
+
+    parts: tuple[Part, ...]
+    covered: float
+    rest: Part | None = None
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Lower bounds of the distance from a cluster that stands at R (3, 3), t (3,) [m]."""
+
+    R: Matrix
+    t: Vector
+    grid: DistanceGrid | None
+    bounds: Matrix
+
+    def lower(self, points: Array, shift: Vector | None = None) -> Array:
+        """(...) lower bounds of the distance of points (..., 3), world [m]; 0 where nothing is known.
+
+        shift: (3,) how far the cluster has moved [m].
+        """
+        own = (points - (self.t if shift is None else self.t + shift)) @ self.R
+        if self.grid is not None:
+            return self.grid.lower(own)
+        away = np.maximum(np.maximum(self.bounds[0] - own, own - self.bounds[1]), 0.0)
+        return np.asarray(np.sqrt((away * away).sum(axis=-1)))
+
+
+_NO_SHIFT = np.zeros(3)
+_HERE = transform(np.eye(3), np.zeros(3))
+
+
+def _frame_along(n: Vector, R: Matrix) -> Matrix:
+    """(3, 3) axes, the first along `n`, the second across it and as near as can be to one of those of `R`."""
+    along = R - np.outer(n, n @ R)
+    size = np.linalg.norm(along, axis=0)
+    second = along[:, int(np.argmax(size))] / size.max()
+    third = np.array([
+        n[1] * second[2] - n[2] * second[1], n[2] * second[0] - n[0] * second[2], n[0] * second[1] - n[1] * second[0],
+    ])  # fmt: skip
+    return np.column_stack((n, second, third))

@@ -1,0 +1,168 @@
+"""A fine mesh as a solid: its triangles in one tree, and what a closed one contains."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.shape.cell_set import CellSet
+from backhoe_planner.machine.shape.distance_grid import GridFrame
+from backhoe_planner.machine.shape.solid import Placed, clustered
+from backhoe_planner.machine.shape.tiles import Tiles
+from backhoe_planner.machine.shape.trees import Reading, Tree, surface_tree
+
+if TYPE_CHECKING:
+    import trimesh
+
+_TILE = 6.0  # mean edges of the triangles along the edge of a tile; chosen
+_SIDE_CELLS = 64  # of the grid that knows inside from outside, along the longest axis; chosen
+_MOST_PARTS = 400_000  # into which large triangles are cut for a grid; chosen: some 30 ms
+_MOST_HOLLOWS = 200  # connected parts of that grid whose side is found; the smaller ones are found point by point
+_OUTSIDE, _INSIDE, _SURFACE = 0, 1, 2
+
+
+class MeshSolid:
+    """The triangles of a mesh and, where they close, all between them, in its own frame; see `Solid`.
+
+    Parameters
+    ----------
+    mesh: any triangle mesh [m].
+    most: the greatest number of triangles.
+
+    Raises
+    ------
+    InputError: it has more.
+    """
+
+    def __init__(self, mesh: trimesh.Trimesh, *, most: int) -> None:
+        if len(mesh.faces) > most:
+            raise InputError(
+                "is too fine to plan with", found=f"{len(mesh.faces)} triangles", allowed=f"up to {most}",
+                hint="use a coarser mesh",
+            )  # fmt: skip
+        self._vertices = np.asarray(mesh.vertices, dtype=float)
+        self._faces = np.asarray(mesh.faces, dtype=np.intp)
+        self._corners = self._vertices[self._faces]
+        self.is_full = bool(mesh.is_watertight)
+        used = self._corners.reshape(-1, 3)
+        self.bounds = np.array([used.min(axis=0), used.max(axis=0)])
+        edges = np.linalg.norm(self._corners - np.roll(self._corners, 1, axis=1), axis=2)
+        self.finest = max(float(np.median(edges)), 1e-4 * float(np.ptp(self.bounds, axis=0).max()))
+
+    def __len__(self) -> int:
+        return len(self._faces)
+
+    @cached_property
+    def _tree(self) -> Tree:
+        return surface_tree(self._vertices, self._faces)
+
+    @cached_property
+    def _tiles(self) -> Tiles:
+        return Tiles(self._corners.min(axis=1), self._corners.max(axis=1), _TILE * self.finest)
+
+    def taken(self, frame: GridFrame) -> Flags:
+        """(frame.counts) which cells of a grid it may touch."""
+        taken = self._taken_by_surface(frame)
+        if self.is_full:
+            own, side = self._sides
+            inside = np.argwhere(side == _INSIDE)
+            low = own.low + own.step * inside
+            taken |= frame.taken_by_boxes(low, low + own.step)
+        return taken
+
+    def _taken_by_surface(self, frame: GridFrame) -> Flags:
+        parts = self._corners
+        whole = []
+        while True:
+            large = np.ptp(parts, axis=1).max(axis=1) > 2.0 * frame.step
+            whole.append(parts[~large])
+            parts = parts[large]
+            if not len(parts) or 4 * len(parts) > _MOST_PARTS:
+                break
+            a, b, c = parts[:, 0], parts[:, 1], parts[:, 2]
+            ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+            quarters = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+            parts = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+        parts = np.concatenate((*whole, parts))
+        return frame.taken_by_boxes(parts.min(axis=1), parts.max(axis=1))
+
+    @cached_property
+    def _sides(self) -> tuple[GridFrame, Array]:
+        """A grid around the mesh, and what is in each of its cells."""
+        from scipy import ndimage
+
+        low, high = self.bounds
+        size = float((high - low).max())
+        frame = GridFrame(low - 0.02 * size, high + 0.02 * size, least_step=size / _SIDE_CELLS)
+        surface = self._taken_by_surface(frame)
+        side = np.where(surface, _SURFACE, _OUTSIDE)
+        parts, count = ndimage.label(~surface)
+        sizes = np.bincount(parts.reshape(-1))
+        sizes[0] = 0
+        for part in np.argsort(-sizes)[: min(count, _MOST_HOLLOWS)].tolist():
+            cell = np.unravel_index(int(np.argmax(parts == part)), parts.shape)
+            if self._contains(frame.low + frame.step * (np.array(cell) + 0.5)):
+                side[parts == part] = _INSIDE
+        if count > _MOST_HOLLOWS:
+            side[np.isin(parts, np.argsort(-sizes)[_MOST_HOLLOWS:count])] = _SURFACE
+        return frame, side
+
+    def _contains(self, point: Vector) -> bool:
+        """Whether a point (3,) is within a closed mesh: whether a ray from it meets an odd number of triangles."""
+        a, b, c = self._corners[:, 0], self._corners[:, 1], self._corners[:, 2]
+        e1, e2 = b - a, c - a
+        p = np.cross(_RAY, e2)
+        det = (e1 * p).sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = point - a
+            u = (s * p).sum(axis=1) / det
+            q = np.cross(s, e1)
+            v = q @ _RAY / det
+            along = (e2 * q).sum(axis=1) / det
+            met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (along > 0.0)
+        return bool(np.count_nonzero(met) % 2)
+
+    def _is_inside(self, points: Matrix) -> bool:
+        """Whether a shape that touches no triangle, with these points (k, 3), is within the mesh."""
+        if not self.is_full:
+            return False
+        near = points[((points > self.bounds[0]) & (points < self.bounds[1])).all(axis=1)]
+        if len(near) < len(points):
+            return False  # one of its points is outside, and so are all
+        frame, side = self._sides
+        cell = np.floor((points - frame.low) / frame.step).astype(int)
+        found = side[cell[:, 0], cell[:, 1], cell[:, 2]]
+        clear = found[found != _SURFACE]
+        return bool(clear[0] == _INSIDE) if len(clear) else self._contains(points[0])
+
+    def measure(self, link: Placed, reach: float) -> Reading | None:
+        """The signed distance from a convex shape where it is less than `reach` [m].
+
+        Inside of a closed mesh, where nothing touches a triangle, it is how far away the nearest one is.
+        """
+        T = link.shifted(np.zeros(3))
+        found = self._tree.measure(link.shape, T, reach)
+        if found is not None and found.distance <= 0.0:
+            return found
+        if not self._is_inside(link.hull):
+            return found
+        reach = max(reach, self.finest)
+        while found is None:
+            reach *= 4.0
+            found = self._tree.measure(link.shape, T, reach)
+        return Reading(-found.distance, -found.normal, found.point, found.other_point)
+
+    def near(self, low: Vector, high: Vector) -> CellSet:
+        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others."""
+        return CellSet.of_triangles(self._corners[self._tiles.near(low, high)])
+
+    def drawing(self, most: int) -> tuple[Matrix, Indices]:
+        """Vertices (k, 3) [m] and triangles (m, 3), fewer where there are more than `most`."""
+        return clustered(self._vertices, self._faces, most)
+
+
+_RAY = np.array([0.3713906763541037, 0.5570860145311556, 0.7427813527082074])  # along no edge that anybody draws

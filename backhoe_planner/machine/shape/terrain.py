@@ -1,0 +1,231 @@
+"""A terrain as a solid: all that lies below a height map, cell by cell.
+
+Over each cell the surface is the upper hull of its four corners, which is one of the two ways
+to cut the cell into triangles: the one that is the higher. Coal holds the triangles in trees,
+one for each tile of 32 x 32 cells, which is built when something first comes near. A tree of
+triangles knows no inside. What touches no triangle is on one side of the surface with all of
+its points, so that one of them tells on which.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.shape.cell_set import CellSet
+from backhoe_planner.machine.shape.distance_grid import GridFrame
+from backhoe_planner.machine.shape.solid import Placed
+from backhoe_planner.machine.shape.trees import Reading, Tree, surface_tree
+
+_TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
+_MOST_TREES = 256  # that are kept; chosen: some 330 MB
+_SKIRT = (-1, -1)  # the tile of the walls and the floor
+
+
+class TerrainSolid:
+    """The ground under a height map, in its own frame; see `Solid`.
+
+    Parameters
+    ----------
+    heights: (rows, columns) [m]; rows run along y, columns along x, both ascending,
+        and the map is centred on the origin.
+    size: extent in x and y [m].
+    depth: how far below the lowest point the ground reaches [m].
+    most: the greatest number of cells.
+
+    Raises
+    ------
+    InputError: it has more.
+    """
+
+    is_full = True
+
+    def __init__(self, heights: Matrix, size: tuple[float, float], *, depth: float, most: int) -> None:
+        rows, columns = heights.shape
+        if (rows - 1) * (columns - 1) > most:
+            raise InputError(
+                "is too fine to plan with", found=f"{(rows - 1) * (columns - 1)} cells", allowed=f"up to {most}",
+                hint="use a coarser resolution",
+            )  # fmt: skip
+        self._heights = heights
+        self._low = np.array([-0.5 * size[0], -0.5 * size[1]])
+        self._cell = np.array([size[0] / (columns - 1), size[1] / (rows - 1)])
+        self._x = self._low[0] + self._cell[0] * np.arange(columns)
+        self._y = self._low[1] + self._cell[1] * np.arange(rows)
+        self._floor = float(heights.min()) - depth
+        self.bounds = np.array([[*self._low, self._floor], [*-self._low, float(heights.max())]])
+        self.finest = float(self._cell.min())
+        self._trees: dict[tuple[int, int], Tree] = {}
+
+    def __len__(self) -> int:
+        return (len(self._y) - 1) * (len(self._x) - 1)
+
+    def taken(self, frame: GridFrame) -> Flags:
+        """(frame.counts) which cells of a grid it may touch."""
+        taken = np.zeros(frame.counts, dtype=bool)
+        spans = []
+        for axis, places in ((0, self._x), (1, self._y)):
+            # the first and the last grid cell that each cell of the terrain touches
+            at = (places - frame.low[axis]) / frame.step
+            spans.append((np.floor(at[:-1]).astype(int), np.floor(at[1:]).astype(int)))
+        h = self._heights
+        top = np.maximum(np.maximum(h[:-1, :-1], h[1:, :-1]), np.maximum(h[:-1, 1:], h[1:, 1:]))
+        along_x = _most_in(top, *spans[0], int(frame.counts[0]))  # (rows - 1, counts x)
+        level = _most_in(along_x.T, *spans[1], int(frame.counts[1]))  # (counts x, counts y)
+        last = np.floor((level - frame.low[2]) / frame.step)
+        first = int(np.floor((self._floor - frame.low[2]) / frame.step))
+        z = np.arange(frame.counts[2])
+        taken[:] = (z >= first) & (z <= last[..., None])
+        return taken
+
+    def measure(self, link: Placed, reach: float) -> Reading | None:
+        """The signed distance from a convex shape where it is less than `reach` [m].
+
+        Below the surface, where nothing touches it, it is how far away the surface is.
+        """
+        found = self._from_surface(link, reach)
+        if found is not None and found.distance <= 0.0:
+            return found
+        if not self._is_inside(link.hull.mean(axis=0)):
+            return found
+        reach = max(reach, self.finest)
+        while found is None:
+            reach *= 4.0
+            found = self._from_surface(link, reach)
+        return Reading(-found.distance, -found.normal, found.point, found.other_point)
+
+    def _from_surface(self, link: Placed, reach: float) -> Reading | None:
+        """The distance from triangles alone."""
+        low, high = link.box(0.0)
+        first, last = self._tiles_in(low[:2] - reach, high[:2] + reach)
+        best = None
+        tiles = [(i, j) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
+        away = [(self._away(tile, low, high), tile) for tile in tiles]
+        if (np.minimum(low - self.bounds[0], self.bounds[1] - high)[:2] < reach).any() or low[2] - self._floor < reach:
+            away.append((0.0, _SKIRT))
+        for distance, tile in sorted(away):
+            if distance >= reach:
+                break
+            found = self._tree(tile).measure(link.shape, link.shifted(_NO_SHIFT), reach)
+            if found is not None and (best is None or found.distance < best.distance):
+                best, reach = found, max(found.distance, 0.0)
+        return best
+
+    def _tiles_in(self, low: Vector, high: Vector) -> tuple[Indices, Indices]:
+        """(2,), (2,) the first and the last tile, along x and y, of those in a rectangle [m]."""
+        count = np.array([len(self._x) - 2, len(self._y) - 2]) // _TILE
+        first = np.floor((np.maximum(low, self._low) - self._low) / self._cell).astype(int) // _TILE
+        last = np.floor((np.minimum(high, -self._low) - self._low) / self._cell).astype(int) // _TILE
+        return first, np.minimum(last, count)
+
+    def _span(self, tile: tuple[int, int]) -> tuple[int, int, int, int]:
+        """First and last row, first and last column of a tile's points."""
+        c0, r0 = tile[0] * _TILE, tile[1] * _TILE
+        return r0, min(r0 + _TILE, len(self._y) - 1), c0, min(c0 + _TILE, len(self._x) - 1)
+
+    def _away(self, tile: tuple[int, int], low: Vector, high: Vector) -> float:
+        """A lower bound of the distance from a box to the surface in a tile [m]."""
+        r0, r1, c0, c1 = self._span(tile)
+        heights = self._heights[r0 : r1 + 1, c0 : c1 + 1]
+        lowest = np.array([self._x[c0], self._y[r0], heights.min()])
+        highest = np.array([self._x[c1], self._y[r1], heights.max()])
+        return float(np.linalg.norm(np.maximum(np.maximum(lowest - high, low - highest), 0.0)))
+
+    def _tree(self, tile: tuple[int, int]) -> Tree:
+        found = self._trees.pop(tile, None)
+        if found is None:
+            triangles = self._skirt() if tile == _SKIRT else self._triangles(*self._span(tile))
+            found = surface_tree(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+            if len(self._trees) >= _MOST_TREES:
+                del self._trees[next(iter(self._trees))]
+        self._trees[tile] = found  # the last used last
+        return found
+
+    def _triangles(self, r0: int, r1: int, c0: int, c1: int) -> Array:
+        """(m, 3, 3) corners of the surface between rows and columns of points, both included [m]."""
+        xs, ys = np.meshgrid(self._x[c0 : c1 + 1], self._y[r0 : r1 + 1])
+        points = np.stack((xs, ys, self._heights[r0 : r1 + 1, c0 : c1 + 1]), axis=2)
+        a, b, c, d = (
+            part.reshape(-1, 3) for part in (points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:])
+        )
+        main = (a[:, 2] + d[:, 2] >= b[:, 2] + c[:, 2])[:, None]
+        # either along a d, or along b c
+        first = np.stack((a, b, np.where(main, d, c)), axis=1)
+        second = np.stack((np.where(main, a, b), d, c), axis=1)
+        return np.concatenate((first, second))
+
+    def _skirt(self) -> Array:
+        """(m, 3, 3) corners of the walls around the map, and of its floor [m]."""
+        walls = []
+        x, y, h = self._x, self._y, self._heights
+        for line in (
+            np.column_stack((x, np.full(len(x), y[0]), h[0])),
+            np.column_stack((x, np.full(len(x), y[-1]), h[-1])),
+            np.column_stack((np.full(len(y), x[0]), y, h[:, 0])),
+            np.column_stack((np.full(len(y), x[-1]), y, h[:, -1])),
+        ):
+            under = line.copy()
+            under[:, 2] = self._floor
+            walls += [
+                np.stack((line[:-1], line[1:], under[1:]), axis=1),
+                np.stack((line[:-1], under[1:], under[:-1]), axis=1),
+            ]
+        ends = np.array([[u, v, self._floor] for u in (x[0], x[-1]) for v in (y[0], y[-1])])
+        return np.concatenate((*walls, ends[[[0, 1, 3], [0, 3, 2]]]))
+
+    def _is_inside(self, point: Vector) -> bool:
+        """Whether a point (3,) is in the ground."""
+        at = (point[:2] - self._low) / self._cell
+        last = np.array([len(self._x) - 2, len(self._y) - 2])
+        if (at < 0.0).any() or (at > last + 1).any() or point[2] < self._floor:
+            return False
+        c, r = np.minimum(at.astype(int), last).tolist()
+        u, v = at[0] - c, at[1] - r
+        a, b, c_, d = (float(self._heights[r + i, c + j]) for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)))
+        if a + d >= b + c_:
+            top = min(a + u * (b - a) + v * (d - b), a + v * (c_ - a) + u * (d - c_))
+        else:
+            top = min(a + u * (b - a) + v * (c_ - a), d + (1.0 - u) * (c_ - d) + (1.0 - v) * (b - d))
+        return bool(point[2] <= top)
+
+    def near(self, low: Vector, high: Vector) -> CellSet:
+        """The triangles that may touch the box from `low` to `high` (3,) [m]."""
+        found = []
+        if (high[:2] >= self._low).all() and (low[:2] <= -self._low).all():
+            last = np.array([len(self._x) - 1, len(self._y) - 1])
+            c0, r0 = np.maximum(np.floor((low[:2] - self._low) / self._cell).astype(int), 0).tolist()
+            c1, r1 = np.minimum(np.ceil((high[:2] - self._low) / self._cell).astype(int), last).tolist()
+            found.append(self._triangles(r0, max(r1, r0 + 1), c0, max(c1, c0 + 1)))
+        if (low <= self.bounds[0]).any() or (high[:2] >= self.bounds[1, :2]).any():
+            found.append(self._skirt())
+        triangles = np.concatenate(found) if found else np.zeros((0, 3, 3))
+        a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+        there = (np.maximum(np.maximum(a, b), c) >= low).all(axis=1)
+        there &= (np.minimum(np.minimum(a, b), c) <= high).all(axis=1)
+        return CellSet.of_triangles(triangles[there])
+
+    def drawing(self, most: int) -> tuple[Matrix, Indices]:
+        """Vertices (k, 3) [m] and triangles (m, 3) of the surface; of every other point where there are too many."""
+        stride = max(int(np.ceil(np.sqrt(2.0 * len(self) / most))), 1)
+        rows = np.unique(np.append(np.arange(0, len(self._y), stride), len(self._y) - 1))
+        columns = np.unique(np.append(np.arange(0, len(self._x), stride), len(self._x) - 1))
+        xs, ys = np.meshgrid(self._x[columns], self._y[rows])
+        number = np.arange(xs.size).reshape(xs.shape)
+        a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]))
+        triangles = np.vstack((np.column_stack((a, b, d)), np.column_stack((a, d, c))))
+        return np.column_stack((xs.ravel(), ys.ravel(), self._heights[np.ix_(rows, columns)].ravel())), triangles
+
+
+_NO_SHIFT = np.zeros(3)
+
+
+def _most_in(values: Matrix, first: Indices, last: Indices, count: int) -> Matrix:
+    """(rows, count) the largest of `values` (rows, n), each of which lies in the places `first` to `last` (n,)."""
+    found = np.full((len(values), count), -np.inf)
+    for place in range(max(int(first.min()), 0), min(int(last.max()) + 1, count)):
+        # places ascend, so that those which touch one place follow each other
+        start, end = np.searchsorted(last, place), np.searchsorted(first, place, side="right")
+        if end > start:
+            found[:, place] = values[:, start:end].max(axis=1)
+    return found

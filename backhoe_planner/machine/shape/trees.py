@@ -1,0 +1,111 @@
+"""Trees of coal that hold thousands of cells: the distance of a convex shape from all of them at once.
+
+A tree is asked with a reach, beyond which nothing is looked at: near by, it decides in tens
+of microseconds. What coal answers of a tree is not all right as it comes, and put right here:
+
+- The descent ends early only where `min_distance` of the result is set before.
+- Normal and witness points run from the tree to the shape, whatever the order of the arguments.
+- Where the shape touches a cell, `distance` gives the depth in the first cell it meets. All
+  cells that are touched come from `collide`; the depth here is that of the deepest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import coal
+import numpy as np
+
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine.shape.shapes import in_doubt, prepare
+
+_MOST_CONTACTS = 1_000_000  # cells that a shape touches at once; beyond any tree
+_HERE = coal.Transform3s(np.eye(3), np.zeros(3))
+_LEAST_REACH = 1e-6  # m: so that what touches is found at any reach
+_DEEPEST = -1e7  # m: no two shapes are this deep inside each other
+
+
+class Reading(NamedTuple):
+    """A distance that was measured.
+
+    Attributes
+    ----------
+    distance: signed [m].
+    normal: (3,) unit vector from the first body to the second, inside too.
+    point, other_point: (3,) the critical point of the first, and its witness on the second [m].
+    """
+
+    distance: float
+    normal: Vector
+    point: Vector
+    other_point: Vector
+
+
+class Tree:
+    """One tree of coal."""
+
+    def __init__(self, tree: coal.CollisionGeometry) -> None:
+        self._tree = tree
+
+    def measure(self, shape: coal.CollisionGeometry, T_tree_shape: coal.Transform3s, reach: float) -> Reading | None:
+        """The distance from `shape` to the cells, where it is less than `reach` [m]; None where it is not.
+
+        The result is in the frame of the tree, its normal from the shape to the nearest cell.
+        """
+        reach = max(reach, _LEAST_REACH)
+        # not shared: obstacles, and the trees in them, are used by several threads
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        prepare(request)
+        result.min_distance = reach
+        coal.distance(self._tree, _HERE, shape, T_tree_shape, request, result)
+        distance = result.min_distance
+        if distance >= reach:
+            return None
+        if distance > 0.0 and not in_doubt(distance):
+            return Reading(
+                distance,
+                -np.array(result.normal),
+                np.array(result.getNearestPoint2()),
+                np.array(result.getNearestPoint1()),
+            )
+        touch, contacts = coal.CollisionRequest(), coal.CollisionResult()
+        touch.num_max_contacts, touch.enable_contact = _MOST_CONTACTS, True
+        coal.collide(self._tree, _HERE, shape, T_tree_shape, touch, contacts)
+        deepest = None
+        for contact in contacts.getContacts():
+            depth = contact.penetration_depth
+            if depth > _DEEPEST and (deepest is None or depth < deepest.penetration_depth):
+                deepest = contact
+        if deepest is None:  # they touch to within rounding
+            distance = 0.0 if in_doubt(distance) else distance
+            normal = -np.array(result.normal)
+            if not np.isfinite(normal).all() or abs(float(normal @ normal) - 1.0) > 1e-6:
+                normal = np.array([0.0, 0.0, -1.0])
+            middle = np.nan_to_num(np.array(result.getNearestPoint1()))
+            return Reading(distance, normal, middle, middle)
+        return Reading(
+            deepest.penetration_depth,
+            -np.array(deepest.normal),
+            np.array(deepest.getNearestPoint2()),
+            np.array(deepest.getNearestPoint1()),
+        )
+
+
+def voxel_tree(centres: Matrix, edge: float) -> Tree:
+    """Cubes with an `edge` [m] around `centres` (n, 3), which are half an edge off a multiple of it on each axis."""
+    return Tree(coal.makeOctree(centres, edge))
+
+
+def surface_tree(vertices: Matrix, triangles: Indices) -> Tree:
+    """Triangles (m, 3) between `vertices` (k, 3) [m]; nothing is solid between them."""
+    tree = coal.BVHModelOBBRSS()
+    tree.beginModel(len(triangles), len(vertices))
+    tree.addVertices(np.ascontiguousarray(vertices, dtype=float))
+    tree.addTriangles(np.ascontiguousarray(triangles, dtype=np.uint32))
+    tree.endModel()
+    return Tree(tree)
+
+
+def transform(rotation: Array, translation: Vector) -> coal.Transform3s:
+    """T_tree_shape of `rotation` (3, 3) and `translation` (3,) [m]."""
+    return coal.Transform3s(rotation, translation)

@@ -1,0 +1,144 @@
+"""A scan as a solid: every voxel in which one of its points lies."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine.shape.cell_set import CellSet
+from backhoe_planner.machine.shape.distance_grid import GridFrame
+from backhoe_planner.machine.shape.solid import Placed
+from backhoe_planner.machine.shape.tiles import Tiles
+from backhoe_planner.machine.shape.trees import Reading, Tree, voxel_tree
+
+Keys = NDArray[np.int64]
+"""(n, 3) which multiples of its edge the lowest corner of each voxel is."""
+
+_WIDEST = 65_000  # voxels along an axis: coal numbers them with 16 bits
+_TILE = 8  # voxels along the edge of a tile; chosen
+
+
+def voxel_keys(points: Matrix, resolution: float) -> Keys:
+    """The voxels with an edge of `resolution` [m] in which `points` (n, 3) [m] lie, each once, in order."""
+    keys = np.floor(points / resolution).astype(np.int64)
+    low = keys.min(axis=0)
+    counts = [int(count) for count in keys.max(axis=0) - low + 1]
+    if counts[0] * counts[1] * counts[2] >= 2**62:  # no number for each
+        return np.unique(keys, axis=0)
+    keys -= low
+    number, z = np.divmod(np.unique((keys[:, 0] * counts[1] + keys[:, 1]) * counts[2] + keys[:, 2]), counts[2])
+    found: Keys = np.column_stack((number // counts[1], number % counts[1], z)) + low
+    return found
+
+
+class VoxelSolid:
+    """The voxels of a scan, in its own frame; see `Solid`.
+
+    Parameters
+    ----------
+    keys: (n, 3) from `voxel_keys`.
+    edge: of a voxel [m].
+    most: the greatest number of voxels.
+
+    Raises
+    ------
+    InputError: there are more, or more than 65,000 along an axis.
+    """
+
+    is_full = False
+
+    def __init__(self, keys: Keys, edge: float, *, most: int) -> None:
+        if len(keys) > most:
+            raise InputError(
+                "is too fine to plan with", found=f"{len(keys)} voxels", allowed=f"up to {most}",
+                hint="use a coarser resolution",
+            )  # fmt: skip
+        low, high = keys.min(axis=0), keys.max(axis=0) + 1
+        if (high - low).max() > _WIDEST:
+            raise InputError(
+                "is too fine for how far it reaches", found=f"{(high - low).max()} voxels along an axis",
+                allowed=f"up to {_WIDEST}", hint="use a coarser resolution, or leave out points that are far away",
+            )  # fmt: skip
+        self._keys, self._edge = keys, edge
+        self.bounds = edge * np.array([low, high], dtype=float)
+        self.finest = edge
+        self._base = (low + high) // 2
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def _low(self) -> Matrix:
+        """(n, 3) lowest corner of every voxel [m]."""
+        return np.asarray(self._edge * self._keys, dtype=float)
+
+    @cached_property
+    def _tree(self) -> Tree:
+        return voxel_tree(self._edge * (self._keys - self._base + 0.5), self._edge)
+
+    @cached_property
+    def _tiles(self) -> Tiles:
+        low = self._low()
+        return Tiles(low, low + self._edge, _TILE * self._edge)
+
+    def taken(self, frame: GridFrame) -> Flags:
+        """(frame.counts) which cells of a grid it may touch."""
+        low = self._low()
+        return frame.taken_by_boxes(low, low + self._edge)
+
+    def measure(self, link: Placed, reach: float) -> Reading | None:
+        """The signed distance from a convex shape where it is less than `reach` [m]."""
+        base = self._edge * self._base
+        found = self._tree.measure(link.shape, link.shifted(-base), reach)
+        if found is None:
+            return None
+        return Reading(found.distance, found.normal, found.point + base, found.other_point + base)
+
+    def near(self, low: Vector, high: Vector) -> CellSet:
+        """The voxels that may touch the box from `low` to `high` (3,) [m], and some others."""
+        middle = np.asarray(self._edge * (self._keys[self._tiles.near(low, high)] + 0.5), dtype=float)
+        return CellSet.of_cubes(middle, 0.5 * self._edge)
+
+    def drawing(self, most: int) -> tuple[Matrix, Indices]:
+        """Vertices (k, 3) [m] and triangles (m, 3) of its surface, of larger voxels where there are too many."""
+        edge, keys = self._edge, self._keys
+        while True:
+            sides = _open_sides(keys)
+            if 2 * sum(map(len, sides)) <= most or len(keys) < 100:
+                break
+            edge, keys = 2.0 * edge, voxel_keys(keys.astype(float), 2.0)
+        quads = np.concatenate([keys[own][:, None] + _SIDES[way] for way, own in enumerate(sides)]).reshape(-1, 3)
+        first = 4 * np.arange(len(quads) // 4)[:, None]
+        triangles = np.vstack((first + np.array([0, 1, 2]), first + np.array([0, 2, 3])))
+        return edge * quads.astype(float), triangles.astype(np.intp)
+
+
+_WAYS = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], dtype=np.int64)
+_SIDES = np.array(  # corners of a voxel's side in each of these ways, counterclockwise as seen from outside
+    [
+        [(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)],
+        [(0, 0, 0), (0, 0, 1), (0, 1, 1), (0, 1, 0)],
+        [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 1, 0)],
+        [(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)],
+        [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)],
+        [(0, 0, 0), (0, 1, 0), (1, 1, 0), (1, 0, 0)],
+    ],
+    dtype=np.int64,
+)
+
+
+def _open_sides(keys: Keys) -> list[Indices]:
+    """For each of the six ways the voxels that have no neighbour there."""
+    low = keys.min(axis=0) - 1
+    counts = keys.max(axis=0) - low + 2
+    weights = np.array([counts[1] * counts[2], counts[2], 1], dtype=np.int64)
+    number = np.sort((keys - low) @ weights)
+    found = []
+    for way in _WAYS:
+        beside = (keys + way - low) @ weights
+        place = np.minimum(np.searchsorted(number, beside), len(number) - 1)
+        found.append(np.flatnonzero(number[place] != beside))
+    return found

@@ -1,0 +1,64 @@
+"""The servo beside a scan: whatever it is told, it keeps the clearance from every voxel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from backhoe_planner import Servo
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Proximity, scene_from_dict
+
+START = [0.0, 0.7, -1.2, -1.2]
+SCENE = {
+    "version": 1,
+    "start": {"joints": {"swing": 0.0, "boom": 0.7, "stick": -1.2, "bucket": -1.2}},
+    "task": {"goal": {"position": [4.0, 0.0, 1.0]}},
+    "clearance": 0.1,
+}
+
+
+def ground_and_wall(rng: np.random.Generator) -> np.ndarray:
+    ground = rng.uniform([-1.0, -4.0, -0.3], [6.0, 4.0, -0.2], (60_000, 3))
+    wall = rng.uniform([1.0, 1.5, -0.3], [6.0, 1.6, 2.5], (40_000, 3))
+    return np.vstack((ground, wall))
+
+
+@pytest.mark.parametrize(("tip_velocity", "seed"), [([0.0, 0.5, -0.3], 0), ([0.3, 0.0, -0.6], 1)])
+def test_driven_into_a_scan_it_stops_before_it(backhoe: Robot, tip_velocity: list[float], seed: int) -> None:
+    servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
+    servo.add_points("scan", ground_and_wall(np.random.default_rng(seed)), resolution=0.1)
+    gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    least = np.inf
+    for step in range(250):
+        state = servo.step(tip_velocity)
+        assert servo.last_error is None
+        if step % 5 == 0:
+            least = min(least, float(np.min(gauge.distances(state.q) - gauge.clearance)))
+    assert -1e-6 <= least < 0.15
+    assert np.max(np.abs(state.q - START)) > 0.1
+
+
+def test_a_scan_that_is_moved_away_frees_the_way(backhoe: Robot) -> None:
+    servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
+    servo.add_points("scan", ground_and_wall(np.random.default_rng(2)), resolution=0.1)
+    for _ in range(300):
+        blocked = servo.step([0.0, 0.6, 0.0])
+    servo.move("scan", [0.0, 10.0, -10.0])
+    for _ in range(200):
+        free = servo.step([0.0, 0.6, 0.0])
+    assert blocked.tip_position[1] < 1.4 < free.tip_position[1]
+    servo.remove("scan")
+    assert servo.obstacles == ()
+
+
+def test_a_scan_that_comes_is_evaded(backhoe: Robot) -> None:
+    servo = Servo(backhoe, scene_from_dict(SCENE), dt=0.01)
+    rng = np.random.default_rng(3)
+    servo.add_points("truck", rng.uniform([3.0, 2.0, 0.0], [5.0, 2.5, 2.0], (30_000, 3)), resolution=0.1)
+    servo.set_velocity("truck", [0.0, -0.15, 0.0])
+    for _ in range(800):
+        state = servo.step([0.0, 0.0, 0.0])
+        assert servo.last_error is None
+    gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    assert float(np.min(gauge.distances(state.q))) > 0.0

@@ -1,0 +1,218 @@
+"""Distances from thousands of cells: by hand, by brute force over all cells, and what their bounds promise."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine import (
+    Cluster,
+    MeshSolid,
+    Piece,
+    TerrainSolid,
+    VoxelSolid,
+    covering_balls,
+    terrain_columns,
+    voxel_boxes,
+    voxel_keys,
+)
+from backhoe_planner.machine.shape import shapes
+
+BALL = (np.zeros(3), 3.0)
+HERE = pin.SE3.Identity()
+
+
+def scan(points: Matrix, edge: float, placement: pin.SE3 = HERE) -> Cluster:
+    return Cluster(VoxelSolid(voxel_keys(points, edge), edge, most=10**6), placement)
+
+
+def terrain(heights: Matrix, edge: float, placement: pin.SE3 = HERE) -> Cluster:
+    return Cluster(TerrainSolid(heights, (edge, edge), depth=5.0, most=10**6), placement)
+
+
+def at(x: float, y: float, z: float) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array([x, y, z]))
+
+
+def distance(cluster: Cluster, piece: Piece, place: pin.SE3) -> float:
+    found = cluster.measure(piece, place)
+    assert found is not None
+    return found.distance
+
+
+def ball(radius: float) -> Piece:
+    return shapes.sphere(radius, HERE)
+
+
+def random_place(rng: np.random.Generator, size: float) -> pin.SE3:
+    turn = Rotation.from_quat(rng.normal(size=4)).as_matrix()
+    return pin.SE3(turn, rng.uniform(-size, size, 3))
+
+
+def gap(first: Piece, place: pin.SE3, second: Piece) -> float:
+    """Between two convex pieces, the second in the world."""
+    here, there = place * first.placement, second.placement
+    T = [shapes.transform(T.rotation, T.translation) for T in (here, there)]
+    return shapes.Gauge().measure(first.shape, T[0], second.shape, T[1])[0]
+
+
+# --- by hand -----------------------------------------------------------------------------
+
+
+def test_plane_of_points_is_a_slab_of_voxels() -> None:
+    # points at z = 0.01 lie in voxels from 0 to 0.05
+    x = np.arange(-1.0, 1.0, 0.02)
+    cloud = scan(np.column_stack((np.repeat(x, 100), np.tile(x, 100), np.full(10_000, 0.01))), 0.05)
+    assert len(cloud) == 1600
+    found = cloud.measure(ball(0.1), at(0.3, 0.2, 0.4))
+    assert found is not None
+    assert found.distance == pytest.approx(0.25, abs=1e-9)
+    np.testing.assert_allclose(found.normal, [0.0, 0.0, -1.0], atol=1e-6)
+    assert found.point[2] == pytest.approx(0.3)
+    assert found.other_point[2] == pytest.approx(0.05)
+    assert distance(cloud, ball(0.1), at(0.3, 0.2, -0.2)) == pytest.approx(0.1, abs=1e-9)
+    assert cloud.measure(ball(0.1), at(0.3, 0.2, 0.4), 0.24) is None
+
+
+def test_corner_between_two_walls_is_two_boxes() -> None:
+    # a floor below z = 0.05 and a wall beyond x = 0.5, a ball 0.15 from the one and 0.2 from the other
+    x = np.arange(-1.0, 0.5, 0.02)
+    floor = np.column_stack((np.repeat(x, 75), np.tile(x, 75), np.full(75 * 75, 0.01)))
+    wall = np.column_stack((np.full(75 * 75, 0.51), np.repeat(x, 75), np.tile(x, 75) + 1.0))
+    parts = scan(np.vstack((floor, wall)), 0.05).around(ball(0.1), at(0.2, -0.3, 0.3), 0.24, ball=BALL, most=16).parts
+    near = [part.reading for part in parts if part.reading.distance < 0.21]
+    assert [round(reading.distance, 6) for reading in near] == [0.15, 0.2]
+    np.testing.assert_allclose(near[0].normal, [0.0, 0.0, -1.0], atol=1e-6)
+    np.testing.assert_allclose(near[1].normal, [1.0, 0.0, 0.0], atol=1e-6)
+
+
+def test_staircase_terrain() -> None:
+    # steps of 0.2 m, two cells of 0.5 m wide: between them a slope from (0, 0.2) to (0.5, 0.4)
+    heights = np.tile(np.repeat(0.2 * np.arange(5), 2)[:9], (9, 1))
+    ground = terrain(heights, 4.0)
+    # columns at x = -2, -1.5, ..., heights 0, 0, 0.2, 0.2, 0.4, 0.4, ... : flat from 0 to 0.5 at 0.4
+    assert distance(ground, ball(0.1), at(0.25, 0.0, 1.0)) == pytest.approx(0.5, abs=1e-9)
+    # over the middle of the slope from (-0.5, 0.2) to (0, 0.4) along its normal
+    normal = np.array([-0.2, 0.0, 0.5]) / np.hypot(0.2, 0.5)
+    centre = np.array([-0.25, 0.0, 0.3]) + 0.3 * normal
+    assert distance(ground, ball(0.1), at(*centre)) == pytest.approx(0.2, abs=1e-9)
+    # beside the map its wall counts, below the ground how far up it is
+    assert distance(ground, ball(0.1), at(-2.5, 0.0, -1.0)) == pytest.approx(0.4, abs=1e-9)
+    inside = ground.measure(ball(0.1), at(0.25, 0.0, -0.4))
+    assert inside is not None
+    assert inside.distance < 0.0
+    assert inside.distance == pytest.approx(-(0.8 * 0.5 + 0.25 * 0.2) / np.hypot(0.2, 0.5) + 0.1, abs=0.4)
+    assert inside.normal[2] < 0.0
+
+
+def test_hollow_cloud_has_room_inside_and_a_closed_mesh_has_none() -> None:
+    rng = np.random.default_rng(0)
+    shell = rng.normal(size=(60_000, 3))
+    shell /= np.linalg.norm(shell, axis=1)[:, None]
+    cloud = scan(shell, 0.05)
+    assert 0.7 < distance(cloud, ball(0.1), at(0.0, 0.0, 0.0)) < 0.9
+    assert distance(cloud, ball(0.1), at(0.9, 0.0, 0.0)) < 0.0
+    mesh = Cluster(MeshSolid(trimesh.creation.icosphere(subdivisions=4), most=10**5), HERE)
+    assert -0.9 < distance(mesh, ball(0.1), at(0.0, 0.0, 0.0)) < -0.89
+    assert distance(mesh, ball(0.1), at(0.0, 0.0, 2.0)) == pytest.approx(0.9, abs=1e-2)
+    hole = Cluster(MeshSolid(trimesh.creation.torus(1.0, 0.3), most=10**5), HERE)
+    assert distance(hole, ball(0.1), at(0.0, 0.0, 0.0)) == pytest.approx(0.6, abs=1e-2)
+    assert distance(hole, ball(0.1), at(1.0, 0.0, 0.0)) < 0.0
+
+
+def test_too_many_cells_are_named() -> None:
+    points = np.arange(30.0).reshape(10, 3)
+    with pytest.raises(InputError, match="found 10 voxels; allowed: up to 9"):
+        VoxelSolid(voxel_keys(points, 0.1), 0.1, most=9)
+    with pytest.raises(InputError, match="found 6 cells; allowed: up to 5"):
+        TerrainSolid(np.zeros((3, 4)), (1.0, 1.0), depth=1.0, most=5)
+    with pytest.raises(InputError, match="found 12 triangles; allowed: up to 11"):
+        MeshSolid(trimesh.creation.box((1.0, 1.0, 1.0)), most=11)
+
+
+# --- by brute force ----------------------------------------------------------------------
+
+
+def solids(rng: np.random.Generator) -> dict[str, tuple[Cluster, list[Piece]]]:
+    """Clusters, each with convex pieces that have the same union."""
+    place = random_place(rng, 0.3)
+    points = rng.uniform(-1.0, 1.0, (200, 3)) * [1.0, 1.0, 0.3]
+    boxes = [shapes.box(size, place * at(*centre)) for centre, size in voxel_boxes(points, 0.1)]
+    x = np.linspace(-1.0, 1.0, 13)
+    heights = 0.3 * np.sin(3.0 * x)[:, None] * np.cos(2.0 * x) + rng.normal(0.0, 0.02, (13, 13))
+    columns = [
+        shapes.convex(corners, place) for corners in terrain_columns(heights, (2.0, 2.0), tolerance=0.0, depth=5.0)
+    ]
+    mesh = trimesh.creation.torus(0.7, 0.25, major_sections=16, minor_sections=8)
+    hulls = [shapes.convex(part, place) for part in torus_sections(mesh, 16, 8)]
+    return {
+        "scan": (scan(points, 0.1, place), boxes),
+        "terrain": (terrain(heights, 2.0, place), columns),
+        "mesh": (Cluster(MeshSolid(mesh, most=1000), place), hulls),
+    }
+
+
+def torus_sections(mesh: Any, major: int, minor: int) -> list[Matrix]:
+    """Corners of the convex pieces between neighbouring sections of a torus."""
+    angle = np.arctan2(mesh.vertices[:, 1], mesh.vertices[:, 0])
+    ring = np.round(angle / (2.0 * np.pi / major)).astype(int) % major
+    parts = [mesh.vertices[(ring == k) | (ring == (k + 1) % major)] for k in range(major)]
+    assert all(len(part) == 2 * minor for part in parts)
+    return parts
+
+
+LINKS = (
+    shapes.box(np.array([0.8, 0.1, 0.1]), HERE),
+    shapes.sphere(0.1, HERE),
+    shapes.capsule(0.05, 0.5, at(0.1, 0.0, 0.0)),
+)
+
+
+@pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
+def test_distance_is_that_of_all_cells(kind: str) -> None:
+    rng = np.random.default_rng(7)
+    cluster, pieces = solids(rng)[kind]
+    signs = [0, 0]
+    for number in range(40):
+        link, place = LINKS[number % 3], random_place(rng, 1.2)
+        least = min(gap(link, place, piece) for piece in pieces)
+        found = distance(cluster, link, place)
+        assert (found > 0.0) == (least > 0.0)
+        signs[found > 0.0] += 1
+        if found > 0.0:
+            assert found == pytest.approx(least, abs=1e-8)
+            assert cluster.measure(link, place, found - 1e-6) is None
+        far = cluster.grid(*BALL).lower(covering_balls(link)[0] @ place.rotation.T + place.translation)
+        bound = float(far.min()) - covering_balls(link)[1]
+        assert bound <= found + 1e-9 or bound <= 0.0
+    assert min(signs) >= 3
+
+
+@pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
+def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
+    rng = np.random.default_rng(8)
+    cluster, _ = solids(rng)[kind]
+    for number in range(30):
+        link, place = LINKS[number % 3], random_place(rng, 1.2)
+        true = distance(cluster, link, place)
+        if true <= 0.0:
+            continue
+        found = cluster.around(link, place, 0.8, ball=BALL, most=16)
+        parts = found.parts if found.rest is None else (*found.parts, found.rest)
+        for part in found.parts:
+            assert gap(link, place, part.piece) == pytest.approx(part.reading.distance, abs=1e-6)
+        # moved and turned by what is covered, the link is no nearer to the cells than to the boxes
+        for _ in range(5):
+            by = pin.SE3(Rotation.from_rotvec(rng.normal(0.0, 0.1, 3)).as_matrix(), rng.normal(0.0, 0.1, 3))
+            moved = place * by
+            least = distance(cluster, link, moved)
+            boxes = min((gap(link, moved, part.piece) for part in parts), default=np.inf)
+            if 0.0 < least < 0.4:
+                assert boxes <= least + 1e-9

@@ -1,0 +1,118 @@
+"""A machine beside thousands of cells: one obstacle, whose distances are those of all cells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from backhoe_planner.machine import Robot, voxel_boxes
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site import (
+    ClearanceScreen,
+    Obstacle,
+    Proximity,
+    build_obstacle,
+    obstacle_from_dict,
+    read_heights,
+    read_points,
+)
+from backhoe_planner.site.cluster_distances import EXACT_WITHIN
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> Obstacle:
+    folder = tmp_path_factory.mktemp("scan")
+    rng = np.random.default_rng(3)
+    heap = rng.normal([2.5, 0.8, 0.0], [0.6, 0.4, 0.3], (150, 3))
+    np.savetxt(folder / "heap.csv", heap, delimiter=",", fmt="%.4f")
+    record = {"name": "heap", "shape": "pointcloud", "file": "heap.csv", "resolution": 0.1, "position": [0, 0, 0.02]}
+    return build_obstacle(obstacle_from_dict(record), folder=folder, clearance=0.05)
+
+
+@pytest.fixture(scope="module")
+def boxes(scan: Obstacle) -> Obstacle:
+    """The same, box by box."""
+    assert scan.cluster is not None
+    points = scan.cluster.solid.near(*scan.cluster.bounds).middle
+    pieces = tuple(
+        shapes.box(size, scan.cluster.placement * pin.SE3(np.eye(3), centre))
+        for centre, size in voxel_boxes(points, 0.1)
+    )
+    return replace(scan, cluster=None, pieces=pieces)
+
+
+def by_link_piece(proximity: Proximity, distances: np.ndarray) -> dict[int, float]:
+    found: dict[int, float] = {}
+    for pair, distance in zip(proximity.pairs, distances.tolist(), strict=True):
+        found[pair.piece] = min(found.get(pair.piece, np.inf), distance)
+    return found
+
+
+def test_distances_and_bounds_are_those_of_all_cells(planar4: Robot, scan: Obstacle, boxes: Obstacle) -> None:
+    one = Proximity(planar4, [scan], self_collision=False)
+    many = Proximity(planar4, [boxes], self_collision=False)
+    assert len(one.pairs) < 10 < 300 < len(many.pairs)
+    rng = np.random.default_rng(4)
+    q = np.array([planar4.random_q(rng) for _ in range(12)])
+    kept = ClearanceScreen(one).keeps(q)
+    met = set()
+    for row, keeps in zip(q, kept.tolist(), strict=True):
+        true = by_link_piece(many, many.distances(row))
+        found = by_link_piece(one, one.distances(row))
+        lower, measured = one.lower_bounds(row, time=0.0, floor=one.clearance + 0.3)
+        near = one.at(row, margin=0.3)
+        for index, pair in enumerate(one.pairs):
+            least = true[pair.piece]
+            exact = one.distance_of(index, row)
+            met.add("inside" if least < 0.0 else "far" if least > EXACT_WITHIN else "near")
+            if least > 0.0:
+                assert exact == pytest.approx(least, abs=1e-8)
+                assert found[pair.piece] == pytest.approx(least, abs=1e-8) or EXACT_WITHIN <= found[pair.piece] <= least
+                assert one.all_at_least(np.array([index]), np.array([least - 1e-6]), row)
+            else:
+                assert exact < 1e-9
+            assert not one.all_at_least(np.array([index]), np.array([least + 1e-6]), row)
+            assert lower[index] == pytest.approx(exact) if measured[index] else lower[index] <= exact + 1e-9
+            assert measured[index] or lower[index] >= one.clearance[index] + 0.3
+            assert (index in near.pair) == (exact - one.clearance[index] <= 0.3)
+        assert keeps == all(true[pair.piece] >= 0.05 for pair in one.pairs)
+        tightest, of_boxes = one.tightest(row), many.tightest(row)
+        assert tightest is not None
+        assert of_boxes is not None
+        if of_boxes.distance > 0.0:
+            assert tightest.distance == pytest.approx(of_boxes.distance, abs=1e-8)
+    assert met == {"inside", "near", "far"}
+
+
+def test_gradient_is_that_of_the_distance(planar4: Robot, scan: Obstacle) -> None:
+    proximity = Proximity(planar4, [scan], self_collision=False)
+    rng, step, checked = np.random.default_rng(5), 1e-6, 0
+    for _ in range(20):
+        q = planar4.random_q(rng)
+        near = proximity.at(q, within=0.4)
+        for row, pair in enumerate(near.pair.tolist()):
+            if near.distance[row] < 0.0:
+                continue
+            for joint, way in enumerate(step * np.eye(planar4.n)):
+                ends = [proximity.distance_of(pair, q + sign * way) for sign in (1.0, -1.0)]
+                slopes = [(ends[0] - near.distance[row]) / step, (near.distance[row] - ends[1]) / step]
+                if abs(slopes[0] - slopes[1]) < 1e-4:  # else another cell is as near
+                    assert near.gradient[row, joint] == pytest.approx(0.5 * sum(slopes), abs=1e-4)
+                    checked += 1
+    assert checked > 20
+
+
+def test_plain_tables_are_read_as_line_by_line(tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    numbers = rng.normal(size=(50, 4))
+    np.savetxt(tmp_path / "a.csv", numbers, delimiter=",", fmt="%.9f")
+    np.savetxt(tmp_path / "a.xyz", numbers, fmt="%.9f")
+    headed = "x,y,z,w\n" + (tmp_path / "a.csv").read_text(encoding="utf-8")
+    (tmp_path / "b.csv").write_text(headed, encoding="utf-8")
+    for name in ("a.csv", "a.xyz", "b.csv"):
+        np.testing.assert_allclose(read_points(tmp_path / name), numbers[:, :3], atol=1e-9)
+    np.testing.assert_allclose(read_heights(tmp_path / "a.csv"), numbers, atol=1e-9)
