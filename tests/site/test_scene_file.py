@@ -324,6 +324,16 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "steep friction": (scene(soil={"friction": 2.0}), ["soil.friction", "less than 1.57"]),
     "unknown objective": (scene(objective="energy"), ["objective", "'work'", "found 'energy'"]),
     "unknown gains": (scene(gains="automatic"), ["gains", "'auto'", "found 'automatic'"]),
+    "goal turned by degrees": (goal(rpy=[0, 90, 0]), ["task.goal.rpy", "[0.0, 90.0, 0.0] looks like degrees"]),
+    "box turned by degrees": (
+        shaped("box", size=[1, 1, 1], rpy=[0, 0, -45]),
+        ["obstacles[0].rpy", "radians, within one turn either way", "looks like degrees"],
+    ),
+    "path turned by degrees": (path(*POINTS, origin={"rpy": [0, 0, 30]}), ["task.path.origin.rpy", "degrees"]),
+    "cab turned by degrees": (
+        scene(zones=[{"name": "c", "kind": "cab", "size": [1, 1, 1], "position": [0, 0, 2], "rpy": [0, 0, 90]}]),
+        ["zones[0].rpy", "looks like degrees"],
+    ),
     "goal and path": (
         scene(task={"goal": {"position": [1, 2, 3]}, "path": {"waypoints": POINTS}}),
         ["task", "exactly one of goal, path"],

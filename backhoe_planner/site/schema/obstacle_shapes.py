@@ -36,6 +36,7 @@ from backhoe_planner.site.schema.quantities import (
     NonNegative,
     Positive,
     Quaternion,
+    RollPitchYaw,
     Vector3,
     direction,
     rotation_matrix,
@@ -93,7 +94,7 @@ class PlacedRecord(ObstacleRecord):
 
     position: Vector3 = (0.0, 0.0, 0.0)
     """Of the shape's centre or, for files, their origin [m]."""
-    rpy: Vector3 | None = None
+    rpy: RollPitchYaw | None = None
     """Roll, pitch, yaw about the fixed axes [rad]."""
     quaternion: Quaternion | None = None
     """[w, x, y, z]."""

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from backhoe_planner.arrays import Matrix
 
@@ -23,6 +23,15 @@ Vector3 = tuple[Finite, Finite, Finite]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
 PitchRange = tuple[Finite, Finite]
 AnyLength = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+
+
+def _radians(rpy: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, rpy)) > 2.0 * math.pi:
+        raise ValueError(f"angles are in radians, within one turn either way; {list(rpy)} looks like degrees")
+    return rpy
+
+
+RollPitchYaw = Annotated[Vector3, AfterValidator(_radians)]
 
 _ROUNDING = 1e-14  # a length this near 1 is 1, so that what was normalised once stays as it is
 _UNIT_WITHIN = 1e-3  # a quaternion is given to three decimals or more; further off it is a mistake
@@ -42,7 +51,7 @@ def unit_quaternion(quaternion: Quaternion | None) -> Quaternion | None:
     return (w, x, y, z)
 
 
-def rotation_matrix(rpy: Vector3 | None, quaternion: Quaternion | None) -> Matrix | None:
+def rotation_matrix(rpy: RollPitchYaw | None, quaternion: Quaternion | None) -> Matrix | None:
     """(3, 3) of `rpy`, roll, pitch and yaw [rad], or of a unit `quaternion` [w, x, y, z]; None where both are None."""
     if quaternion is not None:
         w, x, y, z = quaternion

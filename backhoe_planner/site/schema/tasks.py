@@ -19,6 +19,7 @@ from backhoe_planner.site.schema.quantities import (
     PitchRange,
     Positive,
     Quaternion,
+    RollPitchYaw,
     Vector3,
     rotation_matrix,
     unit_quaternion,
@@ -35,7 +36,7 @@ class Pose(Record):
     """x, y, z of the tip [m], world."""
     pitch: Finite | PitchRange | None = None
     """Angle of the line bucket pin to tip above the horizontal [rad]: a number, or [low, high]."""
-    rpy: Vector3 | None = None
+    rpy: RollPitchYaw | None = None
     """Full orientation as roll, pitch, yaw about the fixed x, y, z axes [rad]."""
     quaternion: Quaternion | None = None
     """Full orientation [w, x, y, z]."""
@@ -130,7 +131,7 @@ class Origin(Record):
 
     position: Vector3 = (0.0, 0.0, 0.0)
     """x, y, z of its origin [m], world."""
-    rpy: Vector3 = (0.0, 0.0, 0.0)
+    rpy: RollPitchYaw = (0.0, 0.0, 0.0)
     """Its roll, pitch, yaw about the fixed x, y, z axes [rad]."""
 
     @model_validator(mode="after")
@@ -212,7 +213,7 @@ def _orientation_kind(pose: Pose) -> str:
 class KeepRotation(Record):
     """An orientation of the tip that is kept, within a cone."""
 
-    rpy: Vector3 | None = None
+    rpy: RollPitchYaw | None = None
     """Roll, pitch, yaw about the fixed x, y, z axes [rad]."""
     quaternion: Quaternion | None = None
     """[w, x, y, z]"""

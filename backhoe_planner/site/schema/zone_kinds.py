@@ -11,7 +11,15 @@ from pydantic import Field, field_validator, model_validator
 from backhoe_planner.files.records import Record
 from backhoe_planner.site.schema.names import Name
 from backhoe_planner.site.schema.obstacle_shapes import Box, HalfSpace
-from backhoe_planner.site.schema.quantities import AnyLength, Finite, Length, NonNegative, Vector3, direction
+from backhoe_planner.site.schema.quantities import (
+    AnyLength,
+    Finite,
+    Length,
+    NonNegative,
+    RollPitchYaw,
+    Vector3,
+    direction,
+)
 
 _ONE_POINT = 1e-6  # m: two points of a wall nearer to each other give it no direction; chosen
 _AT_ORIGIN = 1e-3  # m: a wall nearer to the origin runs through the machine; chosen
@@ -173,7 +181,7 @@ class Cab(_SolidZone):
     """Edge lengths along x, y, z [m]."""
     position: Vector3
     """Of the centre [m]."""
-    rpy: Vector3 | None = None
+    rpy: RollPitchYaw | None = None
     """Roll, pitch, yaw about the fixed axes [rad]."""
 
     def solid(self) -> Box:
