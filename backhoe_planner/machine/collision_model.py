@@ -10,7 +10,7 @@ beforehand; where a posture lies outside of them, r_j is asked for with that pos
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -19,14 +19,14 @@ from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.machine.robot import Robot
 
 
-def geometry_model(robot: Robot, *, inner: bool = False) -> pin.GeometryModel:
+def geometry_model(robot: Robot, *, inner: Collection[int] = ()) -> pin.GeometryModel:
     """A new geometry model that holds `robot.pieces`, in their order, without pairs.
 
-    inner: with `Piece.inner`, where there is one.
+    inner: indices of the pieces of which it holds `Piece.inner`, where there is one.
     """
     model = pin.GeometryModel()
-    for piece in robot.pieces:
-        shape = (piece.piece.inner if inner else None) or piece.piece.shape
+    for index, piece in enumerate(robot.pieces):
+        shape = (piece.piece.inner if index in inner else None) or piece.piece.shape
         model.addGeometryObject(pin.GeometryObject(piece.name, piece.joint, 0, piece.piece.placement, shape))
     return model
 

@@ -30,7 +30,7 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine.collision_model import geometry_model, travel_bounds
 from backhoe_planner.machine.proven_apart import proven_apart
 from backhoe_planner.machine.robot import Robot
@@ -39,9 +39,11 @@ from backhoe_planner.machine.shape.overlap import faces_of, overlap_corners
 
 _BY_CONSTRUCTION = 0.85  # of random postures, by convex pieces; as they are written links then touch in `_THROUGHOUT`
 _POSTURES = (20, 100, 1000, 10_000)  # looked at in turn until it is decided; the last tell a share to within 0.004
+_POSTURES_AS_WRITTEN = _POSTURES[:-1]  # 4 standard deviations of their share are 0.04, less than 0.9 is above 0.85
 _SURE = 4.0  # standard deviations from that share, at which fewer postures decide
 _THROUGHOUT = 0.9  # of the joint's range, or of postures: 0.85, and what 41 places may be off by
 _PLACES = 41  # over a joint's range; 9 deg of a full turn, and between them it is proven
+_IN_TURN = tuple(16 * index % _PLACES for index in range(_PLACES))  # these places, first those far from each other
 _HALVINGS = 8  # of the distance between two places, to prove that a pair does not meet there
 _PIN_OF_CONTACT = 1.5  # times as far from the joint as its links touch, or overlap, anyway: still at the pin
 _PIN_OF_LINK = 0.25  # or this part of the smaller link; it is where an overlap is deepest
@@ -184,12 +186,12 @@ def _reasons_beyond(
 
     Few postures decide where links touch in nearly all of them, or in far fewer than by construction.
     """
-    by_pieces = list(_touch_in_postures(robot, pairs, _BY_CONSTRUCTION, inner=False))
-    reasons = _touch_in_postures(robot, by_pieces, _THROUGHOUT, inner=True)
-    larger = [pair for pair in by_pieces if any(robot.pieces[index].piece.make_inner for index in pair)]
+    by_pieces, _ = _touch_in_postures(robot, pairs, _BY_CONSTRUCTION, inner=False)
+    reasons, touching = _touch_in_postures(robot, list(by_pieces), _THROUGHOUT, inner=True)
     lower, upper = _range(robot, posture)
-    for pair in larger:
-        if pair not in reasons and proven_apart(robot, pair, lower, upper):
+    for pair in by_pieces:
+        larger = any(robot.pieces[index].piece.make_inner for index in pair)
+        if larger and pair not in touching and proven_apart(robot, pair, lower, upper):
             reasons[pair] = False, _AS_WRITTEN
     return reasons
 
@@ -204,18 +206,21 @@ def _range(robot: Robot, posture: tuple[float, ...] | None) -> tuple[Vector, Vec
 
 def _touch_in_postures(
     robot: Robot, pairs: list[tuple[int, int]], by_construction: float, *, inner: bool
-) -> dict[tuple[int, int], tuple[bool, str]]:
-    """Those of some pairs that touch in such a share of random postures or more, and in how many.
+) -> tuple[dict[tuple[int, int], tuple[bool, str]], set[tuple[int, int]]]:
+    """Those of some pairs that touch in such a share of random postures or more, and in how many; who touches at all.
 
     inner: by shapes that are nowhere larger than what is written.
     """
     rng = np.random.default_rng(0)
     reasons: dict[tuple[int, int], tuple[bool, str]] = {}
-    for count in _POSTURES:
+    touching: set[tuple[int, int]] = set()
+    looks = _POSTURES_AS_WRITTEN if inner else _POSTURES
+    for count in looks:
         if not pairs:
             break
         links, pieces = _touches(robot, pairs, [robot.random_q(rng) for _ in range(count)], inner=inner)
-        doubt = _SURE * np.sqrt(by_construction * (1.0 - by_construction) / count) if count < _POSTURES[-1] else 0.0
+        touching.update(pieces)
+        doubt = _SURE * np.sqrt(by_construction * (1.0 - by_construction) / count) if count < looks[-1] else 0.0
         undecided = []
         for pair in pairs:
             share = links[_links(robot, pair)] / count
@@ -225,7 +230,7 @@ def _touch_in_postures(
             elif share > by_construction - doubt:
                 undecided.append(pair)
         pairs = undecided
-    return reasons
+    return reasons, touching
 
 
 def _touches(
@@ -236,7 +241,7 @@ def _touches(
     pieces: Counter[tuple[int, int]] = Counter()
     if inner:
         pairs = [pair for pair in pairs if all(robot.pieces[index].piece.inner is not None for index in pair)]
-    model = geometry_model(robot, inner=inner)
+    model = geometry_model(robot, inner={index for pair in pairs for index in pair} if inner else ())
     for a, b in pairs:
         model.addCollisionPair(pin.CollisionPair(a, b))
     data, geometry = robot.model.createData(), model.createData()
@@ -295,8 +300,9 @@ class _Sweep:
 
     Attributes
     ----------
-    distance: (S, P) signed distances at S places of the joint [m].
-    from_pin: (S, P) where the pieces come nearest: how far from a hinge's axis, or from the origin of a slide [m].
+    distance: (S, P) signed distances at S places of the joint [m]; less, of pairs that stay far apart.
+    from_pin: (S, P) where the pieces touch most deeply: how far from a hinge's axis, or from the origin of a
+        slide [m]; infinite where they do not touch.
     """
 
     def __init__(self, robot: Robot, joint: int, pairs: list[tuple[int, int]], stands_at: float | None) -> None:
@@ -318,17 +324,44 @@ class _Sweep:
         self._places = np.linspace(lower, upper, _PLACES)
         self._placed: list[pin.SE3] = []  # of the joint's outer body in its inner one, at each place
         self._reaches: dict[int, Vector] = {}
+        self._sizes = {index: self._reach(index) for index in {index for pair in pairs for index in pair}}
         self._written: dict[tuple[int, int, float], bool] = {}
-        self.distance: Matrix = np.empty((_PLACES, len(pairs)))
-        self.from_pin: Matrix = np.empty((_PLACES, len(pairs)))
-        for index, place in enumerate(self._places):
+        for place in self._places:
             self._move_to(place)
             self._placed.append(self._data.oMi[joint].actInv(self._data.oMi[joint + 1]))
-            for row in range(len(pairs)):
+        self.distance: Matrix = self._between_balls()
+        self.from_pin: Matrix = np.full((_PLACES, len(pairs)), np.inf)
+        far = self._plainly_apart() & np.all(self.distance > _PLAY, axis=0)
+        for index, place in enumerate(self._places):
+            self._move_to(place)
+            for row in np.flatnonzero(~far).tolist():
                 result = shapes.measure(self._model, self._geometry, row)
-                nearest = 0.5 * (result.getNearestPoint1() + result.getNearestPoint2())
-                self.distance[index, row] = result.min_distance
-                self.from_pin[index, row] = self._from_pin(self._data.oMi[joint + 1].actInv(nearest)[None, :])
+                distance = self.distance[index, row] = result.min_distance
+                if distance <= _TOUCH:
+                    nearest = 0.5 * (result.getNearestPoint1() + result.getNearestPoint2())
+                    self.from_pin[index, row] = self._from_pin(self._data.oMi[joint + 1].actInv(nearest)[None, :])
+        self._apart_throughout = self._plainly_apart()
+
+    def _between_balls(self) -> Matrix:
+        """(S, P) how far balls around the two pieces of each pair are from each other at each place [m]."""
+        pieces = [piece.piece for piece in self._robot.pieces]
+        centres = np.array([piece.hull.mean(axis=0) for piece in pieces])
+        radii = np.array([
+            np.linalg.norm(piece.hull - centre, axis=1).max() + piece.radius
+            for piece, centre in zip(pieces, centres, strict=True)
+        ])  # fmt: skip
+        outer, inner = np.array(self._pairs).T
+        found = [
+            np.linalg.norm(centres[outer] @ T.rotation.T + T.translation - centres[inner], axis=1)
+            for T in self._placed
+        ]  # fmt: skip
+        return np.asarray(np.array(found) - radii[outer] - radii[inner])
+
+    def _plainly_apart(self) -> Flags:
+        """(P,) which pairs cannot meet between any two neighbouring places, by their distances at these alone."""
+        reach = np.diff(self._places)[:, None] * self._travel
+        near = self.distance[:-1] + self.distance[1:] <= reach
+        return np.asarray(~(near.any(axis=0) | (self.distance <= _TOUCH).any(axis=0)))
 
     def _move_to(self, place: float) -> None:
         """Stand with the joint at `place`, and all others in the middle of their ranges."""
@@ -352,8 +385,18 @@ class _Sweep:
         seen = np.any(self.distance[:, rows] <= _TOUCH, axis=1)
         if np.mean(seen) < _THROUGHOUT:
             return False
-        overlap = sum(self._any_within(rows, place, 0.0) for place in range(_PLACES))
-        return overlap >= _THROUGHOUT * _PLACES or all(self._any_within(rows, p, _PLAY) for p in range(_PLACES))
+        overlap, apart = 0, []
+        for place in _IN_TURN:
+            if self._any_within(rows, place, 0.0):
+                overlap += 1
+            else:
+                apart.append(place)
+            if overlap >= _THROUGHOUT * _PLACES:
+                return True
+            if _PLACES - len(apart) < _THROUGHOUT * _PLACES:
+                break
+        unseen = _IN_TURN[overlap + len(apart) :]
+        return all(self._any_within(rows, place, _PLAY) for place in (*apart, *unseen))
 
     def _any_within(self, rows: list[int], place: int, margin: float) -> bool:
         """Whether any of some pairs is within `margin` [m] at a place, as it is written."""
@@ -375,7 +418,7 @@ class _Sweep:
         for row in rows:
             for index in self._pairs[row]:
                 link = self._robot.pieces[index].link
-                sizes[link] = max(sizes[link], self._reach(index))
+                sizes[link] = max(sizes[link], self._sizes[index])
         return min(sizes.values())
 
     def pin_radius(self, rows: list[int], size: float) -> float:
@@ -452,12 +495,16 @@ class _Sweep:
 
     def never_meets(self, row: int) -> bool:
         """Whether it is proven that a pair keeps apart over the joint's whole range."""
+        if self._apart_throughout[row]:
+            return True
         return bool(np.all(self.distance[:, row] > _TOUCH)) and self._keeps_apart_elsewhere(row)
 
     def never_meets_as_written(self, row: int) -> bool:
         """Whether two pieces that overlap nearly throughout are proven to be larger there than what is written."""
         larger = any(self._robot.pieces[index].piece.make_inner for index in self._pairs[row])
         if not larger or np.mean(self.distance[:, row] <= _TOUCH) < _THROUGHOUT:
+            return False
+        if any(self._any_within([row], place, 0.0) for place in _IN_TURN):
             return False
         ends = np.tile(self._robot.middle, (2, 1))
         ends[:, self._joint] = self._places[[0, -1]]

@@ -84,11 +84,13 @@ def overlap_corners(first: Faces, second: Faces, rotation: Matrix, translation: 
 def _cut(corners: Matrix, edges: Array, planes: Matrix) -> Matrix:
     """(m, 3) the ends of the edges, after what lies outside of the planes is cut off."""
     height = corners @ planes[:, :3].T + planes[:, 3]
+    outside = height > 0.0
+    edges = edges[~np.any(outside[edges[:, 0]] & outside[edges[:, 1]], axis=1)]
     start, end = height[edges[:, 0]], height[edges[:, 1]]
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = start / (start - end)  # the part of the edge at which it goes through each plane
     enters = np.where((start > 0.0) & (end <= 0.0), crossing, 0.0).max(axis=1)
     leaves = np.where((start <= 0.0) & (end > 0.0), crossing, 1.0).min(axis=1)
-    inside = ~np.any((start > 0.0) & (end > 0.0), axis=1) & (enters <= leaves)
+    inside = enters <= leaves
     a, b = corners[edges[inside, 0]], corners[edges[inside, 1]]
     return np.vstack((a + enters[inside, None] * (b - a), a + leaves[inside, None] * (b - a)))
