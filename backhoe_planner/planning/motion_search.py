@@ -20,7 +20,7 @@ from backhoe_planner.planning.descent.descent import Descent, Timed
 from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.search.blending import blend
-from backhoe_planner.planning.search.effort import OutOfTime
+from backhoe_planner.planning.search.effort import OutOfTime, Work
 from backhoe_planner.planning.search.sampled_check import SampledCheck
 from backhoe_planner.planning.search.sampling import sample_path
 from backhoe_planner.planning.search.shortening import shorten
@@ -45,6 +45,7 @@ _TRIED = 4  # rounds after which a descent is judged
 _LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
 _FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
 _DEARER = 1.3  # times the best cost: hopeless then
+_LOOKS_FOR_ONE = 3  # motions looked at for one of `Effort.motions`, which are proven elsewhere; a look takes a tenth
 _MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
 # times the bound, from which on there is more patience, and by which factor; chosen
@@ -108,6 +109,9 @@ class MotionSearch:
             SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake)
         )
         self._bound = 0.0  # no motion is shorter [s]
+        work = world.work
+        more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
+        self._sampling = Work(replace(work.effort, **more), work.brake)
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
         self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
@@ -219,7 +223,7 @@ class MotionSearch:
                 if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
                     curve = JointCurve.fitted(way.motion, work.effort.pieces, self._problem.limits)
                     self._descend(curve, way.motion.duration, way.goal, "sampled")
-            if self.best is None and (work.motions <= 0 or number >= len(_SPARES)):
+            if self.best is None and (self._sampling.motions <= 0 or number >= len(_SPARES)):
                 return
             gained = self.best is not None and self.best.cost < (1.0 - _GAIN) * before
             dull = 0 if gained else dull + (1 if ways else _VAIN)
@@ -258,7 +262,7 @@ class MotionSearch:
             spare=_SPARES[turn % len(_SPARES)], time=self._time, brake=work.brake,
         )  # fmt: skip
         seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
-        before = work.motions
+        before = self._sampling.motions
         most, longest = None, np.inf
         if self.best is not None:
             most = min(_MOTIONS, work.effort.motions_per_search)
@@ -268,13 +272,13 @@ class MotionSearch:
             start,
             goals,
             seed=seed,
-            work=work,
+            work=self._sampling,
             most_motions=most,
             longest=longest,
             straight=self._line is None,
         )
         if path is None:
-            self.looked_at += before - work.motions
+            self.looked_at += before - self._sampling.motions
             return None
         if len(path.q) == 2:
             if self._line is not None and np.array_equal(path.q[-1], self._line):
