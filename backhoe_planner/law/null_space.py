@@ -9,8 +9,8 @@ from the undamped inverse, truncated at the numerical rank.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import eigenpy
 import numpy as np
@@ -23,22 +23,26 @@ _RANK_TOLERANCE = 1e-4  # part of the largest singular value; chosen: smaller on
 _ROUNDING = 1e-10  # part of the scale of a matrix: singular values below are rounding
 
 
-@dataclass(frozen=True)
-class TaskInverse:
+class TaskInverse(NamedTuple):
     """Inverse and null-space projector of a task Jacobian (m, n).
 
     Attributes
     ----------
+    J: (m, n) the Jacobian.
     inverse: (n, m) J^+, damped near a singularity.
     projector: (n, n) N = I - J^+ J with the undamped, truncated J^+; never damped.
-    singular_values: (m,) ascending.
     damping: lambda that was used; 0 away from singularities.
     """
 
+    J: Matrix
     inverse: Matrix
     projector: Matrix
-    singular_values: Vector
     damping: float
+
+    @property
+    def singular_values(self) -> Vector:
+        """(m,) of J, ascending."""
+        return np.asarray(np.sqrt(np.maximum(np.linalg.eigvalsh(self.J @ self.J.T), 0.0)))
 
 
 def pseudo_inverse(J: Matrix, *, scale: float | None = None) -> Matrix:
@@ -62,7 +66,11 @@ def resolve(J: Matrix) -> TaskInverse:
     The damping grows smoothly from 0 as the smallest singular value falls below 0.08
     (Nakamura and Hanafusa 1986; Chiaverini 1997).
     """
-    solver = eigenpy.SelfAdjointEigenSolver(J @ J.T)
+    square = J @ J.T
+    if len(J) == 3 and (inverted := _invert_if_undamped(square.tolist())) is not None:
+        inverse = J.T @ inverted
+        return TaskInverse(J, inverse, _eye(J.shape[1]) - inverse @ J, 0.0)
+    solver = eigenpy.SelfAdjointEigenSolver(square)
     U = solver.eigenvectors()
     s = np.sqrt(np.maximum(solver.eigenvalues(), 0.0))
     smallest = float(s[0])
@@ -74,10 +82,24 @@ def resolve(J: Matrix) -> TaskInverse:
     V = J.T @ scaled  # right singular vectors, so that J^+ = V scaled^T
     projector = _eye(J.shape[1]) - V @ V.T
     if smallest >= _UNDAMPED:
-        return TaskInverse(inverse=V @ scaled.T, projector=projector, singular_values=s, damping=0.0)
+        return TaskInverse(J, V @ scaled.T, projector, 0.0)
     damping = _LARGEST_DAMPING * math.sqrt(1.0 - (smallest / _UNDAMPED) ** 2)
     inverse = J.T @ ((U / (s * s + damping * damping)) @ U.T)
-    return TaskInverse(inverse=inverse, projector=projector, singular_values=s, damping=damping)
+    return TaskInverse(J, inverse, projector, damping)
+
+
+def _invert_if_undamped(square: list[list[float]]) -> Matrix | None:
+    """(3, 3) the inverse of S = J J^T, where J is known not to be damped; None elsewhere.
+
+    The smallest eigenvalue of S is at least det / (trace / 2)^2, see `resolve_on_null_line`.
+    """
+    (a, b, c), (_, d, e), (_, _, f) = square
+    ad_a, ad_b, ad_c = d * f - e * e, c * e - b * f, b * e - c * d  # of the adjugate
+    det = a * ad_a + b * ad_b + c * ad_c
+    if not det > (_UNDAMPED * 0.5 * (a + d + f)) ** 2:
+        return None
+    ad_d, ad_e, ad_f = a * f - c * c, b * c - a * e, a * d - b * b
+    return np.array(((ad_a, ad_b, ad_c), (ad_b, ad_d, ad_e), (ad_c, ad_e, ad_f))) / det
 
 
 def resolve_on_null_line(J: Matrix, xdot: Vector) -> tuple[list[float], list[float]] | None:

@@ -18,7 +18,9 @@ be met costs a price instead of an error, and the missing speed is reported.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from operator import mul
 from typing import NamedTuple
 
 import numpy as np
@@ -77,8 +79,9 @@ class Shield:
         self.limits = check_kind(limits, JointLimits, key="limits")
         self._n = n = len(limits.velocity)
         self._eye = _FREE * np.eye(n)
-        self._per_acceleration = 1.0 / limits.acceleration
-        self._braking_room = 0.5 * limits.velocity**2 / limits.acceleration
+        self._per_acceleration = (1.0 / limits.acceleration).tolist()
+        columns = limits.lower, limits.upper, limits.velocity, limits.acceleration
+        self._joints = list(zip(*(column.tolist() for column in columns), strict=True))
 
     def velocity_bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
         """(n,), (n,) the joint velocities that keep every joint limit, with room to brake.
@@ -96,26 +99,27 @@ class Shield:
         return self._bounds(q, v_before, as_number(dt, key="dt", above=0.0))
 
     def _bounds(self, q: Vector, v_before: Vector, dt: float) -> tuple[Vector, Vector]:
-        limits = self.limits
-        a = limits.acceleration
         lead = 1.5 * dt
-        above, below = limits.upper - q, q - limits.lower
-        # where there is room to brake from full speed, only the speed limit counts
-        room = self._braking_room + lead * limits.velocity
-        upper = limits.velocity if (above > room).all() else np.minimum(limits.velocity, _stoppable(above, a, lead))
-        lower = limits.velocity if (below > room).all() else np.minimum(limits.velocity, _stoppable(below, a, lead))
-        change = a * dt
-        fastest, slowest = v_before + change, v_before - change
-        high = np.minimum(np.maximum(upper, slowest), fastest)
-        low = np.minimum(np.maximum(-lower, slowest), fastest)
-        return low, np.maximum(high, low)
+        lows, highs = [], []
+        # for a handful of joints plain numbers cost a fraction of what arrays would
+        for position, rate, (least, most, velocity, a) in zip(q.tolist(), v_before.tolist(), self._joints, strict=True):
+            above, below = most - position, position - least
+            # where there is room to brake from full speed, only the speed limit counts
+            room = 0.5 * velocity * velocity / a + lead * velocity
+            upper = velocity if above > room else min(velocity, _stoppable(above, a, lead))
+            lower = velocity if below > room else min(velocity, _stoppable(below, a, lead))
+            fastest, slowest = rate + a * dt, rate - a * dt
+            low = min(max(-lower, slowest), fastest)
+            lows.append(low)
+            highs.append(max(min(max(upper, slowest), fastest), low))
+        return np.array(lows), np.array(highs)
 
     def braking_time(self, v: Vector) -> float:
         """Time in which all joints, slowing in proportion, come to rest [s]."""
         return self._braking_time(as_vector(v, self._n, key="v"))
 
     def _braking_time(self, v: Vector) -> float:
-        return float((np.abs(v) * self._per_acceleration).max())
+        return float(max(map(mul, map(abs, v.tolist()), self._per_acceleration)))
 
     def stopping_time(self, v: Vector) -> float:
         """1 / gamma [s]: the margin that a rate of approach needs, divided by that rate."""
@@ -232,12 +236,12 @@ class Shield:
         return Rows("clearance", -nearby.gradient[pairs], bound[pairs]), pairs
 
 
-def _stoppable(gap: Vector, a: Vector, lead: float) -> Vector:
-    """(n,) speed towards a limit from which braking at `a` stops within `gap`.
+def _stoppable(gap: float, a: float, lead: float) -> float:
+    """Speed towards a joint's limit from which braking at `a` stops within `gap`.
 
     For `lead` [s] the joint goes on before braking counts: the step itself and half of
     the next. Negative beyond the limit: the speed of the way back.
     """
-    inside = a * (np.sqrt(lead**2 + 2.0 * np.maximum(gap, 0.0) / a) - lead)
-    back = -np.minimum(-_RECOVERY * gap, _FASTEST_RECOVERY)
-    return np.where(gap >= 0.0, inside, back)
+    if gap < 0.0:
+        return -min(-_RECOVERY * gap, _FASTEST_RECOVERY)
+    return a * (math.sqrt(lead**2 + 2.0 * gap / a) - lead)
