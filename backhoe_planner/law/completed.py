@@ -210,17 +210,7 @@ class CompletedLaw:
             primary = [self._s_e * rate for rate in primary]
         above, below = 0.0, _EPSILON
         if self._s_o > 0.0 and len(nearby.margin):
-            along = (nearby.gradient @ np.array((z, primary)).T).tolist()
-            for margin, drift, (by_z, rate) in zip(nearby.margin.tolist(), nearby.drift.tolist(), along, strict=True):
-                if margin >= self.influence:
-                    continue
-                weight, away = self._s_o * self._activation(margin), -drift
-                if margin < self.unity:
-                    nearest = max(margin, self.unity / _NEAREST_PUSH)
-                    away += self.nominal * max((self.unity / nearest) ** 2 - 1.0, 0.0)
-                below += weight * by_z * by_z
-                if away > rate:
-                    above += weight * by_z * (away - rate)
+            above, below = self._sums_of_rows(nearby, nearby.gradient @ np.array((z, primary)).T)
         if self.directionality:
             for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, self._ranges, strict=True):
                 if abs(rate) < _STANDING:
@@ -235,6 +225,30 @@ class CompletedLaw:
         size = above / below
         null = [size * part for part in z]
         return np.array([rate + part for rate, part in zip(primary, null, strict=True)]), np.array(null)
+
+    def _sums_of_rows(self, nearby: Nearby | CriticalRows, rates: Matrix) -> tuple[float, float]:
+        """Numerator and denominator of H in `wish_on_null_line`, without the holds; rates (K, 2) are g_i z, g_i v_e."""
+        if len(rates) <= _FEW:
+            above, below = 0.0, _EPSILON
+            rows = zip(nearby.margin.tolist(), nearby.drift.tolist(), rates.tolist(), strict=True)
+            for margin, drift, (along, speed) in rows:
+                if margin >= self.influence:
+                    continue
+                weight, away = self._s_o * self._activation(margin), -drift
+                if margin < self.unity:
+                    nearest = max(margin, self.unity / _NEAREST_PUSH)
+                    away += self.nominal * max((self.unity / nearest) ** 2 - 1.0, 0.0)
+                below += weight * along * along
+                if away > speed:
+                    above += weight * along * (away - speed)
+            return above, below
+        by_z, rate = rates.T
+        weighted = self._s_o * activation(nearby.margin, self.unity, self.influence) * by_z
+        missing = self.nominal * push_factor(nearby.margin, self.unity)
+        missing -= nearby.drift
+        missing -= rate
+        np.maximum(missing, 0.0, out=missing)
+        return float(weighted @ missing), _EPSILON + float(weighted @ by_z)
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""

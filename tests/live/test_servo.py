@@ -621,7 +621,7 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
     faster = bent = 0
     for _ in range(500):
         at = kinematics.at(backhoe.random_q(rng))
-        J, xdot, count = at.jacobian[:3], rng.normal(size=3), int(rng.integers(0, 6))
+        J, xdot, count = at.jacobian[:3], rng.normal(size=3), int(rng.integers(0, 25))
         nearby = Nearby(
             pair=np.arange(count), distance=np.zeros(count), margin=rng.uniform(-0.05, 0.4, count),
             normal=np.zeros((count, 3)), point_link=np.zeros((count, 3)), point_obstacle=np.zeros((count, 3)),

@@ -301,18 +301,22 @@ class VelocityFilter:
         chosen = too_close.nonzero()[0]
         if len(chosen) == 0:
             return self._nothing_comes
-        pairs, clearance, drift = near.pairs.take(chosen), clearance.take(chosen), drift.take(chosen)
-        gaps, least = near.gaps.all.take(chosen, axis=0)[:, 0], near.gaps.least.take(chosen)
-        within = np.maximum(least, clearance)
-        within += _AS_NEAR
+        least, nearest = near.gaps.least[:, 0], near.gaps.nearest[:, 0]
         # by the time that is left until the clearance is cut
         room = (least - clearance) / np.maximum(-drift, _SLOW)
-        binding = Candidates(gaps, within, near.gaps.nearest.take(chosen), room, np.arange(len(chosen)))
-        k, corners = binding.all_of(MOST_CANDIDATES) or binding.tightest(MOST_CANDIDATES)
-        G = separation.rows(pairs.take(k), 0, corners, self._at)
+        if len(chosen) > MOST_CANDIDATES:
+            k = chosen[room.take(chosen).argpartition(MOST_CANDIDATES - 1)[:MOST_CANDIDATES]]
+            corners, margin = nearest.take(k), least.take(k)
+        else:
+            gaps = near.gaps.all.take(chosen, axis=0)[:, 0]
+            within = np.maximum(least, clearance).take(chosen)
+            within += _AS_NEAR
+            binding = Candidates(gaps, within, nearest.take(chosen), room.take(chosen), np.arange(len(chosen)))
+            row, corners = binding.all_of(MOST_CANDIDATES) or binding.tightest(MOST_CANDIDATES)
+            k, margin = chosen.take(row), gaps[row, corners]
+        G = separation.rows(near.pairs.take(k), 0, corners, self._at)
         comes = drift.take(k)
         moves = comes < 0.0
-        margin = gaps[k, corners]
         margin -= clearance.take(k)
         margin -= moves * (2.0 * BUFFER)
         authority = 0.5 * np.abs(G) @ self._acceleration
