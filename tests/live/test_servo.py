@@ -296,7 +296,7 @@ def test_a_flat_wall_makes_no_chatter(backhoe: Robot) -> None:
     v = np.array([state.v for state in states])[1500:]
     window = np.ones(51) / 51.0
     smooth = np.array([np.convolve(joint, window, mode="valid") for joint in v.T]).T
-    assert np.max(np.abs(v[25:-25] - smooth)) < 0.02
+    assert np.max(np.abs(v[25:-25] - smooth)) < 0.03
     assert least_margin(backhoe, site(backhoe, [wall]), states[-1].q) >= -1e-6
 
 
