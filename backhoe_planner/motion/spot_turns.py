@@ -42,7 +42,7 @@ def largest_spot_turn(time: Vector, q: Matrix, station: Vector, on: Flags, *, to
     Parameters
     ----------
     time: (T,) of the samples [s]; q: (T, n) joints there [rad or m].
-    station: (T,) how far along the path the tip is [m], not decreasing.
+    station: (T,) how far along the path the tip is [m].
     on: (T,) whether it is on the path there.
     tolerance: of the path [m].
     """
@@ -51,10 +51,10 @@ def largest_spot_turn(time: Vector, q: Matrix, station: Vector, on: Flags, *, to
     if not len(rows):
         return None
     if rows[0] > 0:
-        rows = rows[int(np.searchsorted(station[rows], station[rows[0]] + stands, side="right")) - 1 :]
+        rows = rows[_gets_on(station[rows], stands) - 1 :]
     found: SpotTurn | None = None
     for begin in rows.tolist():
-        end = int(np.searchsorted(station, station[begin] + stands, side="right"))
+        end = begin + _gets_on(station[begin:], stands)
         left = np.flatnonzero(~on[begin:end])
         end = begin + int(left[0]) if len(left) else end
         moved = np.ptp(q[begin:end], axis=0)
@@ -62,3 +62,16 @@ def largest_spot_turn(time: Vector, q: Matrix, station: Vector, on: Flags, *, to
         if moved[joint] > (_LEAST if found is None else found.size):
             found = SpotTurn(joint, float(moved[joint]), float(station[begin]), float(time[begin]))
     return found
+
+
+def _gets_on(station: Vector, stands: float) -> int:
+    """How many of the samples, from the first on, the tip is within `stands` [m] of where it is at the first.
+
+    Also where it goes back along the path, or comes to it from a place that is nearest to a later one.
+    """
+    look = 64  # samples; more where the tip stands for longer
+    while not (away := np.abs(station[:look] - station[0]) > stands).any():
+        if look >= len(station):
+            return len(station)
+        look *= 2
+    return int(np.argmax(away))

@@ -36,6 +36,17 @@ def test_a_plan_at_its_joints_limits_is_bounded_within_2_percent(to_a_posture: b
     assert bound.longer_percent == pytest.approx(100.0 * longer)
 
 
+def test_a_start_on_the_goal_is_not_compared_with_nothing(to_a_posture: bp.Plan) -> None:
+    """Percentages of a time of 0 say nothing."""
+    standing = bp.scene_from_dict(FREE | {"task": {"goal": FREE["start"]}})
+    bound = bp.plan(load_robot("example:planar4"), standing, effort="quick").bound
+    assert bound is not None
+    assert bound.duration < 0.005
+    assert bound.excess == ""
+    assert to_a_posture.bound is not None
+    assert to_a_posture.bound.excess == f"this one takes {to_a_posture.bound.longer_percent:.0f} % longer"
+
+
 def test_the_bound_stands_in_the_plan_file(to_a_posture: bp.Plan, tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
     to_a_posture.save(file)

@@ -259,3 +259,18 @@ def test_a_graph_without_turns_goes_by_steps_alone() -> None:
     short = graph(turns=False, longest=np.array([[1.0], [0.5]]))
     assert short.best_route(begin) is not None
     assert [len(found) for found in short.reached(begin)] == [1, 1]
+
+
+def test_an_approach_from_beside_a_later_part_of_the_path_is_no_turn() -> None:
+    """On its way to the path the tip is nearest to 0.3 m of it, then it begins at 0; going on, it turns by 0.7 rad."""
+    motion = by_hand((0.3, 0.0, 0.0), (0.3, 0.9, 1.0), (0.0, 0.9, 0.1), *((s, q + 0.9, 1.0) for s, q, _ in GO[1:]))
+    motion["on"][:40] = False
+    assert largest_spot_turn(**motion, tolerance=0.005) is None
+    turning = by_hand(
+        (0.3, 0.0, 0.0), (0.3, 0.9, 1.0), (0.0, 0.9, 0.1), (0.5, 0.9, 1.0), (0.5, 1.6, 1.0), (1.0, 1.6, 1.0)
+    )
+    turning["on"][:40] = False
+    turn = largest_spot_turn(**turning, tolerance=0.005)
+    assert turn is not None
+    assert turn.station == pytest.approx(0.5)
+    assert turn.size == pytest.approx(0.7)

@@ -8,6 +8,8 @@ from backhoe_planner.files.records import Figure, Record
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate, least_duration, least_work
 
+_SHORTEST = 0.005  # s: less is printed as 0.00 s, and a percentage of it says nothing
+
 
 class Bound(Record):
     """What no motion from the start of a plan to any of its goals can fall short of.
@@ -25,6 +27,11 @@ class Bound(Record):
     """Whether the duration is as near as it is sought: to 1 % of the time to the posture in which the plan ends."""
     energy: dict[str, Figure] = Field(default_factory=dict)
     """What no motion costs less than, by the objectives for which something is proven, in their units."""
+
+    @property
+    def excess(self) -> str:
+        """How much longer the plan takes, in words; empty where the bound itself rounds to 0."""
+        return f"this one takes {self.longer_percent:.0f} % longer" if self.duration >= _SHORTEST else ""
 
     def least_energy(self, objective: str) -> float | None:
         """What is proven to be needed by the objective of this name [its unit]; None where that is nothing."""

@@ -53,8 +53,8 @@ def _about_duration(plan: Plan) -> str:
     """Whether it is the objective, and how far above the least possible it is."""
     words = ["the objective"] if _minimised(plan) == "time" else []
     if plan.bound is not None:
-        least, longer = plan.bound.duration, plan.bound.longer_percent
-        words.append(f"no motion can take less than {least:.2f} s: this one takes {longer:.0f} % longer")
+        longer = f": {plan.bound.excess}" if plan.bound.excess else ""
+        words.append(f"no motion can take less than {plan.bound.duration:.2f} s{longer}")
     return "; ".join(words)
 
 
