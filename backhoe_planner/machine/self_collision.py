@@ -24,7 +24,6 @@ touch in all postures and not by construction: such a pair counts if it does in 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -32,6 +31,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine.collision_model import geometry_model, travel_bounds
+from backhoe_planner.machine.pairs_cache import LeftOut, SelfPairs, keep_pairs, key_of, read_pairs
 from backhoe_planner.machine.proven_apart import proven_apart
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
@@ -57,37 +57,6 @@ _GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """Two links of which some pieces do not count as a pair that must keep apart.
-
-    Attributes
-    ----------
-    link, other: names of the links, the one further out first.
-    touch: whether they touch by construction; else they cannot meet.
-    why: in words.
-    """
-
-    link: str
-    other: str
-    touch: bool
-    why: str
-
-
-@dataclass(frozen=True)
-class SelfPairs:
-    """The pairs of a machine's own pieces.
-
-    Attributes
-    ----------
-    kept: pairs of indices into `Robot.pieces` that must not touch each other.
-    left_out: why the other pairs of links that move against each other need not be looked at.
-    """
-
-    kept: tuple[tuple[int, int], ...]
-    left_out: tuple[LeftOut, ...]
-
-
 class _Shaped:
     """A machine that equals its copies with the same pieces, ranges and, where it slides, tracking error."""
 
@@ -102,6 +71,19 @@ class _Shaped:
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, _Shaped) and self._key == other._key
+
+
+class _Described:
+    """A machine that equals every other one that is the same in all that its pairs depend on, as one loaded twice."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self.key = robot, key_of(robot)
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Described) and self.key == other.key
 
 
 def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPairs:
@@ -119,7 +101,22 @@ def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPa
 
 @lru_cache(maxsize=8)
 def _pairs_of(shaped: _Shaped, posture: tuple[float, ...] | None) -> SelfPairs:
-    robot = shaped.robot
+    return _pairs_as_described(_Described(shaped.robot), posture)
+
+
+@lru_cache(maxsize=8)
+def _pairs_as_described(machine: _Described, posture: tuple[float, ...] | None) -> SelfPairs:
+    """The same, from the cache folder where meshes make it slow; postures outside of the ranges are too many for it."""
+    if posture is not None or all(solid.cached is None for solid in machine.robot.solids):
+        return _worked_out(machine.robot, posture)
+    pairs = read_pairs(machine.key)
+    if pairs is None:
+        pairs = _worked_out(machine.robot, posture)
+        keep_pairs(machine.key, pairs)
+    return pairs
+
+
+def _worked_out(robot: Robot, posture: tuple[float, ...] | None) -> SelfPairs:
     kept, reasons = _judged(robot, posture)
     if robot.as_described is not robot:
         _, whole = _judged(robot.as_described, None)

@@ -1,9 +1,7 @@
 """Convex pieces of mesh files, kept in the user's cache folder, since dividing a mesh takes seconds.
 
 An entry belongs to the bytes of a mesh file, to its scale and the bounds it was divided with, to
-the code that divides meshes and to the versions of the libraries that it calls. It begins with a
-checksum of all that, and of what follows. An entry that is damaged is made anew; one that cannot
-be written costs time only. The folder may be deleted at any time.
+the code that divides meshes and to the versions of the libraries that it calls.
 """
 
 from __future__ import annotations
@@ -11,8 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
-import os
-import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,14 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.errors import OutputError
-from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.files.cache import caches, keep_entry, read_entry
 from backhoe_planner.machine.shape.convex import cover_with_surface, load_mesh
 
 _WHOLE = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # suffixes of files that hold their mesh in themselves
 _LIBRARIES = ("vhacdx", "trimesh", "pycollada", "scipy", "numpy")
 _MAKERS = ("convex.py", "shapes.py", "thinning.py")  # beside this file
-_CHECKSUM = 32  # bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +42,8 @@ class Cover:
 
 
 def cache_folder() -> Path:
-    """Where the pieces of meshes are kept, whether or not it exists yet.
-
-    ``XDG_CACHE_HOME`` where it is set to an absolute path; else the user's folder of caches on this system.
-    """
-    home, asked = Path.home(), os.environ.get("XDG_CACHE_HOME", "")
-    if Path(asked).is_absolute():
-        above = Path(asked)
-    elif sys.platform == "darwin":
-        above = home / "Library" / "Caches"
-    elif sys.platform == "win32":
-        above = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
-    else:
-        above = home / ".cache"
-    return above / "backhoe_planner" / "convex_pieces"
+    """Where the pieces of meshes are kept, whether or not it exists yet."""
+    return caches() / "convex_pieces"
 
 
 def mesh_cover(path: Path, scale: float | Vector, *, pieces: int = 16, excess: float = 1.08) -> Cover:
@@ -113,12 +95,8 @@ def _maker() -> bytes:
 
 def _read(entry: Path, key: bytes) -> tuple[list[Matrix], list[Matrix | None]] | None:
     """The pieces of an entry with their surfaces; None where there is none, or a damaged one."""
-    try:
-        content = entry.read_bytes()
-    except OSError:
-        return None
-    body = content[_CHECKSUM:]
-    if content[:_CHECKSUM] != hashlib.sha256(key + body).digest():
+    body = read_entry(entry, key)
+    if body is None:
         return None
     stream = io.BytesIO(body)
     ends, corners, surface_ends, triangles, is_mesh = (np.load(stream, allow_pickle=False) for _ in range(5))
@@ -127,15 +105,10 @@ def _read(entry: Path, key: bytes) -> tuple[list[Matrix], list[Matrix | None]] |
 
 
 def _keep(entry: Path, key: bytes, cover: Cover) -> None:
-    """Write an entry, whole or not at all: another process may write the same one now."""
     stream = io.BytesIO()
     surfaces = [np.zeros((0, 3, 3)) if surface is None else surface for surface in cover.surfaces]
     for arrays in (cover.pieces, surfaces):
         np.save(stream, np.cumsum([len(array) for array in arrays])[:-1], allow_pickle=False)
         np.save(stream, np.concatenate(arrays), allow_pickle=False)
     np.save(stream, np.array([surface is None for surface in cover.surfaces]), allow_pickle=False)
-    body = stream.getvalue()
-    with contextlib.suppress(OSError, OutputError):
-        entry.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(entry, "wb") as file:
-            file.write(hashlib.sha256(key + body).digest() + body)
+    keep_entry(entry, key, stream.getvalue())
