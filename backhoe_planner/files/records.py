@@ -154,14 +154,28 @@ def describe(detail: Any) -> str:
     brief = f"; found {found!r}" if len(str(found)) < _BRIEF else ""
     if kind == "too_long":
         return f"has {detail['ctx']['actual_length']} entries, allowed: at most {detail['ctx']['max_length']}{brief}"
+    if kind == "too_short":
+        return f"has {detail['ctx']['actual_length']} entries, allowed: at least {detail['ctx']['min_length']}{brief}"
     shown = brief if isinstance(found, (Mapping, list)) else f"; found {found!r}"
     if kind == "literal_error":
-        return f"is not one of the allowed values{shown}; allowed: {detail['ctx']['expected']}"
+        return _not_a_choice(str(found), shown, detail["ctx"]["expected"])
+    if kind in ("model_type", "dict_type", "tuple_type") and found is None:
+        return f"has no value; give {'a list' if kind == 'tuple_type' else 'keys and values'}, or leave the key out"
     if kind in ("model_type", "dict_type"):
-        return f"does not hold keys and values{shown}"
+        return f"does not hold keys and values{shown}; allowed: {{key: value, ...}}"
     if kind == "tuple_type":
-        return f"is not a list{shown}"
+        return f"is not a list{shown}; allowed: [...]"
+    if kind in ("bool_type", "bool_parsing"):
+        return f"is not true or false{shown}"
     return f"{detail['msg'][0].lower()}{detail['msg'][1:]}{shown}"
+
+
+def _not_a_choice(found: str, shown: str, expected: str) -> str:
+    """The message for a value that is none of those `expected`, as pydantic lists them: 'work', 'time' or ..."""
+    near = nearest_name(found, expected.replace(" or ", ", ").replace("'", "").split(", "))
+    return f"is not one of the allowed values{shown}; allowed: {expected}" + (
+        f" (did you mean {near!r}?)" if near else ""
+    )
 
 
 def _wrong_tag(detail: Any, variants: Mapping[str, type[BaseModel]]) -> str:
@@ -196,11 +210,15 @@ def _variants(root: type[BaseModel]) -> dict[str, type[BaseModel]]:
 
 
 def _of_one_kind(details: list[Any]) -> list[Any]:
-    """Of the complaints about a value that may be a number or a list, those for what it is."""
+    """Of the complaints about a value that may be a number or a list or mapping, those for what it is."""
 
     def misses(detail: Any) -> bool:
-        is_list = isinstance(detail.get("input"), (list, tuple))
-        return bool(detail["type"] == ("float_type" if is_list else "tuple_type"))
+        is_number_for_more = detail["type"] in ("tuple_type", "dict_type")
+        return bool(
+            detail["type"] == "float_type"
+            if isinstance(detail.get("input"), (list, tuple, Mapping))
+            else is_number_for_more
+        )
 
     def is_answered(detail: Any) -> bool:
         """Whether the other member of the union, which stands last in the place, has a complaint too."""

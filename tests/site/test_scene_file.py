@@ -323,6 +323,19 @@ BAD: dict[str, tuple[Data, list[str]]] = {
     "no acceleration": (scene(limits={"acceleration": {"boom": 0}}), ["limits.acceleration.boom", "greater than 0"]),
     "steep friction": (scene(soil={"friction": 2.0}), ["soil.friction", "less than 1.57"]),
     "unknown objective": (scene(objective="energy"), ["objective", "'work'", "found 'energy'"]),
+    "misspelt objective": (scene(objective="tim"), ["objective", "found 'tim'", "did you mean 'time'?"]),
+    "list without entries": (obstacle(links=[]), ["obstacles[0].links: has 0 entries, allowed: at least 1"]),
+    "key without a list": (scene(obstacles=None), ["obstacles: has no value; give a list, or leave the key out"]),
+    "key without keys": (
+        scene(limits={"velocity": None}),
+        ["limits.velocity: has no value; give keys and values, or leave the key out"],
+    ),
+    "number for one by joint": (scene(limits={"velocity": 0.5}), ["limits.velocity", "found 0.5", "{key: value, ...}"]),
+    "perhaps": (path(*POINTS, turn_on_the_spot="maybe"), ["turn_on_the_spot: is not true or false; found 'maybe'"]),
+    "no step at all": (
+        path(*POINTS, max_joint_step=0),
+        ["site/trench.yaml: task.path.max_joint_step: input should be greater than 0; found 0"],
+    ),
     "unknown gains": (scene(gains="automatic"), ["gains", "'auto'", "found 'automatic'"]),
     "goal turned by degrees": (goal(rpy=[0, 90, 0]), ["task.goal.rpy", "[0.0, 90.0, 0.0] looks like degrees"]),
     "box turned by degrees": (
