@@ -44,6 +44,7 @@ from .robot import load_robot as load_robot
 from .self_collision import held_overlaps as held_overlaps
 from .self_collision import self_pairs as self_pairs
 from .shape.cluster import Cluster as Cluster
+from .shape.cluster import Distances as Distances
 from .shape.cluster import Part as Part
 from .shape.convex import convex_cover as convex_cover
 from .shape.convex import is_nearly_convex as is_nearly_convex

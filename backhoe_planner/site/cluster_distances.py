@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Vector
-from backhoe_planner.machine import Reading, Robot, reach_ball
+from backhoe_planner.machine import Distances, Reading, Robot, reach_ball
 from backhoe_planner.site.link_balls import LinkBalls
 from backhoe_planner.site.obstacles import Obstacle
 
@@ -34,7 +34,11 @@ class ClusterDistances:
         ]
         self.owner, self.piece = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         self._reach = reach_ball(robot)
-        self._balls = LinkBalls(robot) if pairs else None
+        pieces, self._column = np.unique(self.piece, return_inverse=True)
+        self._balls = LinkBalls(robot, pieces.tolist()) if pairs else None
+        self._rows = [(index, np.flatnonzero(self.owner == index)) for index in np.unique(self.owner).tolist()]
+        self._moving = {index for index, _ in self._rows if obstacles[index].moves}
+        self._grids: dict[int, Distances] = {}
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -53,12 +57,9 @@ class ClusterDistances:
         centres: (..., S, 3) of the balls that cover the links, see `LinkBalls` [m], world.
         """
         assert self._balls is not None
-        for index in np.unique(self.owner).tolist():
-            rows = np.flatnonzero(self.owner == index)
-            cluster = self._obstacles[index].cluster
-            assert cluster is not None
-            away = cluster.grid(*self._reach).lower(centres, self._shift(index, time))
-            bounds = self._balls.least_of_pieces(away)[..., self.piece[rows]]
+        for index, rows in self._rows:
+            away = self._grid(index).lower(centres, self._shift(index, time))
+            bounds = self._balls.least_of_pieces(away)[..., self._column[rows]]
             # where a ball may touch it, nothing is known of how deep the piece is inside
             yield rows, np.where(bounds > 0.0, bounds, -np.inf)
 
@@ -92,5 +93,14 @@ class ClusterDistances:
 
     def _shift(self, index: int, time: float) -> Vector | None:
         """(3,) how far an obstacle has moved [m]; None where it has not."""
+        if index not in self._moving:
+            return None
         obstacle = self._obstacles[index]
-        return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0)) if obstacle.moves else None
+        return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
+
+    def _grid(self, index: int) -> Distances:
+        if index not in self._grids:
+            cluster = self._obstacles[index].cluster
+            assert cluster is not None
+            self._grids[index] = cluster.grid(*self._reach)
+        return self._grids[index]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
@@ -10,31 +12,32 @@ from backhoe_planner.machine import Robot, covering_balls
 
 
 class LinkBalls:
-    """Balls that cover the pieces of one machine.
+    """S balls that cover some pieces of one machine.
 
-    Attributes
+    Parameters
     ----------
-    radii: (S,) [m].
-    first: (pieces + 1,) where the balls of each piece begin.
+    pieces: rows of the robot's pieces, K of them.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        balls = [covering_balls(piece.piece) for piece in robot.pieces]
-        self.first = np.cumsum([0, *(len(centres) for centres, _ in balls)])
-        self._centres = np.vstack([np.zeros((0, 3)), *(centres for centres, _ in balls)])
-        self.radii = np.concatenate([np.zeros(0), *(np.full(len(centres), radius) for centres, radius in balls)])
-        self._joint = np.repeat(np.array([piece.joint for piece in robot.pieces], dtype=int), np.diff(self.first))
-        self._joints = np.unique(self._joint)
-        self._rows = [np.flatnonzero(self._joint == joint) for joint in self._joints]
+    def __init__(self, robot: Robot, pieces: Sequence[int]) -> None:
+        balls = [covering_balls(robot.pieces[row].piece) for row in pieces]
+        counts = [len(centres) for centres, _ in balls]
+        self._first = np.cumsum([0, *counts[:-1]])
+        self._radii = np.repeat([radius for _, radius in balls], counts)
+        joints = np.repeat([robot.pieces[row].joint for row in pieces], counts)
+        centres = np.vstack([centres for centres, _ in balls])
+        self._of_joints = [
+            (joint, rows := np.flatnonzero(joints == joint), centres[rows]) for joint in set(joints.tolist())
+        ]
 
     def at(self, data: pin.Data) -> Matrix:
         """(S, 3) centres of all balls [m], world, where the joints of `data` are."""
-        found = np.empty_like(self._centres)
-        for joint, rows in zip(self._joints.tolist(), self._rows, strict=True):
+        found = np.empty((len(self._radii), 3))
+        for joint, rows, centres in self._of_joints:
             place = data.oMi[joint]
-            found[rows] = self._centres[rows] @ place.rotation.T + place.translation
+            found[rows] = centres @ place.rotation.T + place.translation
         return found
 
     def least_of_pieces(self, values: Array) -> Array:
-        """(..., pieces) the least over each piece's balls of `values` (..., S) less their radii [m]."""
-        return np.asarray(np.minimum.reduceat(values - self.radii, self.first[:-1], axis=-1))
+        """(..., K) the least over each piece's balls of `values` (..., S) less their radii [m]."""
+        return np.asarray(np.minimum.reduceat(values - self._radii, self._first, axis=-1))

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, SceneError, check_kind
-from backhoe_planner.machine import Cluster, Robot
+from backhoe_planner.machine import Cluster, Robot, reach_ball
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema import obstacle_shapes
@@ -96,6 +96,9 @@ def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
             built.append(build_obstacle(spec, folder=scene.folder, clearance=scene.clearance, zone=of_zone))
         except InputError as error:
             raise SceneError(str(error), file=scene.file, key=f"{key}.file") from error
+        cluster = built[-1].cluster
+        if cluster is not None:
+            cluster.prepare(*reach_ball(robot))
     return tuple(built)
 
 

@@ -216,3 +216,19 @@ def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
             boxes = min((gap(link, moved, part.piece) for part in parts), default=np.inf)
             if 0.0 < least < 0.4:
                 assert boxes <= least + 1e-9
+
+
+@pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
+def test_bounds_hold_where_the_grid_is_smaller_than_the_solid(kind: str) -> None:
+    rng = np.random.default_rng(9)
+    cluster, _ = solids(rng)[kind]
+    known = 0
+    for radius in (0.4, 3.0):
+        grid = cluster.grid(np.array([0.3, 0.2, 0.4]), radius)
+        for _ in range(60):
+            place = random_place(rng, 3.0)
+            bound = float(grid.lower(place.translation[None])[0])
+            true = distance(cluster, ball(0.01), place) + 0.01
+            assert bound <= max(true, 0.0) + 1e-9
+            known += bound > 0.5 * true > 0.0
+    assert known > 20

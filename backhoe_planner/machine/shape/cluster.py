@@ -42,6 +42,7 @@ class Cluster:
     def __init__(self, solid: Solid, placement: pin.SE3) -> None:
         self.solid, self.placement = solid, placement
         self._R, self._t = np.array(placement.rotation), np.array(placement.translation)
+        self._is_upright = bool((np.eye(3) == self._R).all())
         self._grids: dict[bytes, DistanceGrid] = {}
         self._coarser: dict[bytes, CoarseCells] = {}
 
@@ -68,12 +69,19 @@ class Cluster:
         low = np.maximum(middle - radius, self.solid.bounds[0] - _AROUND)
         high = np.minimum(middle + radius, self.solid.bounds[1] + _AROUND)
         if (high <= low).any():
-            return Distances(self._R, self._t, None, self.solid.bounds)
+            return Distances(self._R, self._t, None, self.solid.bounds, self._is_upright)
         key = np.round(np.concatenate((low, high)), 6).tobytes()
         if key not in self._grids:
             frame = GridFrame(low, high, least_step=self.solid.finest)
             self._grids[key] = DistanceGrid(frame, self.solid.taken(frame), self.solid.bounds)
-        return Distances(self._R, self._t, self._grids[key], self.solid.bounds)
+        return Distances(self._R, self._t, self._grids[key], self.solid.bounds, self._is_upright)
+
+    def prepare(self, centre: Vector, radius: float) -> None:
+        """Build what answers questions within `radius` [m] of `centre` (3,), world, before the first is asked."""
+        self.grid(centre, radius)
+        away = (centre - self._t) @ self._R
+        if (np.maximum(self.solid.bounds[0] - away, away - self.solid.bounds[1]) < radius).all():
+            self.solid.prepare()
 
     # --- distances -----------------------------------------------------------------------
 
@@ -253,19 +261,22 @@ class Around:
 
 @dataclass(frozen=True)
 class Distances:
-    """Lower bounds of the distance from a cluster that stands at R (3, 3), t (3,) [m]."""
+    """Lower bounds of the distance from a cluster that stands at R (3, 3), t (3,) [m]; upright where R is no turn."""
 
     R: Matrix
     t: Vector
     grid: DistanceGrid | None
     bounds: Matrix
+    is_upright: bool
 
     def lower(self, points: Array, shift: Vector | None = None) -> Array:
         """(...) lower bounds of the distance of points (..., 3), world [m]; 0 where nothing is known.
 
         shift: (3,) how far the cluster has moved [m].
         """
-        own = (points - (self.t if shift is None else self.t + shift)) @ self.R
+        own = points - (self.t if shift is None else self.t + shift)
+        if not self.is_upright:
+            own = own @ self.R
         if self.grid is not None:
             return self.grid.lower(own)
         away = np.maximum(np.maximum(self.bounds[0] - own, own - self.bounds[1]), 0.0)

@@ -7,19 +7,22 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.shape.shapes import Piece
 
-_MOST_BALLS = 8  # that cover one piece; chosen: more are tighter, and take longer
+_SMALL = 0.02  # m, half edge of a part that needs no smaller balls; chosen
+_MOST_BALLS = 24  # that cover one piece; chosen: more are tighter, and take longer
 
 
 def covering_balls(piece: Piece) -> tuple[Matrix, float]:
     """(k, 3) centres and a radius [m]: balls that cover a link's piece, in its body's frame."""
     R, middle, half, radius = _box_around(piece) or (np.eye(3), np.zeros(3), np.zeros(3), 0.0)
-    longest = int(np.argmax(half))
-    rest = float(np.linalg.norm(np.delete(half, longest)))
-    count = int(np.clip(np.ceil(half[longest] / max(rest + radius, 1e-9)), 1, _MOST_BALLS))
-    cell = half.copy()
-    cell[longest] /= count
-    along = (2.0 * np.arange(count) + 1.0) * cell[longest] - half[longest]
-    centres = middle + along[:, None] * R[:, longest]
+    counts, cell = np.ones(3, dtype=int), half.copy()
+    while cell.max() > max(radius, _SMALL):
+        longest = int(np.argmax(cell))
+        if counts.prod() // counts[longest] * (counts[longest] + 1) > _MOST_BALLS:
+            break
+        counts[longest] += 1
+        cell[longest] = half[longest] / counts[longest]
+    places = np.array(list(np.ndindex(*counts.tolist())), dtype=float)
+    centres = middle + ((2.0 * places + 1.0) * cell - half) @ R.T
     return centres, float(np.linalg.norm(cell)) + radius
 
 

@@ -82,24 +82,28 @@ class DistanceGrid:
             found = np.full(counts, np.inf, dtype=np.float32)
         found -= np.float32(np.sqrt(3.0) + 10.0 * _ROUNDING)
         found *= np.float32(step)
-        if (bounds[0] < frame.low).any() or (bounds[1] > frame.high).any():
-            # what lies outside of the grid is no nearer than its border
-            for axis in range(3):
-                cells = np.arange(counts[axis])
-                border = step * np.minimum(cells, counts[axis] - 1 - cells).astype(np.float32)
-                np.minimum(found, border.reshape([-1 if k == axis else 1 for k in range(3)]), out=found)
+        # what lies outside of the grid is no nearer than the side of it that it lies beyond
+        for axis in range(3):
+            cells = np.arange(counts[axis], dtype=np.float32)
+            shape = [-1 if k == axis else 1 for k in range(3)]
+            if bounds[0, axis] < frame.low[axis]:
+                np.minimum(found, (step * cells).reshape(shape), out=found)
+            if bounds[1, axis] > frame.high[axis]:
+                np.minimum(found, (step * cells[::-1]).reshape(shape), out=found)
         np.maximum(found, np.float32(0.0), out=found)
         self._values: NDArray[np.float32] = found.reshape(-1)
         self._strides = np.array([counts[1] * counts[2], counts[2], 1], dtype=np.int64)
-        self._most = counts - 1
+        self._last, self._per_step = counts - 1e-9, 1.0 / step
 
     def lower(self, points: Array) -> Array:
         """(...) lower bound of the distance from points (..., 3) [m]; 0 where nothing is known."""
-        cell = np.floor((points - self.frame.low) / self.frame.step).astype(np.int64)
-        there = np.minimum(np.maximum(cell, 0), self._most)
-        found = self._values[there @ self._strides].astype(float)
-        outside = (there != cell).any(axis=-1)
+        at = (points - self.frame.low) * self._per_step
+        there = np.minimum(np.maximum(at, 0.0), self._last)
+        i = there.astype(np.int32)
+        found = self._values.take(i[..., 0] * self._strides[0] + i[..., 1] * self._strides[1] + i[..., 2]).astype(float)
+        outside = (there != at).any(axis=-1)
         if outside.any():
-            away = np.maximum(np.maximum(self._bounds[0] - points, points - self._bounds[1]), 0.0)
-            found = np.where(outside, np.sqrt((away * away).sum(axis=-1)), found)
+            own = points[outside]
+            away = np.maximum(np.maximum(self._bounds[0] - own, own - self._bounds[1]), 0.0)
+            found[outside] = np.sqrt((away * away).sum(axis=-1))
         return np.asarray(found)

@@ -64,6 +64,10 @@ class MeshSolid:
     def _tiles(self) -> Tiles:
         return Tiles(self._corners.min(axis=1), self._corners.max(axis=1), _TILE * self.finest)
 
+    def prepare(self) -> None:
+        """Build its tree."""
+        self._tree  # noqa: B018
+
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
         taken = self._taken_by_surface(frame)

@@ -67,6 +67,9 @@ class Solid(Protocol):
     def __len__(self) -> int:
         """How many cells it has."""
 
+    def prepare(self) -> None:
+        """Build what it is measured with."""
+
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
 

@@ -56,10 +56,14 @@ class TerrainSolid:
         self._floor = float(heights.min()) - depth
         self.bounds = np.array([[*self._low, self._floor], [*-self._low, float(heights.max())]])
         self.finest = float(self._cell.min())
+        self._tile_low, self._tile_high = self._tile_bounds()
         self._trees: dict[tuple[int, int], Tree] = {}
 
     def __len__(self) -> int:
         return (len(self._y) - 1) * (len(self._x) - 1)
+
+    def prepare(self) -> None:
+        """Nothing: trees of its tiles are built when something comes near."""
 
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
@@ -84,27 +88,34 @@ class TerrainSolid:
 
         Below the surface, where nothing touches it, it is how far away the surface is.
         """
-        found = self._from_surface(link, reach)
+        low, high = link.box(0.0)
+        found = self._from_surface(link, low, high, reach)
         if found is not None and found.distance <= 0.0:
             return found
-        if not self._is_inside(link.hull.mean(axis=0)):
+        if low[2] > self.bounds[1, 2] or not self._is_inside(link.hull.mean(axis=0)):
             return found
         reach = max(reach, self.finest)
         while found is None:
             reach *= 4.0
-            found = self._from_surface(link, reach)
+            found = self._from_surface(link, low, high, reach)
         return Reading(-found.distance, -found.normal, found.point, found.other_point)
 
-    def _from_surface(self, link: Placed, reach: float) -> Reading | None:
-        """The distance from triangles alone."""
-        low, high = link.box(0.0)
+    def _from_surface(self, link: Placed, low: Vector, high: Vector, reach: float) -> Reading | None:
+        """The distance from triangles alone, of a shape in the box from `low` to `high` (3,) [m]."""
+        if low[2] - self.bounds[1, 2] >= reach:
+            return None
         first, last = self._tiles_in(low[:2] - reach, high[:2] + reach)
-        best = None
-        tiles = [(i, j) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
-        away = [(self._away(tile, low, high), tile) for tile in tiles]
+        tiles = (slice(first[0], last[0] + 1), slice(first[1], last[1] + 1))
+        off = np.maximum(np.maximum(self._tile_low[tiles] - high, low - self._tile_high[tiles]), 0.0)
+        away = np.sqrt((off * off).sum(axis=2))
+        near = [
+            (float(away[i, j]), (i + int(first[0]), j + int(first[1])))
+            for i, j in np.argwhere(away < reach).tolist()
+        ]  # fmt: skip
         if (np.minimum(low - self.bounds[0], self.bounds[1] - high)[:2] < reach).any() or low[2] - self._floor < reach:
-            away.append((0.0, _SKIRT))
-        for distance, tile in sorted(away):
+            near.append((0.0, _SKIRT))
+        best = None
+        for distance, tile in sorted(near):
             if distance >= reach:
                 break
             found = self._tree(tile).measure(link.shape, link.shifted(_NO_SHIFT), reach)
@@ -114,23 +125,27 @@ class TerrainSolid:
 
     def _tiles_in(self, low: Vector, high: Vector) -> tuple[Indices, Indices]:
         """(2,), (2,) the first and the last tile, along x and y, of those in a rectangle [m]."""
-        count = np.array([len(self._x) - 2, len(self._y) - 2]) // _TILE
-        first = np.floor((np.maximum(low, self._low) - self._low) / self._cell).astype(int) // _TILE
-        last = np.floor((np.minimum(high, -self._low) - self._low) / self._cell).astype(int) // _TILE
-        return first, np.minimum(last, count)
+        count = np.array(self._tile_low.shape[:2]) - 1
+        tile = _TILE * self._cell
+        first = np.minimum(np.maximum(np.floor((low - self._low) / tile), 0), count + 1)
+        last = np.minimum(np.maximum(np.floor((high - self._low) / tile), -1), count)
+        return first.astype(int), last.astype(int)
+
+    def _tile_bounds(self) -> tuple[Array, Array]:
+        """(i, j, 3), (i, j, 3) lowest and highest corner of the surface in every tile [m]."""
+        counts = [(len(self._x) - 2) // _TILE + 1, (len(self._y) - 2) // _TILE + 1]
+        low, high = np.empty((*counts, 3)), np.empty((*counts, 3))
+        for i, j in np.ndindex(*counts):
+            r0, r1, c0, c1 = self._span((i, j))
+            heights = self._heights[r0 : r1 + 1, c0 : c1 + 1]
+            low[i, j] = self._x[c0], self._y[r0], heights.min()
+            high[i, j] = self._x[c1], self._y[r1], heights.max()
+        return low, high
 
     def _span(self, tile: tuple[int, int]) -> tuple[int, int, int, int]:
         """First and last row, first and last column of a tile's points."""
         c0, r0 = tile[0] * _TILE, tile[1] * _TILE
         return r0, min(r0 + _TILE, len(self._y) - 1), c0, min(c0 + _TILE, len(self._x) - 1)
-
-    def _away(self, tile: tuple[int, int], low: Vector, high: Vector) -> float:
-        """A lower bound of the distance from a box to the surface in a tile [m]."""
-        r0, r1, c0, c1 = self._span(tile)
-        heights = self._heights[r0 : r1 + 1, c0 : c1 + 1]
-        lowest = np.array([self._x[c0], self._y[r0], heights.min()])
-        highest = np.array([self._x[c1], self._y[r1], heights.max()])
-        return float(np.linalg.norm(np.maximum(np.maximum(lowest - high, low - highest), 0.0)))
 
     def _tree(self, tile: tuple[int, int]) -> Tree:
         found = self._trees.pop(tile, None)

@@ -84,6 +84,10 @@ class VoxelSolid:
         low = self._low()
         return Tiles(low, low + self._edge, _TILE * self._edge)
 
+    def prepare(self) -> None:
+        """Build its tree."""
+        self._tree  # noqa: B018
+
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
         low = self._low()
