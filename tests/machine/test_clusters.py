@@ -232,3 +232,17 @@ def test_bounds_hold_where_the_grid_is_smaller_than_the_solid(kind: str) -> None
             assert bound <= max(true, 0.0) + 1e-9
             known += bound > 0.5 * true > 0.0
     assert known > 20
+
+
+@pytest.mark.parametrize("reach", [-0.1, 0.0, 1e-9])
+def test_what_touches_is_found_at_any_reach(reach: float) -> None:
+    flat = terrain(np.zeros((21, 21)), 4.0)
+    scanned = scan(np.array([[x, y, -0.01] for x in (-0.05, 0.05) for y in (-0.05, 0.05)]), 0.1)
+    for height, depth in ((0.2, 0.1), (0.0, 0.3), (-1.0, 0.7)):  # of a ball of 0.3 m
+        found = flat.measure(ball(0.3), at(0.03, 0.03, height), reach)
+        assert found is not None
+        assert found.distance == pytest.approx(-depth, abs=1e-6)
+    assert flat.measure(ball(0.3), at(0.03, 0.03, 0.31), reach) is None
+    touched = scanned.measure(ball(0.3), at(0.03, 0.03, 0.2), reach)
+    assert touched is not None
+    assert touched.distance < 0.0

@@ -16,7 +16,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.machine.shape.cell_set import CellSet
 from backhoe_planner.machine.shape.distance_grid import GridFrame
 from backhoe_planner.machine.shape.solid import Placed
-from backhoe_planner.machine.shape.trees import Reading, Tree, surface_tree
+from backhoe_planner.machine.shape.trees import LEAST_REACH, Reading, Tree, surface_tree
 
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
 _MOST_TREES = 256  # that are kept; chosen: some 330 MB
@@ -88,6 +88,7 @@ class TerrainSolid:
 
         Below the surface, where nothing touches it, it is how far away the surface is.
         """
+        reach = max(reach, LEAST_REACH)
         low, high = link.box(0.0)
         found = self._from_surface(link, low, high, reach)
         if found is not None and found.distance <= 0.0:

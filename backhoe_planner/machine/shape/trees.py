@@ -21,7 +21,7 @@ from backhoe_planner.machine.shape.shapes import in_doubt, prepare
 
 _MOST_CONTACTS = 1_000_000  # cells that a shape touches at once; beyond any tree
 _HERE = coal.Transform3s(np.eye(3), np.zeros(3))
-_LEAST_REACH = 1e-6  # m: so that what touches is found at any reach
+LEAST_REACH = 1e-6  # m: so that what touches is found at any reach
 _DEEPEST = -1e7  # m: no two shapes are this deep inside each other
 
 
@@ -52,7 +52,7 @@ class Tree:
 
         The result is in the frame of the tree, its normal from the shape to the nearest cell.
         """
-        reach = max(reach, _LEAST_REACH)
+        reach = max(reach, LEAST_REACH)
         # not shared: obstacles, and the trees in them, are used by several threads
         request, result = coal.DistanceRequest(), coal.DistanceResult()
         prepare(request)
