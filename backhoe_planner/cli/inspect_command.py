@@ -118,14 +118,23 @@ def _print_self_collision(robot: bp.Robot) -> None:
     pairs = machine.self_pairs(robot)
     kept = {(robot.pieces[outer].link, robot.pieces[inner].link) for outer, inner in pairs.kept}
     touching = {(pair.link, pair.other) for pair in pairs.left_out if pair.touch}
-    reasons: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    reasons: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
     for pair in pairs.left_out:
         if pair.touch or (pair.link, pair.other) not in touching:
             some = " (in part)" if (pair.link, pair.other) in kept else ""
-            reasons[pair.why, pair.link].append(pair.other + some)
+            reasons[pair.why].append((pair.link, pair.other + some))
     OUT.print(f"\nself-collision: {len(kept)} pairs of links must not touch{'; left out are' * bool(reasons)}")
-    for (why, link), others in reasons.items():
-        OUT.print(f"  {link} and {', '.join(others)}: {why}")
+    for why, links in reasons.items():
+        by_link: defaultdict[str, list[str]] = defaultdict(list)
+        by_other: defaultdict[str, list[str]] = defaultdict(list)
+        for link, other in links:
+            by_link[link].append(other)
+            by_other[other].append(link)
+        lines = [f"{link} and {', '.join(others)}" for link, others in by_link.items()]
+        if len(by_other) < len(lines):
+            lines = [f"{', '.join(outer)} and {other}" for other, outer in by_other.items()]
+        for line in lines:
+            OUT.print(f"  {line}: {why}")
 
 
 def _print_dh_table(robot: bp.Robot) -> None:

@@ -48,7 +48,7 @@ _HALVINGS = 8  # of the distance between two places, to prove that a pair does n
 _PIN_OF_CONTACT = 1.5  # times as far from the joint as its links touch, or overlap, anyway: still at the pin
 _PIN_OF_LINK = 0.25  # or this part of the smaller link; it is where an overlap is deepest
 _REACH_OF_LINK = 1.0 / 3.0  # of the smaller link; chosen: up to here such an overlap may reach
-_AS_WRITTEN = "cannot meet as they are written"
+_BUT_OVERLAP = ", though their convex pieces overlap"  # which are larger than what is written
 _STOP = 2  # places at each end of the range: 5 % of it
 _TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each other at 0.2 mm
 _PLAY = 5e-3  # m: two links that are nowhere further apart run past each other, as a wheel in its housing at 4.5 mm
@@ -189,7 +189,7 @@ def _reasons_beyond(
     for pair in by_pieces:
         larger = any(robot.pieces[index].piece.make_inner for index in pair)
         if larger and pair not in touching and proven_apart(robot, pair, lower, upper):
-            reasons[pair] = False, _AS_WRITTEN
+            reasons[pair] = False, f"cannot meet{_BUT_OVERLAP}"
     return reasons
 
 
@@ -223,7 +223,8 @@ def _touch_in_postures(
             share = links[_links(robot, pair)] / count
             if share >= by_construction + doubt:
                 if pieces[pair] >= _SOMETIMES * count:
-                    reasons[pair] = True, f"touch in {share:.0%} of random postures"
+                    how_many = "all" if links[_links(robot, pair)] == count else f"{100.0 * share:.0f} % of"
+                    reasons[pair] = True, f"touch in {how_many} random postures"
             elif share > by_construction - doubt:
                 undecided.append(pair)
         pairs = undecided
@@ -280,7 +281,7 @@ def _reasons_beside(
             ):
                 reasons[pairs[row]] = True, f"touch at {name}"
             elif sweep.never_meets_as_written(row):
-                reasons[pairs[row]] = False, f"{_AS_WRITTEN} over the range of {name}"
+                reasons[pairs[row]] = False, f"cannot meet over the range of {name}{_BUT_OVERLAP}"
             elif own and sweep.grazes_at_the_ends(row, graze):
                 reasons[pairs[row]] = True, f"touch at the stop of {name}"
     return reasons

@@ -314,7 +314,7 @@ def test_a_pair_that_touches_nearly_throughout_as_it_is_written_is_left_out(join
     ("hole", "why"),
     [
         (0.104, "touch at turn"),
-        (0.15, "cannot meet as they are written over the range of turn"),
+        (0.15, "cannot meet over the range of turn, though their convex pieces overlap"),
     ],
 )
 def test_a_wheel_in_a_hole_that_its_hull_closes_is_left_out(hole: float, why: str, tmp_path: Path) -> None:
