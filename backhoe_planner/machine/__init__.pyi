@@ -36,6 +36,8 @@ from .kinematics.kinematics import wrap_angle as wrap_angle
 from .kinematics.target import TargetBatch as TargetBatch
 from .kinematics.target import TipTarget as TipTarget
 from .kinematics.target import movable_rows as movable_rows
+from .kinematics.target import rotation_matrices as rotation_matrices
+from .kinematics.target import rotation_vectors as rotation_vectors
 from .robot import DEFAULT_VELOCITY as DEFAULT_VELOCITY
 from .robot import JointLimits as JointLimits
 from .robot import Robot as Robot

@@ -20,6 +20,7 @@ from .path import TURN_LEVER as TURN_LEVER
 from .path import SmoothWay as SmoothWay
 from .path import TipPath as TipPath
 from .path import step_lengths as step_lengths
+from .path import targets_along as targets_along
 from .problem import Problem as Problem
 from .problem import build_problem as build_problem
 from .problem import hand_set_gains as hand_set_gains

@@ -12,11 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, TipTarget, wrap_angle
-from backhoe_planner.motion.path import TipPath
+from backhoe_planner.machine import BatchKinematics, Robot, TargetBatch, rotation_vectors, wrap_angle
+from backhoe_planner.motion.path import TipPath, targets_along
 
 _RESOLUTION = 1e-3  # rad that a bound may lie above the errors that were measured; chosen, 0.06 degrees
 _FINEST = 1e-5  # rad of L at which a part is not halved again; chosen, so that errors just below what is allowed pass
@@ -91,9 +90,13 @@ class _Measure:
     def whole(self, segments: Indices, angle: Vector) -> _Parts:
         """The parts of `segments` between the path's waypoints."""
         rows: list[tuple[int, float, float, float, float]] = []
+        stations = self._path.stations
         for segment in segments.tolist():
             low, high = self._station[segment : segment + 2].tolist()
-            marks = [mark for mark in self._path.stations.tolist() if min(low, high) < mark < max(low, high)]
+            inside = slice(
+                np.searchsorted(stations, min(low, high), side="right"), np.searchsorted(stations, max(low, high))
+            )
+            marks = stations[inside].tolist()
             begin, here = 0.0, low
             for mark in marks if low < high else marks[::-1]:
                 part = (mark - low) / (high - low)
@@ -105,12 +108,12 @@ class _Measure:
         count, table = len(rows), np.array(rows).reshape(-1, 5)
         segment, begin, end, low, high = (table[:, 0].astype(np.intp), *table[:, 1:].T)
         errors = self._errors(np.tile(segment, 2), np.append(begin, end), np.append(low, high))
-        asked = [_turn(self._path.target(a), self._path.target(b)) for a, b in zip(low, high, strict=True)]
+        asked = _turns(targets_along(self._path, low), targets_along(self._path, high))
         return _Parts(
             segment, begin, end, low, high,
             before=np.where(begin == 0.0, angle[segment], errors[:count]),
             after=np.where(end == 1.0, angle[segment + 1], errors[count:]),
-            turn=(end - begin) * self._turn[segment] + np.array(asked),
+            turn=(end - begin) * self._turn[segment] + asked,
         )  # fmt: skip
 
     def halved(self, parts: _Parts) -> _Parts:
@@ -130,19 +133,17 @@ class _Measure:
         if len(segment) == 0:
             return np.zeros(0)
         q = (1.0 - part)[:, None] * self._q[segment] + part[:, None] * self._q[segment + 1]
-        targets = TargetBatch.of([self._path.target(s) for s in place.tolist()])
+        targets = targets_along(self._path, place)
         return np.asarray(np.linalg.norm(targets.errors(self._kinematics.at(q))[:, 3:], axis=1))
 
 
-def _turn(a: TipTarget, b: TipTarget) -> float:
-    """How far the asked error can change from `a` to `b`, on one leg of a path, by what is asked alone [rad]."""
-    if a.rotation is not None and b.rotation is not None:
-        return float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
-    if a.pitch is None and b.pitch is None:
-        return 0.0
+def _turns(a: TargetBatch, b: TargetBatch) -> Vector:
+    """(P,) how far the asked error can change from each of `a` to `b`, on one leg of a path, by what is asked [rad]."""
     # any pitch is a range of half a turn to either side
-    (low_a, high_a), (low_b, high_b) = (target.pitch or (-np.pi, np.pi) for target in (a, b))
-    wider = 0.5 * abs((high_a - low_a) - (high_b - low_b))
-    if a.pitch is None or b.pitch is None:
-        return wider
-    return wider + abs(wrap_angle(0.5 * (low_a + high_a) - 0.5 * (low_b + high_b)))
+    found = np.abs(np.where(a.has_pitch, a.pitch_half, np.pi) - np.where(b.has_pitch, b.pitch_half, np.pi))
+    found += np.where(a.has_pitch & b.has_pitch, np.abs(wrap_angle(a.pitch_middle - b.pitch_middle)), 0.0)
+    turned = a.has_rotation & b.has_rotation
+    if turned.any():
+        change = np.swapaxes(a.rotation[turned], 1, 2) @ b.rotation[turned]
+        found[turned] = np.linalg.norm(rotation_vectors(change), axis=1)
+    return np.asarray(found)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Flags, Matrix, Vector, as_count, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.machine import Configuration, TipTarget, wrap_angle
+from backhoe_planner.machine import Configuration, TargetBatch, TipTarget, rotation_matrices, wrap_angle
 from backhoe_planner.site import Waypoint
 
 # m per rad: what a turn of the tip counts as. Chosen: a leg keeps its arc length unless it turns by more than 4 rad
@@ -127,6 +128,25 @@ class TipPath:
             if self._targets[index].rotation is not None or self._targets[index].pitch is not None:
                 return self._targets[index]
         return self._target_on(*self._locate(s))
+
+    @cached_property
+    def _legs(self) -> tuple[TargetBatch, Matrix] | None:
+        """The waypoints' targets, and (W - 1, 3) by which rotation vector each leg turns the tip, in the tip's axes.
+
+        None where that does not say all: two waypoints are at one s, or some ask for a pitch and some for more.
+        """
+        rotations = [target.rotation for target in self._targets]
+        pitches = [target.pitch for target in self._targets]
+        if self._has_doubles or (any(r is not None for r in rotations) and any(p is not None for p in pitches)):
+            return None
+        turns = [np.zeros(3) if a is None or b is None else pin.log3(a.T @ b) for a, b in pairwise(rotations)]
+        return TargetBatch.of(self._targets), np.array(turns)
+
+    @cached_property
+    def _pitch_turns(self) -> Vector:
+        """(W - 1,) from the middle of the range at one end of each leg to that at the other [rad]; 0 without."""
+        pitches = [target.pitch for target in self._targets]
+        return np.array([0.0 if a is None or b is None else _pitch_turn(a, b) for a, b in pairwise(pitches)])
 
     def _target_on(self, leg: int, part: float) -> TipTarget:
         """The target of the tip at a `part` 0..1 of a leg."""
@@ -314,6 +334,38 @@ class TipPath:
         middle = 0.5 * sum(before) + part * _pitch_turn(before, after)
         half = 0.5 * ((1.0 - part) * (before[1] - before[0]) + part * (after[1] - after[0]))
         return (middle - half, middle + half)
+
+
+def targets_along(path: TipPath, s: Vector) -> TargetBatch:
+    """The targets of the tip at `s` (K,) [m] of a path, the same as those of `TipPath.target`."""
+    s = np.asarray(s, dtype=float)
+    legs = path._legs
+    if legs is None:
+        return TargetBatch.of([path.target(one) for one in s.tolist()])
+    ends, turns = legs
+    at = np.clip(s, 0.0, path.length)
+    leg = np.clip(np.searchsorted(path.stations, at, side="right") - 1, 0, len(path.stations) - 2)
+    span = path.stations[leg + 1] - path.stations[leg]
+    part = (at - path.stations[leg]) / np.where(span > 0.0, span, 1.0)
+    before, after = ends.take(leg), ends.take(leg + 1)
+    rotation = np.where(before.has_rotation[:, None, None], before.rotation, after.rotation)
+    if turns.any():
+        rotation = rotation @ rotation_matrices(part[:, None] * turns[leg])
+    both = before.has_pitch & after.has_pitch
+    near = np.where(before.has_pitch, before.pitch_half, after.pitch_half)
+    opened = np.where(before.has_pitch, part, 1.0 - part)
+    wider = np.where(both, part * (after.pitch_half - near), opened * np.maximum(np.pi - near, 0.0))
+    middle = np.where(before.has_pitch, before.pitch_middle, after.pitch_middle)
+    asked = both | ((before.has_pitch | after.has_pitch) & (opened < 1.0))
+    return TargetBatch(
+        position=(1.0 - part)[:, None] * path.points[leg] + part[:, None] * path.points[leg + 1],
+        rotation=rotation,
+        has_rotation=before.has_rotation | after.has_rotation,
+        rotation_tolerance=np.zeros(len(s)),
+        pitch_middle=np.where(asked, middle + np.where(both, part * path._pitch_turns[leg], 0.0), 0.0),
+        pitch_half=np.where(asked, near + wider, 0.0),
+        has_pitch=asked,
+    )
 
 
 def _ends_of(legs: Flags) -> NDArray[np.intp]:

@@ -19,7 +19,7 @@ from backhoe_planner.machine import BatchKinematics, Kinematics, TargetBatch, be
 from backhoe_planner.motion.chords import chord_errors
 from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
 from backhoe_planner.motion.orientation import angle_bounds
-from backhoe_planner.motion.path import TURN_LEVER, TipPath
+from backhoe_planner.motion.path import TURN_LEVER, TipPath, targets_along
 from backhoe_planner.motion.spot_turns import SpotTurn, largest_spot_turn
 from backhoe_planner.motion.trajectory import Trajectory
 from backhoe_planner.motion.waypoint_steps import WaypointStep, longest_step
@@ -248,8 +248,8 @@ def _max_speed(
     at = np.diff(moments.segment, prepend=-1) > 0  # the samples
     places = np.zeros((len(at), 3))
     places[at] = tips
-    for row in np.flatnonzero(inside & ~at[:-1]):
-        places[row] = kinematics.at(moments.q[row]).tip_position
+    rows = np.flatnonzero(inside & ~at[:-1])
+    places[rows] = BatchKinematics(kinematics.robot).at(moments.q[rows]).tip_position
     speed = np.where(inside, np.linalg.norm(np.diff(places, axis=0), axis=1) / np.diff(moments.time), 0.0)
     worst = int(np.argmax(speed))
     return float(speed[worst]), float(moments.time[worst])
@@ -286,8 +286,11 @@ def _follow(
     Where the path turns, what is followed is position and orientation together.
     """
     count = len(trajectory)
-    station, error, angle, tips = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros((count, 3))
+    station, error, angle = np.zeros(count), np.zeros(count), np.zeros(count)
     at_begin = np.zeros(count, dtype=bool)
+    batch = BatchKinematics(kinematics.robot).at(trajectory.q)
+    tips = np.ascontiguousarray(batch.tip_position)
+    away = np.linalg.norm(tips - path.points[0], axis=1)
     reached, begun = 0.0, False
     beginning = _beginning(path, tolerance, angle_tolerance)
     slack = _BETTER * min(tolerance, TURN_LEVER * angle_tolerance)
@@ -297,13 +300,13 @@ def _follow(
         if path.turns:
             s, distance, off = path.place(at, low=low, high=high, slack=slack)
             return s, distance, distance <= tolerance and off <= angle_tolerance
-        s, distance = path.nearest(at.tip_position, low=low, high=high)
+        s, distance = path.nearest(tips[row], low=low, high=high)
         return s, distance, distance <= tolerance
 
     for row in range(count):
-        at = kinematics.at(trajectory.q[row])
-        tips[row] = at.tip_position
-        from_begin = float(np.linalg.norm(at.tip_position - path.points[0]))
+        if path.turns:
+            at = kinematics.at(trajectory.q[row])
+        from_begin = float(away[row])
         at_begin[row] = from_begin <= tolerance
         if path.turns:
             at_begin[row] &= path.target(0.0).distances(at)[1] <= angle_tolerance
@@ -321,7 +324,8 @@ def _follow(
             if fits:
                 reached = s
         station[row], error[row] = s, distance
-        angle[row] = path.target(s).distances(at)[1] if path.asks_orientation else 0.0
+    if path.asks_orientation:
+        angle = np.linalg.norm(targets_along(path, station).errors(batch)[:, 3:], axis=1)
     return station, error, angle, tips, at_begin
 
 

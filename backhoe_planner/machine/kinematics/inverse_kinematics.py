@@ -159,13 +159,12 @@ def solve_batch(
     limits = kinematics.robot.limits
     q = np.clip(np.array(guesses, dtype=float), limits.lower, limits.upper)
     reached = np.zeros(len(q), dtype=bool)
-    going = np.arange(len(q))
+    here, going = targets, np.arange(len(q))
     cost_before = np.full(len(q), np.inf)
     stalled = np.zeros(len(q), dtype=int)
     for iteration in range(iterations + 1):
         if not len(going):
             break
-        here = targets.take(going)
         at = kinematics.at(q[going])
         error = here.errors(at)
         cost = np.einsum("bi,bi->b", error, error)
@@ -176,8 +175,9 @@ def solve_batch(
         left = ~arrived & (stalled[going] <= _MOST_STALLED)
         if iteration == iterations or not left.any():
             break
-        going, error = going[left], error[left]
-        J = here.jacobians(at)[left]
+        J = here.jacobians(at)
+        if not left.all():
+            here, going, error, J = here.take(left), going[left], error[left], J[left]
         rows = movable_rows(J).any(axis=0)
         J, error = J[:, rows], error[:, rows]
         step = _limited_step(J, error, q[going], limits.lower, limits.upper)
@@ -189,18 +189,35 @@ def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) 
     """(B, n) damped Newton steps [rad or m], without the joints that would leave a limit at which they stand."""
     cost = np.einsum("bi,bi->b", error, error)
     damping = np.minimum(cost, _MOST_DAMPED_ERROR) * _DAMPING + _LEAST_DAMPING
-    step = np.zeros_like(q)
+    # the searches run along the last axis, in which numpy is quick
+    J, error = np.ascontiguousarray(J.transpose(1, 2, 0)), np.ascontiguousarray(error.T)
+    step = _damped_step(J, error, damping).T
     free = np.ones(q.shape, dtype=bool)
-    todo = np.arange(len(q))
-    for _ in range(q.shape[1]):
-        part = J[todo] * free[todo][:, None, :]
-        square = part @ np.swapaxes(part, 1, 2)
-        square[:, range(J.shape[1]), range(J.shape[1])] += damping[todo, None]
-        step[todo] = np.einsum("bij,bi->bj", part, np.linalg.solve(square, error[todo][..., None])[..., 0])
+    for _ in range(q.shape[1] - 1):
         hit = free & (((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0)))
         todo = np.flatnonzero(hit.any(axis=1))
         if not len(todo):
             break
-        free = free & ~hit
+        free &= ~hit
+        step[todo] = _damped_step(J[:, :, todo] * free[todo].T, error[:, todo], damping[todo]).T
     step = np.where(free, step, 0.0)
     return np.asarray(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
+
+
+def _damped_step(J: Array, error: Array, damping: Array) -> Array:
+    """(n, B) the steps J^T (J J^T + damping I)^-1 error of J (m, n, B), error (m, B) and damping (B,).
+
+    By elimination without pivots, which a positive definite matrix does not need, for all B at once.
+    """
+    count = len(J)
+    square = np.einsum("inb,jnb->ijb", J, J)
+    square[range(count), range(count)] += damping
+    x = error.copy()
+    for row in range(count):
+        below = square[row + 1 :, row] / square[row, row]
+        square[row + 1 :, row + 1 :] -= below[:, None] * square[row, row + 1 :]
+        x[row + 1 :] -= below * x[row]
+    for row in range(count - 1, -1, -1):
+        x[row] /= square[row, row]
+        x[:row] -= square[:row, row] * x[row]
+    return np.asarray(np.einsum("inb,ib->nb", J, x))

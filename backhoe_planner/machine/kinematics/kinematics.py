@@ -156,15 +156,19 @@ class ConfigurationBatch:
 
     def position_jacobian(self) -> Array:
         """(B, 3, n) of the tip's position, in world axes [m/rad]."""
-        arm = self.tip_position[:, None, :] - self.origins
-        turning = np.cross(self.axes, arm)
-        columns = np.where(self.prismatic[None, :, None], self.axes, turning)
-        return np.swapaxes(columns, 1, 2)
+        x, y, z = self.axes.transpose(2, 1, 0)
+        to_x, to_y, to_z = (self.tip_position[:, None, :] - self.origins).transpose(2, 1, 0)
+        columns = np.empty((3, *x.shape))
+        columns[0], columns[1], columns[2] = y * to_z - z * to_y, z * to_x - x * to_z, x * to_y - y * to_x
+        if self.prismatic.any():
+            columns[:, self.prismatic] = self.axes.transpose(2, 1, 0)[:, self.prismatic]
+        return columns.transpose(2, 0, 1)
 
     def rotation_jacobian(self) -> Array:
         """(B, 3, n) of the tip's angular velocity, in world axes [rad/rad]."""
-        columns = np.where(self.prismatic[None, :, None], 0.0, self.axes)
-        return np.swapaxes(columns, 1, 2)
+        columns = np.array(self.axes.transpose(2, 1, 0))
+        columns[:, self.prismatic] = 0.0
+        return columns.transpose(2, 0, 1)
 
     def pitch(self) -> Array:
         """(B,) angle of the line bucket pin to tip above the horizontal [rad]; see `Configuration.pitch`."""
@@ -192,41 +196,45 @@ class BatchKinematics:
         self._factors = []
         for placement, axis in zip(list(model.jointPlacements)[1:], robot.joint_axes, strict=True):
             R, skew = placement.rotation, pin.skew(axis)
-            self._factors.append(np.column_stack((R, R @ skew, R @ skew @ skew, R @ axis, placement.translation)))
+            parts = np.column_stack((R, R @ skew, R @ skew @ skew, R @ axis, placement.translation))
+            self._factors.append(np.ascontiguousarray(parts.T))
         frame = model.frames[robot.tip_frame]
-        self._tip = (frame.placement.rotation.copy(), frame.placement.translation.copy())
+        tip = np.column_stack((frame.placement.rotation, frame.placement.translation))
+        self._tip = np.ascontiguousarray(tip.T)
         self._sense = robot.pitch_sense if robot.has_pitch else 0.0
 
     def at(self, q: Array) -> ConfigurationBatch:
         """The configurations `q` (B, n)."""
         q = np.asarray(q, dtype=float)
-        count = len(q)
-        rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
-        position = np.zeros((count, 3))
-        axes = np.empty((count, self.robot.n, 3))
-        origins = np.empty((count, self.robot.n, 3))
-        rotations = np.empty((count, self.robot.n, 3, 3))
-        sine, versine = np.sin(q), 1.0 - np.cos(q)
+        count, n = len(q), self.robot.n
+        # the configurations run along the last axis, in which numpy is quick; a rotation stands column by column
+        joints = np.ascontiguousarray(q.T)
+        sine, versine = np.sin(joints), 1.0 - np.cos(joints)
+        axes, origins, rotations = np.empty((n, 3, count)), np.empty((n, 3, count)), np.empty((n, 3, 3, count))
+        rotation = np.repeat(np.eye(3)[:, :, None], count, axis=2)
+        position = np.zeros((3, count))
         for joint, factors in enumerate(self._factors):
-            # one product of (3 B, 3) is several times as fast as B of (3, 3)
-            parts = (rotation.reshape(-1, 3) @ factors).reshape(count, 3, 11)
-            position = position + parts[:, :, 10]
-            axes[:, joint] = parts[:, :, 9]
+            parts = (factors @ rotation.reshape(3, -1)).reshape(11, 3, count)
+            axes[joint] = parts[9]
+            rotation = rotations[joint]
             if self.robot.prismatic[joint]:
-                position = position + axes[:, joint] * q[:, joint, None]
-                rotation = parts[:, :, :3]
+                position = position + parts[10] + parts[9] * joints[joint]
+                rotation[:] = parts[:3]
             else:
-                rotation = parts[:, :, :3] + sine[:, joint, None, None] * parts[:, :, 3:6]
-                rotation += versine[:, joint, None, None] * parts[:, :, 6:9]
-            origins[:, joint] = position
-            rotations[:, joint] = rotation
+                position = position + parts[10]
+                np.multiply(sine[joint], parts[3:6], out=rotation)
+                rotation += parts[:3]
+                parts[6:9] *= versine[joint]
+                rotation += parts[6:9]
+            origins[joint] = position
+        tip = (self._tip @ rotation.reshape(3, -1)).reshape(4, 3, count)
         return ConfigurationBatch(
             q=q,
-            tip_position=position + (rotation.reshape(-1, 3) @ self._tip[1]).reshape(count, 3),
-            tip_rotation=(rotation.reshape(-1, 3) @ self._tip[0]).reshape(count, 3, 3),
-            axes=axes,
-            origins=origins,
-            rotations=rotations,
+            tip_position=(position + tip[3]).T,
+            tip_rotation=tip[:3].transpose(2, 1, 0),
+            axes=axes.transpose(2, 0, 1),
+            origins=origins.transpose(2, 0, 1),
+            rotations=rotations.transpose(3, 0, 2, 1),
             prismatic=self.robot.prismatic,
             pitch_sense=self._sense,
             pitch_pin=self.robot.pitch_pin,

@@ -191,7 +191,7 @@ class TargetBatch:
 
     def jacobians(self, at: ConfigurationBatch) -> Array:
         """(B, 7, n) of `errors`: to first order, a step dq reduces an error by jacobian @ dq."""
-        found = np.zeros((len(self), 7, at.q.shape[1]))
+        found = np.zeros((7, at.q.shape[1], len(self))).transpose(2, 0, 1)  # laid out like what fills it
         found[:, :3] = at.position_jacobian()
         if self.has_rotation.any():
             turning = at.rotation_jacobian()
@@ -206,23 +206,37 @@ class TargetBatch:
 
     def _turns_from(self, at: ConfigurationBatch) -> Array:
         """(B, 3) rotation vectors from the tip's orientations to the asked ones, in world axes [rad]."""
-        return rotation_vectors(self.rotation @ np.swapaxes(at.tip_rotation, 1, 2))
+        asked, tip = self.rotation.transpose(1, 2, 0), at.tip_rotation.transpose(1, 2, 0)
+        turn = sum(asked[:, None, k] * tip[None, :, k] for k in range(3))
+        return rotation_vectors(np.asarray(turn).transpose(2, 0, 1))
 
 
 def rotation_vectors(rotation: Array) -> Array:
     """(B, 3) rotation vectors of rotation matrices (B, 3, 3) [rad]."""
     # twice the axis times the sine, from the part that is not symmetric
-    twice = rotation[:, (2, 0, 1), (1, 2, 0)] - rotation[:, (1, 2, 0), (2, 0, 1)]
-    sine = 0.5 * np.sqrt(np.einsum("bi,bi->b", twice, twice))
+    pairs = ((2, 1), (0, 2), (1, 0))
+    twice = np.array([rotation[:, i, j] - rotation[:, j, i] for i, j in pairs])
+    sine = 0.5 * np.sqrt(twice[0] ** 2 + twice[1] ** 2 + twice[2] ** 2)
     cosine = 0.5 * (rotation[:, 0, 0] + rotation[:, 1, 1] + rotation[:, 2, 2] - 1.0)
     ratio = np.where(sine > _NO_SINE, np.arctan2(sine, cosine) / np.maximum(sine, _NO_SINE), 1.0)
-    found = 0.5 * ratio[:, None] * twice
+    found = (0.5 * ratio * twice).T
     half_turn = np.flatnonzero(cosine < _NEAR_HALF_TURN)
     if len(half_turn):  # there the sine says little
         from scipy.spatial.transform import Rotation
 
         found[half_turn] = Rotation.from_matrix(rotation[half_turn]).as_rotvec()
     return np.asarray(found)
+
+
+def rotation_matrices(turns: Matrix) -> Array:
+    """(B, 3, 3) rotation matrices of rotation vectors (B, 3) [rad], by Rodrigues."""
+    angle = np.sqrt(np.einsum("bi,bi->b", turns, turns))
+    x, y, z = (turns / np.maximum(angle, _NO_TURN)[:, None]).T
+    skew = np.zeros((len(turns), 3, 3))
+    skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -z, y, -x
+    skew -= skew.transpose(0, 2, 1)
+    sine, versine = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
+    return np.asarray(np.eye(3) + sine * skew + versine * (skew @ skew))
 
 
 def movable_rows(jacobian: Matrix) -> Flags:

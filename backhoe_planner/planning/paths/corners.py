@@ -12,7 +12,16 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, TipTarget, solve_batch
-from backhoe_planner.motion import SAMPLE_PERIOD, Problem, TipPath, Trajectory, drive_of, step_lengths, time_along
+from backhoe_planner.motion import (
+    SAMPLE_PERIOD,
+    Problem,
+    TipPath,
+    Trajectory,
+    drive_of,
+    step_lengths,
+    targets_along,
+    time_along,
+)
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.proof import path_segment_is_clear
@@ -130,7 +139,7 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
         halfway = 0.5 * (stations[1:] + stations[:-1])
         curve = np.asarray(CubicSpline(along, q, axis=0)(0.5 * (along[1:] + along[:-1])))
         tips, ends = kinematics.at(curve).tip_position, kinematics.at(q).tip_position
-        on = np.linalg.norm(ends - np.array([path(float(s)) for s in stations]), axis=1) < _ON_PATH
+        on = np.linalg.norm(ends - targets_along(path, stations).position, axis=1) < _ON_PATH
         chords = np.diff(ends, axis=0)  # on one leg between two samples on the path
         squares = np.maximum(np.sum(chords * chords, axis=1), 1e-18)
         part = np.sum((tips - ends[:-1]) * chords, axis=1) / squares
@@ -138,7 +147,7 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
         rows = np.flatnonzero((off > allowed) & on[:-1] & on[1:] & (np.diff(stations) > _FINEST))
         if not len(rows):
             break
-        targets = TargetBatch.of([path.target(float(s)) for s in halfway[rows]])
+        targets = targets_along(path, halfway[rows])
         between, reached = solve_batch(kinematics, targets, curve[rows], iterations=12)
         rows, between = rows[reached], between[reached]
         stations, q = np.insert(stations, rows + 1, halfway[rows]), np.insert(q, rows + 1, between, axis=0)

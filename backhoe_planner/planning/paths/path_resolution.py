@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step
+from backhoe_planner.machine import BatchKinematics, solve_batch
+from backhoe_planner.motion import Problem, TipPath, WaypointStep, longest_step, targets_along
 from backhoe_planner.planning.paths.layer_stations import layer_stations, waypoint_stations
 from backhoe_planner.planning.paths.layered_graph import Edge, EdgeKind, LayeredGraph, Route, StepCost, step_ratios
 from backhoe_planner.planning.paths.path_layers import PathLayers
@@ -300,7 +300,7 @@ class PathResolver:
             part = np.linspace(0.0, 1.0, len(between))[:, None]
             stations.append(between)
             guesses.append((1.0 - part) * a + part * b)
-        targets = TargetBatch.of([self._path.target(float(s)) for piece in stations for s in piece])
+        targets = targets_along(self._path, np.concatenate(stations))
         q, reached = solve_batch(self._kinematics, targets, np.vstack(guesses), iterations=12)
         found: list[Stretch | None] = []
         first = 0
@@ -417,7 +417,7 @@ class PathResolver:
         stations, found = [low], [q]
         beyond = None
         for s in np.linspace(low, high, count + 1)[1:].tolist():
-            targets = TargetBatch.of([self._path.target(s)])
+            targets = targets_along(self._path, np.array([s]))
             after, reached = solve_batch(self._kinematics, targets, found[-1][None, :], iterations=12)
             near = float(np.max(np.abs(after[0] - found[-1]))) < _NEAR
             if not reached[0] or not near:

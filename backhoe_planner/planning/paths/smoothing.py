@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, TargetBatch, solve_batch
-from backhoe_planner.motion import Problem, TipPath, step_lengths
+from backhoe_planner.motion import Problem, TipPath, step_lengths, targets_along
 from backhoe_planner.planning.paths.step_bounds import StepBounds
 from backhoe_planner.planning.paths.stretch import Stretch
 from backhoe_planner.planning.search.effort import Brake
@@ -62,7 +62,7 @@ def smooth_stretch(
     if len(q) < 3:
         return stretch
     kinematics = BatchKinematics(problem.robot)
-    targets = TargetBatch.of([path.target(float(s)) for s in stretch.stations])
+    targets = targets_along(path, stretch.stations)
     strict = strict_targets(targets)
     weights = 1.0 / step_lengths(stretch.stations, q, least=_LEAST_STEP)
     held = np.zeros(len(q), dtype=bool)
