@@ -15,16 +15,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import trimesh
+from scipy.spatial import ConvexHull
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.show import plan_page
+from backhoe_planner.site import build_obstacles
+from validation.step_times import time_servo
 
 GROUND = -0.45  # m: mean height of the ground around the machine
 FOLDS = 0.06  # m: amplitude of its waves
 SCAN, TERRAIN, MESH = "scan", "terrain", "rock"
 KINDS = (SCAN, TERRAIN, MESH)
 START = {"swing": 0.0, "boom": 0.7, "stick": -1.2, "bucket": -1.2}
+ROCK = (2.6, -4.2, 0.4)  # m: where the mesh stands
+_NEAR = 0.5  # m beyond a link, within which points are looked at
+_EVERY = 5  # of so many samples of a motion one is checked
 _EXTENT = 15.0  # m to all sides of a scan
 _SIZE = 50.0  # m, edge of a terrain
 _PLAIN: tuple[dict[str, Any], ...] = (
@@ -42,12 +50,25 @@ class Survey:
     folder: Path
     points: Matrix
 
+    def raw_points(self, kinds: Sequence[str]) -> Matrix:
+        """(n, 3) points of the scan, of the terrain's grid and corners of the mesh [m], world."""
+        known: dict[str, Matrix] = {}
+        if SCAN in kinds:
+            known[SCAN] = self.points
+        if TERRAIN in kinds:
+            heights = np.loadtxt(self.folder / "terrain.csv", delimiter=",")
+            x = np.linspace(-_SIZE / 2.0, _SIZE / 2.0, len(heights))
+            known[TERRAIN] = np.column_stack((np.tile(x, len(x)), np.repeat(x, len(x)), heights.ravel()))
+        if MESH in kinds:
+            known[MESH] = np.asarray(trimesh.load(self.folder / "rock.stl").vertices) + ROCK
+        return np.vstack([np.zeros((0, 3)), *known.values()])
+
     def obstacles(self, kinds: Sequence[str] = KINDS, *, resolution: float = 0.05) -> list[dict[str, Any]]:
         """Their entries in a scene."""
         known: dict[str, dict[str, Any]] = {
             SCAN: {"shape": "pointcloud", "file": "scan.ply", "resolution": resolution},
             TERRAIN: {"shape": "heightmap", "file": "terrain.csv", "size": [_SIZE, _SIZE]},
-            MESH: {"shape": "mesh", "file": "rock.stl", "position": [2.6, -4.2, 0.4]},
+            MESH: {"shape": "mesh", "file": "rock.stl", "position": list(ROCK)},
         }
         return [{"name": kind, **known[kind]} for kind in kinds]
 
@@ -119,58 +140,81 @@ def goals(robot: bp.Robot, rng: np.random.Generator) -> Iterator[Vector]:
             yield tip
 
 
-def nearest_point_gap(robot: bp.Robot, q: Vector, points: Matrix) -> float:
-    """Distance from a scan's points to the nearest moving link at q (n,) [m]; 0 where one is inside.
+def least_gap(robot: bp.Robot, motion: Matrix, points: Matrix) -> float:
+    """Distance from raw points to the nearest moving link over postures (T, n) [m], without the package's distances.
 
-    Of links as boxes, balls and hulls by the planes of their faces: for a point outside of a hull, the
-    furthest of the planes it is beyond, which is at most its distance.
+    Links are the hulls of their pieces. A point is at least as far away as it is beyond any plane of their faces.
     """
-    from scipy.spatial import ConvexHull
-
-    placed = bp.Kinematics(robot).at(q)
-    del placed
-    data = robot.model.createData()
-    import pinocchio as pin
-
-    pin.forwardKinematics(robot.model, data, q)
-    least = np.inf
-    for piece in robot.pieces:
-        if piece.joint == 0:
-            continue
-        T = data.oMi[piece.joint]
-        own = (points - T.translation) @ T.rotation
-        hull = piece.piece.hull
-        low, high = hull.min(axis=0) - 0.5, hull.max(axis=0) + 0.5
-        own = own[((own > low) & (own < high)).all(axis=1)]
-        if not len(own):
-            continue
-        if len(hull) < 4:
-            ends = hull[[0, -1]]
-            way = ends[1] - ends[0]
-            part = np.clip((own - ends[0]) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
-            away = np.linalg.norm(own - ends[0] - part[:, None] * way, axis=1) - piece.piece.radius
-        else:
-            planes = ConvexHull(hull).equations
-            away = np.max(own @ planes[:, :3].T + planes[:, 3], axis=1) - piece.piece.radius
-        least = min(least, float(away.min()))
+    data, least = robot.model.createData(), np.inf
+    moving = [piece for piece in robot.pieces if piece.joint > 0]
+    planes = [ConvexHull(piece.piece.hull).equations if len(piece.piece.hull) > 3 else None for piece in moving]
+    for q in motion:
+        pin.forwardKinematics(robot.model, data, q)
+        for piece, faces in zip(moving, planes, strict=True):
+            T, hull, radius = data.oMi[piece.joint], piece.piece.hull, piece.piece.radius
+            own = (points - T.translation) @ T.rotation
+            own = own[((own > hull.min(axis=0) - _NEAR) & (own < hull.max(axis=0) + _NEAR)).all(axis=1)]
+            if not len(own):
+                continue
+            if faces is None:  # a ball or a capsule
+                way = hull[-1] - hull[0]
+                part = np.clip((own - hull[0]) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
+                away = np.linalg.norm(own - hull[0] - part[:, None] * way, axis=1)
+            else:
+                away = np.max(own @ faces[:, :3].T + faces[:, 3], axis=1)
+            least = min(least, float(away.min()) - radius)
     return least
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a site costs: processor time to take it in, to plan and of a servo's step [s], and memory [MB]."""
+    """What a site costs on the processor.
+
+    Attributes
+    ----------
+    intake: to take it in [s].
+    plans: (goals,) to plan to each goal, without taking the site in [s].
+    durations: (goals,) of the plans that are verified, nan of the others [s].
+    steps: (steps,) of the servo [us].
+    memory: the most that the process has had by then [MB].
+    least_gap: of all verified plans from the raw points [m]; infinite where nothing was surveyed.
+    page: of one plan [MB].
+    """
 
     intake: float
-    plan: float
-    step: float
+    plans: Vector
+    durations: Vector
+    steps: Vector
     memory: float
+    least_gap: float
+    page: float
 
 
-def resident() -> float:
-    """The most memory of this process so far [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, count: int, steps: int, seed: int) -> Cost:
+    """The cost of the yard with these kinds of surveys.
 
-
-def processor_time() -> float:
-    """Of this process [s]."""
-    return time.process_time()
+    Parameters
+    ----------
+    count: of goals.
+    steps: of the servo.
+    """
+    raw = survey.raw_points(kinds)
+    places = goals(robot, np.random.default_rng(seed))
+    scenes = [site_scene(survey, next(places), kinds=kinds) for _ in range(count)]
+    begun = time.process_time()
+    build_obstacles(scenes[0], robot)
+    intake = time.process_time() - begun
+    plans, durations, gap, page = [], [], np.inf, 0.0
+    for scene in scenes:
+        begun = time.process_time()
+        plan = bp.plan(robot, scene)
+        plans.append(time.process_time() - begun - intake)
+        durations.append(plan.trajectory.duration if plan.certificate.verified else np.nan)
+        if plan.certificate.verified and len(raw):
+            gap = min(gap, least_gap(robot, plan.trajectory.q[::_EVERY], raw))
+        if plan.certificate.verified and not page:
+            page = len(plan_page(plan)[0]) / 1e6
+    servo = bp.Servo(robot, scenes[0])
+    taken = time_servo(servo, steps, 0, np.random.default_rng(seed)).times["processor"]
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    return Cost(intake, np.array(plans), np.array(durations), taken, memory, gap, page)
