@@ -19,6 +19,7 @@ import pytest
 import yaml
 from waiting import PATIENCE
 
+import backhoe_planner as bp
 from backhoe_planner.cli import main
 from backhoe_planner.planning import describe_quantity
 
@@ -408,6 +409,14 @@ def test_without_a_command_the_help_is_shown_and_no_error(run: Run) -> None:
     assert not said
     assert errors.startswith("Usage: ")
     assert "teleop" in errors
+
+
+def test_the_version_is_told_and_every_command_in_a_whole_sentence(run: Run) -> None:
+    status, out, error = run("--version")
+    assert (status, out.strip(), error) == (0, f"backhoe-planner {bp.__version__}", "")
+    status, out, _ = run("--help")
+    assert status == 0
+    assert "..." not in out.partition("Commands:")[2]
 
 
 def test_help_does_not_wait_for_the_robot_libraries() -> None:

@@ -10,13 +10,13 @@ import contextlib
 import io
 import os
 import sys
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
 import backhoe_planner as bp
 from backhoe_planner.cli import inspect_command, plan_commands, teleop_command
-from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, VERIFIED, print_error
+from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, print_error
 
 app = typer.Typer(
     help="Proven motions for a backhoe, or any redundant arm, along a path among obstacles.",
@@ -25,6 +25,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        OUT.print(f"backhoe-planner {bp.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
 
 for command in (
     plan_commands.plan,

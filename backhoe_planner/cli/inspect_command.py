@@ -28,7 +28,10 @@ def inspect(
     ] = None,
     plot: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the working envelope.")] = None,
 ) -> int:
-    """Show joints, limits, held joints, links, which may touch, Denavit-Hartenberg table, envelope and cylinders."""
+    """Show what a machine is and can do.
+
+    Joints, limits, held joints, links, which may touch, Denavit-Hartenberg table, envelope and cylinders.
+    """
     if plot is not None:
         check_writable(plot)
     robot, limits, warnings = _machine(urdf, None if scene is None else bp.load_scene(scene), tip)

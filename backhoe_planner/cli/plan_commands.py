@@ -120,7 +120,7 @@ def plot(
     file: Annotated[Path, typer.Argument(metavar="FILE", help=".png, .svg or .pdf", show_default=False)],
     urdf: PlanUrdf = None,
 ) -> int:
-    """Plot joints, rates, clearances, power and energy of a plan over time."""
+    """Plot a plan over time: joints, margins, limits, power."""
     return _write(show.plot_plan, plan_file, urdf, file)
 
 

@@ -41,7 +41,10 @@ def teleop(
     ] = Path("teleop.json"),
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
 ) -> int:
-    """Drive the machine live from a page in the browser; the scene's task is not used."""
+    """Drive the machine live from the browser.
+
+    The scene's task is not used.
+    """
     loaded = bp.load_scene(scene)
     robot = site.load_machine(urdf, loaded)
     with show.TeleopStation(

@@ -40,7 +40,7 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)
         facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
-    facts.append(("Duration", f"{plan.trajectory.duration:.1f} s", _about_duration(plan)))
+    facts.append(("Duration", f"{plan.trajectory.duration:.2f} s", _about_duration(plan)))
     facts += _costs(plan)
     if is_recording(plan):
         facts.append(("Recording", "driven by hand", "; ".join(unrecorded_changes(plan))))
