@@ -32,9 +32,11 @@ from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of
 from .timing.drive import limit_usage as limit_usage
 from .timing.time_optimal import Rows as Rows
+from .timing.time_optimal import TimeLaw as TimeLaw
 from .timing.time_optimal import fastest as fastest
 from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE
 from .timing.timing import retime as retime
+from .timing.timing import run_curve as run_curve
 from .timing.timing import time_along as time_along
 from .timing.timing import time_curve as time_curve
 from .timing.timing import time_polyline as time_polyline

@@ -34,6 +34,7 @@ _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
 _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
 _PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
 _ROUNDS = 14  # of a descent at most; chosen, half of them end after 7
+_MORE_ROUNDS = 30  # the same for another cost than the time, which falls for longer; chosen
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
@@ -46,6 +47,7 @@ _LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes whe
 _FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
 _DEARER = 1.3  # times the best cost: hopeless then
 _LOOKS_FOR_ONE = 3  # motions looked at for one of `Effort.motions`, which are proven elsewhere; a look takes a tenth
+_TRIED_LONGER, _MUCH_DEARER = 12, 1.5  # the same two for another cost than the time; chosen
 _MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
 # times the bound, from which on there is more patience, and by which factor; chosen
@@ -315,7 +317,8 @@ class MotionSearch:
 
     def _descend(self, curve: JointCurve, duration: float, goal: Goal, way: str) -> bool:
         """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
-        rounds, box, spare, density = _ROUNDS, _FIRST_BOX, _SPARE, 2
+        rounds = _ROUNDS if self._problem.objective.is_time else _MORE_ROUNDS
+        box, spare, density = _FIRST_BOX, _SPARE, 2
         for _ in range(_PROOFS):
             found = self._bend(
                 curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=self._is_hopeless
@@ -366,7 +369,9 @@ class MotionSearch:
             return True
         if rounds < _TRIED or self.best is None:
             return rounds >= _TRIED and here.missed > 2.0 * _FAR_OFF
-        return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
+        if self._problem.objective.is_time:
+            return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
+        return here.missed > _FAR_OFF or (rounds >= _TRIED_LONGER and here.cost > _MUCH_DEARER * self.best.cost)
 
     def _goes_where_another_ended(self, here: Timed) -> bool:
         """Whether another descent has ended at a curve like this one, and at less cost."""

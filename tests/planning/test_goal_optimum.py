@@ -192,7 +192,7 @@ def test_the_linear_model_says_what_a_small_step_changes(backhoe: bp.Robot, payl
     model.keep_clear(
         find_margins(proximity, None, curve(np.linspace(0, 1, places)), spare=0.0, reach=0.3, time=0.0)[1], places
     )
-    program = model.program(1.0, 20.0)
+    program = model.program(20.0)
     x = np.zeros(len(program.f))
     x[:-2] = 1e-4 * rng.uniform(-1.0, 1.0, len(x) - 2)
     x[-2] = 1e-4

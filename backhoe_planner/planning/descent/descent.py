@@ -1,9 +1,11 @@
 """Descent: a curve is bent, and its end moved on the goal, until its cost falls no more.
 
-Each round linearises cost, limits, clearances and goal about the curve, and takes the step that
-a quadratic program with them all prefers (sequential convex programming, Schulman et al. 2014),
-within a box that grows where a step has lowered the cost and shrinks where not. What a curve
-costs is what its fastest run costs, by `time_curve`; what it misses of its clearances is dear.
+Each round linearises clearances and goal about the curve, and takes the step that a quadratic
+program prefers (sequential convex programming, Schulman et al. 2014), within a box that grows
+where a step has lowered the cost and shrinks where not. For the time the program holds the
+limits, linearised, and the duration. For another cost it holds how the cost of the fastest run
+changes, see `fastest_run` and `bend`. What a curve costs is what its fastest run costs, by
+`run_curve`; what it misses of its clearances is dear.
 """
 
 from __future__ import annotations
@@ -16,8 +18,10 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import solve_program
 from backhoe_planner.machine import JointLimits, Kinematics, movable_rows
-from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory, drive_of, motion_cost, time_curve
+from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, TimeLaw, Trajectory, drive_of, motion_cost, run_curve
+from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.fastest_run import slope_of_cost
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin, find_margins
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import Proximity
@@ -26,8 +30,11 @@ _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits betwe
 _MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
 _MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
+_SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
+_NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
 _GROW, _SHRINK = 1.5, 0.35
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
+_ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for longer; chosen
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
 _KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
 _NEAR = 0.08  # m: margins above are not linearised, however far a step moves a link; chosen, 0.25 takes twice as long
@@ -44,7 +51,7 @@ class Timed:
     ----------
     curve: over s.
     duration: T of the time t = T s in which limits are linearised [s]; that of the motion may be shorter.
-    motion: the fastest along the curve.
+    motion: the fastest along the curve; law: its run over s.
     cost: of the motion, by the problem's objective.
     missed: by how much the clearances with their spare are missed, at most, where it was looked [m]; 0 or more.
     margins: at all places where it was looked.
@@ -53,6 +60,7 @@ class Timed:
     curve: JointCurve
     duration: float
     motion: Trajectory
+    law: TimeLaw
     cost: float
     missed: float
     margins: list[Margin]
@@ -113,29 +121,43 @@ class Descent:
         if here is None:
             return None
         price = _MISSED_WORTH * here.cost
-        # a cost other than the time is linearised about T, but counted of the fastest run: each model fails elsewhere
-        free_time, was_vain = True, self._problem.objective.is_time
+        unit = max(here.cost, _NO_COST)
+        bend = None
+        if not self._problem.objective.is_time:
+            bend = Bend.smooth(self._slope(here, free) / unit, curve.pieces, self._unit, box)
         for number in range(most_rounds):
             if is_hopeless(here, number):
                 break
             self._brake.check()
             self.rounds += 1
             worst = here.cost + price * here.missed
-            there = self._step(here, free, spare, density, box, free_time=free_time, below=worst)
+            there = self._step(here, free, spare, density, box, bend, below=worst)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
-                if was_vain:
-                    box *= _SHRINK
-                    if box < _SMALLEST_BOX:
-                        break
-                if not self._problem.objective.is_time:
-                    free_time, was_vain = free_time == was_vain, not was_vain
+                box *= _SHRINK
+                bend = None if bend is None else bend.stiffer(1.0 / _SHRINK)
+                if box < (_SMALLEST_BOX if bend is None else _SMALLEST_BENT):
+                    break
                 continue
-            was_vain = self._problem.objective.is_time
-            here, box = self._in_its_own_time(there, price, spare, density), min(_GROW * box, _LARGEST_BOX)
-            if gain < _ENOUGH * here.cost and here.missed <= _KEPT:
+            if bend is None:
+                there = self._in_its_own_time(there, price, spare, density)
+            else:
+                bend = bend.after(self._moved(here, there, free), self._slope(there, free) / unit)
+            here, box = there, min(_GROW * box, _LARGEST_BOX)
+            if gain < (_ENOUGH if bend is None else _ENOUGH_BENT) * here.cost and here.missed <= _KEPT:
                 break
         return here
+
+    def _slope(self, here: Timed, goal: Goal | None) -> Vector:
+        """How the cost changes with the control points that may move, one after the other."""
+        slope = slope_of_cost(
+            self._problem, self._drive, here.curve, here.law, PLACES_PER_PIECE * here.curve.pieces + 1
+        )
+        return slope[1 : here.curve.pieces + (goal is not None)].ravel()
+
+    def _moved(self, here: Timed, there: Timed, goal: Goal | None) -> Vector:
+        """The step from one curve to another, as for `_slope`."""
+        return (there.curve.control - here.curve.control)[1 : here.curve.pieces + (goal is not None)].ravel()
 
     def _in_its_own_time(self, here: Timed, price: float, spare: float, density: int) -> Timed:
         """The same curve over the time of its fastest motion, where that is much shorter than T and costs no more."""
@@ -148,19 +170,18 @@ class Descent:
         return there
 
     def _step(
-        self, here: Timed, goal: Goal | None, spare: float, density: int, box: float, *, free_time: bool, below: float
+        self, here: Timed, goal: Goal | None, spare: float, density: int, box: float, bend: Bend | None, *, below: float
     ) -> Timed | None:
-        """The curve after the best small step, of T too where that is free; None where none costs less than `below`."""
+        """The curve after the best small step; None where that does not cost less than `below`."""
         curve = here.curve
         model = LinearModel(self._problem, curve, here.duration, end_moves=goal is not None, box=box * self._unit)
-        model.keep_joint_limits()
-        model.keep_drive_limits(self._drive)
+        if bend is None:  # else the fastest run keeps them, and its cost counts
+            model.keep_joint_limits()
+            model.keep_drive_limits(self._drive)
         model.keep_clear(here.margins, _places(curve, density))
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
-        solution = solve_program(
-            model.program(here.cost, _MISSED_PRICE, free_time=free_time), most_iterations=_ITERATIONS
-        )
+        solution = solve_program(model.program(_MISSED_PRICE, bend=bend), most_iterations=_ITERATIONS)
         if solution is None:
             return None
         control, duration = model.step(solution.x)
@@ -178,13 +199,13 @@ class Descent:
     ) -> Timed | None:
         """The curve with its fastest motion; None where it has none, or where that does not cost less than `below`."""
         grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
-        motion = time_curve(curve, grid, self._problem.limits, drive=self._drive)
-        cost = np.inf if motion is None else motion_cost(self._problem, motion)
-        if motion is None or cost >= below:
+        run = run_curve(curve, grid, self._problem.limits, drive=self._drive)
+        cost = np.inf if run is None else motion_cost(self._problem, run.motion)
+        if run is None or cost >= below:
             return None
         q, keep = curve(np.linspace(0.0, 1.0, _places(curve, density))), self._problem.keep
         least, margins = find_margins(self._proximity, keep, q, spare=spare, reach=_NEAR, time=self._time)
-        return Timed(curve, duration, motion, cost, max(-least, 0.0), margins)
+        return Timed(curve, duration, run.motion, run.law, cost, max(-least, 0.0), margins)
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:
         """(n,) joints near `q` (n,) on a goal; None where Newton's method does not find them."""

@@ -15,17 +15,17 @@ import numpy as np
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.law import Kind, QuadraticProgram, Rows
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
-from backhoe_planner.motion import Drive, Goal, Keep, Problem, cost_rate
+from backhoe_planner.motion import Drive, Goal, Keep, Problem
+from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.site import Proximity
 
 PLACES_PER_PIECE = 3  # at which limits are linearised; chosen, accelerations are linear on a piece
-_NUDGES = (1e-5, 1e-5, 1e-4)  # of q, v and a for the derivatives of loads; chosen between rounding and bend
 _NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step and is left out; chosen
 _CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
 _KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
 _SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for what is to be kept [rad or m]; chosen
-_TIE = 0.02  # price of the duration where the objective is another, as a part of the cost; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,30 +152,27 @@ class LinearModel:
 
     # --- what is to be small -----------------------------------------------------------
 
-    def program(self, cost: float, slack_price: float, *, free_time: bool = True) -> QuadraticProgram:
+    def program(self, slack_price: float, *, bend: Bend | None = None) -> QuadraticProgram:
         """The program whose solution is the best step.
 
         Parameters
         ----------
-        cost: of the curve now, by the problem's objective.
         slack_price: of a missed metre, as a part of the cost.
-        free_time: whether the duration may change.
+        bend: how the cost changes with the control points that may move; None where it is the duration.
         """
-        T, problem = self._T, self._problem
+        T, free_time = self._T, bend is None
         f = np.zeros(self._steps + 2)
-        f[-2], f[-1] = (1.0 if problem.objective.is_time else _TIE) / T, slack_price
-        if not problem.objective.is_time:
-            _, slopes = self._derivatives(lambda q, v, a: cost_rate(problem, q, v, a)[:, None])
-            G, _ = self._of_moments(np.arange(self._places), slopes[:, 0])
-            parts = np.full(self._places, T / (self._places - 1))
-            parts[[0, -1]] *= 0.5
-            f[:-2] = parts @ G / max(cost, 1e-9)
+        f[-2], f[-1] = free_time / T, slack_price
         price = np.concatenate((_KEEP_STILL / (self._box**2 * len(self._moving)), [_KEEP_STILL / T**2, 1e-2]))
+        H = np.diag(price)
+        if bend is not None:
+            f[:-2] = bend.slope
+            H[:-2, :-2] += bend.curvature
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
         lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
         low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T * free_time, 0.0]))
         high = np.concatenate((np.maximum(np.minimum(self._box, upper), 0.0), [2.0 * T * free_time, 1.0]))
-        return QuadraticProgram(np.asarray(np.diag(price)), f, low, high, tuple(self._rows))
+        return QuadraticProgram(np.asarray(H), f, low, high, tuple(self._rows))
 
     def step(self, x: Vector) -> tuple[Matrix, float]:
         """The curve's control points (L + 1, n) and duration after the step `x`."""
@@ -201,13 +198,9 @@ class LinearModel:
         self._rows.append(Rows(name, np.hstack((G, more)), h, kind))
 
     def _derivatives(self, value: Callable[[Matrix, Matrix, Matrix], Matrix]) -> tuple[Matrix, Array]:
-        """(K, U) values at all places, and (K, U, 3 n) their derivatives by q, v and a; one call for all of them."""
-        T, n, K = self._T, self._n, self._places
-        here = np.hstack((self._at[0], self._at[1] / T, self._at[2] / T**2))
-        nudges = np.repeat(_NUDGES, n)
-        moved = np.concatenate((here[None], here[None] + np.diag(nudges)[:, None, :])).reshape(-1, 3 * n)
-        found = value(moved[:, :n], moved[:, n : 2 * n], moved[:, 2 * n :]).reshape(3 * n + 1, K, -1)
-        return found[0], np.asarray(np.moveaxis((found[1:] - found[0]) / nudges[:, None, None], 0, -1))
+        """(K, U) values at all places, and (K, U, 3 n) their derivatives by q, v and a."""
+        q, first, second = self._at
+        return moment_slopes(value, q, first / self._T, second / self._T**2)
 
     def _of_moments(self, place: Indices, slopes: Matrix) -> tuple[Matrix, Vector]:
         """(R, steps), (R,) by steps and duration: values at `place` (R,), derivatives `slopes` (R, 3 n) by q, v, a."""

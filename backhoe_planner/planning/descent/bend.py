@@ -1,0 +1,67 @@
+"""What is known of how the cost of a curve changes with its control points: a slope, and a curvature that is learnt.
+
+The curvature begins as that of the squared second derivative of the curve, so that steps bend
+it smoothly (CHOMP, Zucker et al. 2013), and takes in what every step shows (BFGS, damped after
+Powell 1978).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.planning.descent.curve import basis
+
+_PLACES_PER_PIECE = 3  # at which the second derivative is squared; it is linear on a piece
+_EVEN = 0.02  # curvature of a shift of all control points, as a part of that of the sharpest bend; chosen
+_BOLD = 2.0  # sizes of the box that the first step without conditions is long, about; chosen
+_LEAST_CURVED = 0.2  # part of the curvature that a step must show to be taken as it is (Powell 1978)
+
+
+@dataclass(frozen=True, eq=False)
+class Bend:
+    """The cost of a small step of the control points that may move, as a part of the cost now.
+
+    Attributes
+    ----------
+    slope: (m,) of the steps of the control points, one after the other [1 per rad or m].
+    curvature: (m, m) symmetric, positive definite.
+    """
+
+    slope: Vector
+    curvature: Matrix
+
+    @classmethod
+    def smooth(cls, slope: Vector, pieces: int, unit: Vector, box: float) -> Bend:
+        """The first of a descent.
+
+        Parameters
+        ----------
+        pieces: of the curve.
+        unit: (n,) rad or m of each joint that count alike.
+        box: how far a step may move a control point, in these units.
+        """
+        moving = len(slope) // len(unit)
+        second = basis(pieces, _PLACES_PER_PIECE * pieces + 1, 2)[:, 1 : 1 + moving]
+        second = second / np.linalg.norm(second, 2)
+        each = second.T @ second + _EVEN * np.eye(moving)
+        curvature = np.kron(each, np.diag(1.0 / unit**2))
+        length = float(np.sqrt(slope @ np.linalg.solve(curvature, slope)))
+        return cls(slope, np.asarray(curvature * (max(length, 1e-9) / (_BOLD * box))))
+
+    def after(self, step: Vector, slope: Vector) -> Bend:
+        """What is known after a step (m,), where the slope is `slope` (m,)."""
+        along = self.curvature @ step
+        expected, seen = float(step @ along), float(step @ (slope - self.slope))
+        if not expected > 0.0:
+            return replace(self, slope=slope)
+        part = 1.0 if seen >= _LEAST_CURVED * expected else (1.0 - _LEAST_CURVED) * expected / (expected - seen)
+        change = part * (slope - self.slope) + (1.0 - part) * along
+        curvature = self.curvature - np.outer(along, along) / expected + np.outer(change, change) / float(step @ change)
+        return Bend(slope, np.asarray(0.5 * (curvature + curvature.T)))
+
+    def stiffer(self, factor: float) -> Bend:
+        """After a step that was in vain: shorter ones by a factor."""
+        return replace(self, curvature=factor * self.curvature)
