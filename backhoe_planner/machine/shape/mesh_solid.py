@@ -10,6 +10,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.shape.cell_set import CellSet
+from backhoe_planner.machine.shape.closed_bodies import ClosedBodies
 from backhoe_planner.machine.shape.distance_grid import GridFrame
 from backhoe_planner.machine.shape.solid import Placed, clustered
 from backhoe_planner.machine.shape.tiles import Tiles
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 _TILE = 6.0  # mean edges of the triangles along the edge of a tile; chosen
 _SIDE_CELLS = 64  # of the grid that knows inside from outside, along the longest axis; chosen
 _MOST_PARTS = 400_000  # into which large triangles are cut for a grid; chosen: some 30 ms
-_MOST_HOLLOWS = 200  # connected parts of that grid whose side is found; the smaller ones are found point by point
+_MOST_HOLLOWS = 200  # connected parts of that grid whose side is found; the smaller ones count as surface
 _OUTSIDE, _INSIDE, _SURFACE = 0, 1, 2
 
 
@@ -47,7 +48,8 @@ class MeshSolid:
         self._vertices = np.asarray(mesh.vertices, dtype=float)
         self._faces = np.asarray(mesh.faces, dtype=np.intp)
         self._corners = self._vertices[self._faces]
-        self.is_full = bool(mesh.is_watertight)
+        self._bodies = ClosedBodies(self._vertices, self._faces)
+        self.is_full = len(self._bodies) > 0
         used = self._corners.reshape(-1, 3)
         self.bounds = np.array([used.min(axis=0), used.max(axis=0)])
         edges = np.linalg.norm(self._corners - np.roll(self._corners, 1, axis=1), axis=2)
@@ -70,13 +72,7 @@ class MeshSolid:
 
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
-        taken = self._taken_by_surface(frame)
-        if self.is_full:
-            own, side = self._sides
-            inside = np.argwhere(side == _INSIDE)
-            low = own.low + own.step * inside
-            taken |= frame.taken_by_boxes(low, low + own.step)
-        return taken
+        return np.asarray(self._sides_in(frame) != _OUTSIDE)
 
     def _taken_by_surface(self, frame: GridFrame) -> Flags:
         parts = self._corners
@@ -97,38 +93,29 @@ class MeshSolid:
     @cached_property
     def _sides(self) -> tuple[GridFrame, Array]:
         """A grid around the mesh, and what is in each of its cells."""
-        from scipy import ndimage
-
         low, high = self.bounds
         size = float((high - low).max())
         frame = GridFrame(low - 0.02 * size, high + 0.02 * size, least_step=size / _SIDE_CELLS)
-        surface = self._taken_by_surface(frame)
-        side = np.where(surface, _SURFACE, _OUTSIDE)
-        parts, count = ndimage.label(~surface)
-        sizes = np.bincount(parts.reshape(-1))
-        sizes[0] = 0
-        for part in np.argsort(-sizes)[: min(count, _MOST_HOLLOWS)].tolist():
-            cell = np.unravel_index(int(np.argmax(parts == part)), parts.shape)
-            if self._contains(frame.low + frame.step * (np.array(cell) + 0.5)):
-                side[parts == part] = _INSIDE
-        if count > _MOST_HOLLOWS:
-            side[np.isin(parts, np.argsort(-sizes)[_MOST_HOLLOWS:count])] = _SURFACE
-        return frame, side
+        return frame, self._sides_in(frame)
 
-    def _contains(self, point: Vector) -> bool:
-        """Whether a point (3,) is within a closed mesh: whether a ray from it meets an odd number of triangles."""
-        a, b, c = self._corners[:, 0], self._corners[:, 1], self._corners[:, 2]
-        e1, e2 = b - a, c - a
-        p = np.cross(_RAY, e2)
-        det = (e1 * p).sum(axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            s = point - a
-            u = (s * p).sum(axis=1) / det
-            q = np.cross(s, e1)
-            v = q @ _RAY / det
-            along = (e2 * q).sum(axis=1) / det
-            met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (along > 0.0)
-        return bool(np.count_nonzero(met) % 2)
+    def _sides_in(self, frame: GridFrame) -> Array:
+        """(frame.counts) what is in each cell of a grid; what is not known counts as surface."""
+        surface = self._taken_by_surface(frame)
+        if not self.is_full:
+            return np.where(surface, _SURFACE, _OUTSIDE)
+        from scipy import ndimage
+
+        parts, count = ndimage.label(~surface)
+        labels = parts.reshape(-1)
+        sizes = np.bincount(labels, minlength=count + 1)[1:]
+        a_cell = np.zeros(count + 1, dtype=np.intp)
+        a_cell[labels] = np.arange(len(labels))
+        largest = 1 + np.argsort(-sizes)[:_MOST_HOLLOWS]
+        places = np.column_stack(np.unravel_index(a_cell[largest], parts.shape))
+        side = np.full(count + 1, _SURFACE)
+        inside = self._bodies.contain(frame.low + frame.step * (places + 0.5))
+        side[largest] = np.where(inside, _INSIDE, _OUTSIDE)
+        return np.asarray(side[parts])
 
     def _is_inside(self, points: Matrix) -> bool:
         """Whether a shape that touches no triangle, with these points (k, 3), is within the mesh."""
@@ -141,7 +128,7 @@ class MeshSolid:
         cell = np.floor((points - frame.low) / frame.step).astype(int)
         found = side[cell[:, 0], cell[:, 1], cell[:, 2]]
         clear = found[found != _SURFACE]
-        return bool(clear[0] == _INSIDE) if len(clear) else self._contains(points[0])
+        return bool(clear[0] == _INSIDE if len(clear) else self._bodies.contain(points[:1])[0])
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape where it is less than `reach` [m].
@@ -167,6 +154,3 @@ class MeshSolid:
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3), fewer where there are more than `most`."""
         return clustered(self._vertices, self._faces, most)
-
-
-_RAY = np.array([0.3713906763541037, 0.5570860145311556, 0.7427813527082074])  # along no edge that anybody draws

@@ -1,0 +1,122 @@
+"""What a mesh contains: its bodies whose surfaces close, whichever way their triangles face.
+
+A point is inside where the surface winds around it (Jacobson et al. 2013, "Robust Inside-Outside
+Segmentation using Generalized Winding Numbers", eq. 5): w = sum of solid angles / (4 pi). Bodies
+may overlap, and some of a file's bodies may be open.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+
+_MOST_HOLLOWS = 50  # bodies that are examined for being a hollow of another; of more, all are solid; chosen
+_WOUND = 0.5  # of a turn, from where on a point counts as inside: between 0 and 1
+
+
+class ClosedBodies:
+    """The bodies of a mesh that close.
+
+    A body that faces the other way than the largest and lies within others is a hollow in them. Any other that
+    faces the other way is solid all the same.
+
+    Parameters
+    ----------
+    vertices: (k, 3) [m]. faces: (m, 3), with vertices that are shared.
+    """
+
+    def __init__(self, vertices: Matrix, faces: Indices) -> None:
+        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+        faces = faces[np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]]  # each once, if it has two sides
+        faces = _closed(faces, len(vertices))
+        flipped, body = _facing_alike(faces)
+        faces = np.where(flipped[:, None], faces[:, ::-1], faces)
+        self.triangles = vertices[faces]
+        self._face_outwards(body)
+
+    def __len__(self) -> int:
+        return len(self.triangles)
+
+    def contain(self, points: Matrix) -> Flags:
+        """(k,) whether they contain points (k, 3) [m] that are not on their surface."""
+        return np.array([abs(_winding(point, self.triangles)) > _WOUND for point in points], dtype=bool)
+
+    def _face_outwards(self, body: Indices) -> None:
+        """Let all triangles face outwards, and those of hollows inwards; `body` (m,) says whose they are."""
+        if not len(body):
+            return
+        middle = self.triangles.reshape(-1, 3).mean(axis=0)
+        a, b, c = (self.triangles[:, corner] - middle for corner in range(3))
+        volume = np.bincount(body, weights=(a * np.cross(b, c)).sum(axis=1))
+        inwards = volume < 0.0
+        self._turn(inwards[body])
+        turned = np.flatnonzero(inwards != (volume.sum() < 0.0))
+        if len(turned) > _MOST_HOLLOWS:
+            return
+        hollow = np.zeros(len(volume), dtype=bool)
+        others = self.triangles[~np.isin(body, turned)]
+        for one in turned.tolist():
+            corners = self.triangles[body == one].reshape(-1, 3)
+            ends = corners[np.concatenate((corners.argmin(axis=0), corners.argmax(axis=0)))]
+            hollow[one] = all(_winding(end, others) > _WOUND for end in ends)
+        self._turn(hollow[body])
+
+    def _turn(self, those: Flags) -> None:
+        """Let triangles face the other way."""
+        self.triangles = np.where(those[:, None, None], self.triangles[:, ::-1], self.triangles)
+
+
+def _edges(faces: Indices) -> tuple[Indices, Indices, Indices]:
+    """Of the 3 m edges of `faces` (m, 3): the number (3 m,) of each, its face, and 1 where it runs upwards, else 0."""
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    number = np.unique(low * (int(faces.max(initial=0)) + 1) + high, return_inverse=True)[1].reshape(-1)
+    return number, np.repeat(np.arange(len(faces)), 3), (ends[:, 0] < ends[:, 1]).astype(np.intp)
+
+
+def _closed(faces: Indices, vertices: int) -> Indices:
+    """The faces of those connected parts in which every edge belongs to an even number of faces."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    number, face, _ = _edges(faces)
+    pairs = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
+    graph = coo_array((np.ones(pairs.shape[1], dtype=bool), (pairs[0], pairs[1])), shape=(vertices, vertices))
+    part = connected_components(graph, directed=False)[1][faces[:, 0]]
+    is_open = (np.bincount(number) % 2 == 1)[number]
+    return faces[~np.isin(part, part[face[is_open]])]
+
+
+def _facing_alike(faces: Indices) -> tuple[Flags, Indices]:
+    """Which faces (m,) are to be turned round so that neighbours face alike, and the body that each belongs to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    count = len(faces)
+    number, face, way = _edges(faces)
+    order = np.argsort(number, kind="stable")
+    first = np.flatnonzero(np.diff(number[order], prepend=-1))
+    first = first[np.bincount(number) == 2]
+    one, other = order[first], order[first + 1]
+    differ = (way[one] == way[other]).astype(np.intp)  # neighbours that face alike run along their edge both ways
+    # every face twice, as it is and turned round, each joined to what faces alike
+    a, b = face[one], face[other]
+    start, end = np.concatenate((a, a + count)), np.concatenate((b + count * differ, b + count * (1 - differ)))
+    graph = coo_array((np.ones(len(start), dtype=bool), (start, end)), shape=(2 * count, 2 * count))
+    side = connected_components(graph, directed=False)[1]
+    as_is, turned = side[:count], side[count:]
+    body = np.unique(np.minimum(as_is, turned), return_inverse=True)[1].reshape(-1)
+    flipped = as_is > turned
+    most = np.bincount(body, weights=np.where(flipped, 1.0, -1.0)) > 0.0
+    return np.asarray(flipped ^ most[body] if count else flipped), body
+
+
+def _winding(point: Vector, triangles: Array) -> float:
+    """How often `triangles` (m, 3, 3) that close wind around a point (3,) [m]."""
+    away = triangles - point
+    size = np.sqrt((away * away).sum(axis=2))
+    a, b, c = away[:, 0], away[:, 1], away[:, 2]
+    volume = (a * np.cross(b, c)).sum(axis=1)
+    cosines = (a * b).sum(axis=1) * size[:, 2] + (b * c).sum(axis=1) * size[:, 0] + (c * a).sum(axis=1) * size[:, 1]
+    return float(np.arctan2(volume, size.prod(axis=1) + cosines).sum() / (2.0 * np.pi))
