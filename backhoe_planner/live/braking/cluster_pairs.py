@@ -23,8 +23,8 @@ from backhoe_planner.machine import Cluster, Part, Piece
 
 SLOTS = 16  # pairs of a link with a cluster; chosen: the ground, a wall and some clutter take 3 to 10
 _REST = 1  # of these, for what is left where it takes more
-_NEAR = 0.1  # m of margin, within which boxes are to be exact; chosen, where the servo warns
-_CLOSE = 0.3  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
+_NEAR = 0.05  # m of margin, within which boxes are to be exact; chosen
+_CLOSE = 0.5  # of the distance: having moved further than this part of it, a link finds them anew there; chosen
 _ROOM = 0.05  # m beyond the clearance that boxes should cover at least; chosen
 _LEAST = 0.02  # m, or this, where that is more; chosen, so that a link at a wall does not do so at every step
 

@@ -58,7 +58,7 @@ from backhoe_planner.site import (
 )
 
 _BOXES_EVERY = 10  # steps after which boxes of scans are looked at again; chosen
-_BOXES_AHEAD = 0.3  # m beyond what counts now, within which boxes of a scan are found; chosen
+_BOXES_AHEAD = 0.15  # m beyond what counts now, within which boxes of a scan are found; chosen
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
 _LEAST_WISH = 1e-6  # rad/s or m/s: less counts as no wish; chosen, far above rounding
