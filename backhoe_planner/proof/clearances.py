@@ -87,8 +87,8 @@ class _Search:
         self._proximity, self._time, self._q = proximity, time, q
         self.least = _NEVER
         self._where = (0.0, 0)  # moment and pair of the least margin
-        # (bound, tie-breaker, segment, pair, from, to): parts 0..1 of a segment
-        self._open: list[tuple[float, int, int, int, float, float]] = []
+        # (bound, tie-breaker, segment, pair, from, to, margins there): parts 0..1 of a segment
+        self._open: list[tuple[float, int, int, int, float, float, tuple[float, float] | None]] = []
         self._measured = 0
 
     def note(self, margin: float, moment: float, pair: int) -> None:
@@ -98,7 +98,7 @@ class _Search:
 
     def open(self, bound: float, segment: int, pair: int) -> None:
         """On this segment the margin may be as low as `bound`."""
-        heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0))
+        heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0, None))
 
     def finish(self) -> Obstruction | None:
         """Halve the segment with the lowest bound until no bound is below what is to be proven.
@@ -110,14 +110,16 @@ class _Search:
         while self._open and self._open[0][0] < _to_prove(self.least):
             if self._measured > (_EFFORT_REFUTED if self.least < -KEPT_WITHIN else _EFFORT):
                 break
-            _, _, segment, pair, a, b = heapq.heappop(self._open)
+            _, _, segment, pair, a, b, known = heapq.heappop(self._open)
             middle = 0.5 * (a + b)
-            m_a, m_m, m_b = (self._measure(segment, pair, part) for part in (a, middle, b))
+            m_a, m_b = known or (self._measure(segment, pair, a), self._measure(segment, pair, b))
+            m_m = self._measure(segment, pair, middle)
             half = 0.5 * (b - a) * self._travel(segment, pair)
             for start, m_1, m_2 in ((a, m_a, m_m), (middle, m_m, m_b)):
                 tie += 1
                 bound = 0.5 * (m_1 + m_2 - half)
-                heapq.heappush(self._open, (bound, tie, segment, pair, start, start + 0.5 * (b - a)))
+                end = start + 0.5 * (b - a)
+                heapq.heappush(self._open, (bound, tie, segment, pair, start, end, (m_1, m_2)))
         proven = float(_to_prove(self.least))
         if self.least >= _NEVER and not (self._open and self._open[0][0] < proven):
             return None
