@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -62,3 +64,17 @@ def test_a_scan_that_comes_is_evaded(backhoe: Robot) -> None:
         assert servo.last_error is None
     gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
     assert float(np.min(gauge.distances(state.q))) > 0.0
+
+
+def test_it_rises_freely_from_ground_of_coarse_cells(backhoe: Robot, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "ground.csv", np.full((61, 61), -0.7), delimiter=",")  # cells of 0.4 m
+    ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [24.0, 24.0]}
+    servo = Servo(backhoe, scene_from_dict({**SCENE, "obstacles": [ground]}, folder=tmp_path), dt=0.01)
+    gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    for _ in range(150):
+        servo.step([0.0, 0.0, -0.4])
+    low = servo.step([0.0, 0.0, 0.4])
+    assert 0.1 - 1e-6 <= float(np.min(gauge.distances(low.q))) < 0.4
+    for _ in range(200):
+        state = servo.step([0.0, 0.0, 0.4])
+    assert state.tip_position[2] > low.tip_position[2] + 0.6

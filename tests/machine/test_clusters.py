@@ -246,3 +246,14 @@ def test_what_touches_is_found_at_any_reach(reach: float) -> None:
     touched = scanned.measure(ball(0.3), at(0.03, 0.03, 0.2), reach)
     assert touched is not None
     assert touched.distance < 0.0
+
+
+@pytest.mark.parametrize("cell", [0.05, 0.2, 0.4, 1.0])
+def test_boxes_of_coarse_cells_do_not_reach_a_link_above_them(cell: float) -> None:
+    flat = terrain(np.zeros((25, 25)), 24 * cell)
+    for height in (0.05, 0.24, 0.26, 0.5):  # of a ball above the ground
+        place = at(0.03, 0.05, height + 0.1)
+        parts = flat.around(ball(0.1), place, 0.65, ball=BALL, most=15).parts
+        least = min(gap(ball(0.1), place, part.piece) for part in parts)
+        coarse = height > 0.25 and cell < 0.1
+        assert (0.0 if coarse else 0.85) * height <= least <= height + 1e-9

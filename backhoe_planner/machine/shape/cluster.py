@@ -23,7 +23,7 @@ from backhoe_planner.machine.shape.solid import Placed, Solid
 from backhoe_planner.machine.shape.trees import Reading
 
 _AROUND = 1.5  # m around the solid that its grid covers; chosen, beyond the box around it is near enough
-_FINE_WITHIN = 0.25  # m of a link, within which cells are looked at one by one; chosen
+_FINE_WITHIN = 2.5  # coarse edges from a link, 0.25 m or more, within which cells are looked at one by one; chosen
 _HALF_DIAGONAL = 0.5 * 3.0**0.5  # of a cube's edge
 _COARSE = 0.1  # m, edge of the cells beyond it; chosen
 _SLACK = 0.15  # of the distance by which a plane may be moved towards the link, so that it has more cells behind it
@@ -123,7 +123,7 @@ class Cluster:
         plane at the cell, or nearly so, go into one box, with a face on that plane. The nearest of those that
         are left takes the next, and so on. The boxes contain all the cells, so that distances from them are
         not more than from the cells. Where the piece is now, they are not less than 0.85 of it within
-        `_FINE_WITHIN` [m], and further away by no more than the edge of a coarse cell less.
+        `_FINE_WITHIN` edges of a coarse cell, and further away by no more than the edge of a coarse cell less.
 
         Parameters
         ----------
@@ -163,14 +163,15 @@ class Cluster:
     def _cells_around(self, link: Placed, reach: float, ball: tuple[Vector, float]) -> CellSet:
         """The cells within a reach of a link; further off, cubes that contain them."""
         coarse, around = self._coarse(ball), LinkBox.around(link.hull, link.R, link.radius)
-        if reach <= _FINE_WITHIN or not coarse.hold(*link.box(reach), self.solid.bounds):
+        fine_within = _FINE_WITHIN * coarse.step
+        if reach <= fine_within or not coarse.hold(*link.box(reach), self.solid.bounds):
             found = self.solid.near(*link.box(reach))
             return found.only(found.off(around) - found.radius() <= reach)
         cubes = coarse.near(*link.box(reach))
         off = around.off(cubes)
-        cubes = cubes[(off > _FINE_WITHIN) & (off <= reach + coarse.step)]
+        cubes = cubes[(off > fine_within) & (off <= reach + coarse.step)]
         # what is in none of these cubes is in one whose middle is nearer
-        fine = _FINE_WITHIN + _HALF_DIAGONAL * coarse.step
+        fine = fine_within + _HALF_DIAGONAL * coarse.step
         found = self.solid.near(*link.box(fine))
         found = found.only(found.off(around) - found.radius() <= fine)
         return found.together(CellSet.of_cubes(cubes, 0.5 * coarse.step))
