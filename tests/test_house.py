@@ -73,7 +73,7 @@ def test_imports_run_one_way(file: Path) -> None:
 
 SUITES = {
     # rooms within a room; "" is what stands in the room itself
-    "machine": ["shape", "hydraulics", "description", "", "kinematics", "capability"],
+    "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
     "site": ["schema", ""],
     "motion": ["", "timing"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", ""],
@@ -157,7 +157,7 @@ def test_doors_are_sorted_and_open(file: Path) -> None:
 
 def test_coal_is_called_in_two_files() -> None:
     users = [module_name(file) for file in FILES if {"coal", "hppfcl"} & {m.split(".")[0] for m in imported(file)}]
-    assert users == [f"backhoe_planner.machine.shape.{name}" for name in ("shapes", "trees")]
+    assert users == ["backhoe_planner.machine.clusters.trees", "backhoe_planner.machine.shape.shapes"]
 
 
 @pytest.mark.parametrize("file", FILES, ids=module_name)

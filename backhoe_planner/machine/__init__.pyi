@@ -4,6 +4,15 @@ from .capability.data_sheet import digging_forces as digging_forces
 from .capability.data_sheet import reachable_points as reachable_points
 from .capability.data_sheet import working_envelope as working_envelope
 from .capability.denavit_hartenberg import dh_table as dh_table
+from .clusters.cluster import Cluster as Cluster
+from .clusters.cluster import Distances as Distances
+from .clusters.cluster import Part as Part
+from .clusters.covering_balls import covering_balls as covering_balls
+from .clusters.mesh_solid import MeshSolid as MeshSolid
+from .clusters.terrain import TerrainSolid as TerrainSolid
+from .clusters.trees import Reading as Reading
+from .clusters.voxels import VoxelSolid as VoxelSolid
+from .clusters.voxels import voxel_keys as voxel_keys
 from .collision_model import bend_weights as bend_weights
 from .collision_model import geometry_model as geometry_model
 from .collision_model import reach_ball as reach_ball
@@ -45,9 +54,6 @@ from .robot import TrackingTube as TrackingTube
 from .robot import load_robot as load_robot
 from .self_collision import held_overlaps as held_overlaps
 from .self_collision import self_pairs as self_pairs
-from .shape.cluster import Cluster as Cluster
-from .shape.cluster import Distances as Distances
-from .shape.cluster import Part as Part
 from .shape.convex import convex_cover as convex_cover
 from .shape.convex import is_nearly_convex as is_nearly_convex
 from .shape.convex import load_mesh as load_mesh
@@ -55,10 +61,4 @@ from .shape.convex import terrain_columns as terrain_columns
 from .shape.convex import voxel_boxes as voxel_boxes
 from .shape.cover_cache import cache_folder as cache_folder
 from .shape.cover_cache import mesh_cover as mesh_cover
-from .shape.covering_balls import covering_balls as covering_balls
-from .shape.mesh_solid import MeshSolid as MeshSolid
 from .shape.shapes import Piece as Piece
-from .shape.terrain import TerrainSolid as TerrainSolid
-from .shape.trees import Reading as Reading
-from .shape.voxels import VoxelSolid as VoxelSolid
-from .shape.voxels import voxel_keys as voxel_keys

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.machine.shape.shapes import convex_of_cell
-from backhoe_planner.machine.shape.tiles import Tiles
 
 _CUBE = np.array(list(np.ndindex(2, 2, 2)), dtype=float) - 0.5
 _ROOT3 = 3.0**0.5

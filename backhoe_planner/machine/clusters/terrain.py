@@ -13,10 +13,10 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.shape.cell_set import CellSet
-from backhoe_planner.machine.shape.distance_grid import GridFrame
-from backhoe_planner.machine.shape.solid import Placed
-from backhoe_planner.machine.shape.trees import LEAST_REACH, Reading, Tree, surface_tree
+from backhoe_planner.machine.clusters.cell_set import CellSet
+from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.solid import Placed
+from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
 
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
 _MOST_TREES = 256  # that are kept; chosen: some 330 MB

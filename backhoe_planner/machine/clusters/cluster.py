@@ -15,12 +15,12 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine.shape.cell_set import CellSet, CoarseCells, LinkBox
+from backhoe_planner.machine.clusters.cell_set import CellSet, CoarseCells, LinkBox
+from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
+from backhoe_planner.machine.clusters.solid import Placed, Solid
+from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.convex import voxel_boxes
-from backhoe_planner.machine.shape.distance_grid import DistanceGrid, GridFrame
 from backhoe_planner.machine.shape.shapes import Gauge, Piece, box, transform
-from backhoe_planner.machine.shape.solid import Placed, Solid
-from backhoe_planner.machine.shape.trees import Reading
 
 _AROUND = 1.5  # m around the solid that its grid covers; chosen, beyond the box around it is near enough
 _FINE_WITHIN = 2.5  # coarse edges from a link, 0.25 m or more, within which cells are looked at one by one; chosen

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.shape.cell_set import CellSet
-from backhoe_planner.machine.shape.distance_grid import GridFrame
-from backhoe_planner.machine.shape.solid import Placed
-from backhoe_planner.machine.shape.tiles import Tiles
-from backhoe_planner.machine.shape.trees import Reading, Tree, voxel_tree
+from backhoe_planner.machine.clusters.cell_set import CellSet
+from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.solid import Placed
+from backhoe_planner.machine.clusters.tiles import Tiles
+from backhoe_planner.machine.clusters.trees import Reading, Tree, voxel_tree
 
 Keys = NDArray[np.int64]
 """(n, 3) which multiples of its edge the lowest corner of each voxel is."""

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
-from backhoe_planner.machine.shape.cell_set import CellSet
-from backhoe_planner.machine.shape.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.cell_set import CellSet
+from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.shapes import Piece, transform
-from backhoe_planner.machine.shape.trees import Reading
 
 
 @dataclass(frozen=True)

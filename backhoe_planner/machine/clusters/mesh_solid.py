@@ -9,12 +9,12 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine.shape.cell_set import CellSet
-from backhoe_planner.machine.shape.closed_bodies import ClosedBodies
-from backhoe_planner.machine.shape.distance_grid import GridFrame
-from backhoe_planner.machine.shape.solid import Placed, clustered
-from backhoe_planner.machine.shape.tiles import Tiles
-from backhoe_planner.machine.shape.trees import Reading, Tree, surface_tree
+from backhoe_planner.machine.clusters.cell_set import CellSet
+from backhoe_planner.machine.clusters.closed_bodies import ClosedBodies
+from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.solid import Placed, clustered
+from backhoe_planner.machine.clusters.tiles import Tiles
+from backhoe_planner.machine.clusters.trees import Reading, Tree, surface_tree
 
 if TYPE_CHECKING:
     import trimesh
