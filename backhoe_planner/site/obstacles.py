@@ -144,7 +144,7 @@ def build_obstacle(
     ------
     InputError: its file is missing, empty or malformed, or takes too many pieces.
     """
-    body = spec.body(folder)
+    body = _body(spec, folder)
     cluster = body if isinstance(body, Cluster) else None
     velocity = np.array(spec.velocity, dtype=float)
     velocity.setflags(write=False)
@@ -159,6 +159,19 @@ def build_obstacle(
         zone=zone,
         cluster=cluster,
     )
+
+
+def _body(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Piece] | Cluster:
+    """What an obstacle is made of; errors name its file."""
+    try:
+        return spec.body(folder)
+    except InputError as error:
+        file = getattr(spec, "file", None)
+        if error.file is not None or file is None:
+            raise
+        raise InputError(
+            error.problem, file=folder / file, key=error.key, found=error.found, allowed=error.allowed, hint=error.hint
+        ) from error
 
 
 def sweep(obstacle: Obstacle, start: float, end: float) -> Obstacle:

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from backhoe_planner.errors import InputError
 from backhoe_planner.machine import Robot, voxel_boxes
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import (
@@ -116,3 +117,23 @@ def test_plain_tables_are_read_as_line_by_line(tmp_path: Path) -> None:
     for name in ("a.csv", "a.xyz", "b.csv"):
         np.testing.assert_allclose(read_points(tmp_path / name), numbers[:, :3], atol=1e-9)
     np.testing.assert_allclose(read_heights(tmp_path / "a.csv"), numbers, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("record", "text", "parts"),
+    [
+        ({"shape": "heightmap", "size": [4.0, 4.0]}, "1,,2\n3,4,5\n", ["row 1, column 2", "found nothing"]),
+        ({"shape": "heightmap", "size": [4.0, 4.0]}, "1,2\n3,deep\n", ["row 2, column 2", "found deep"]),
+        ({"shape": "pointcloud", "resolution": 0.1}, "0,0,0\n9000,0,0\n" + "0,0,0.5\n" * 3, ["90001 voxels", "65000"]),
+    ],
+)
+def test_messages_name_the_file(tmp_path: Path, record: dict[str, object], text: str, parts: list[str]) -> None:
+    if record["shape"] == "pointcloud":  # more than a few boxes
+        rng = np.random.default_rng(7)
+        text += "\n".join(",".join(f"{value:.3f}" for value in row) for row in rng.uniform(0.0, 5.0, (200, 3)))
+    (tmp_path / "survey.csv").write_text(text, encoding="utf-8")
+    spec = obstacle_from_dict({"name": "ground", "file": "survey.csv", **record})
+    with pytest.raises(InputError) as caught:
+        build_obstacle(spec, folder=tmp_path, clearance=0.05)
+    for part in (str(tmp_path / "survey.csv"), *parts):
+        assert part in str(caught.value)

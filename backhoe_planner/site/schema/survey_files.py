@@ -25,10 +25,13 @@ def read_heights(path: Path) -> Matrix:
         _check_size(heights, "a height", path, ("row", "column"))
         return heights
     rows = [line.replace(";", ",").split(",") for line in text.splitlines() if line.strip()]
-    try:
-        values = [[float(cell) for cell in (row if row[-1].strip() else row[:-1])] for row in rows]
-    except ValueError as error:
-        raise InputError(f"is not a table of numbers: {error}", file=path) from None
+    values = [
+        [
+            _height(cell, path, number, column)
+            for column, cell in enumerate(row if row[-1].strip() else row[:-1], start=1)
+        ]
+        for number, row in enumerate(rows, start=1)
+    ]
     widths = {len(row) for row in values}
     if len(widths) != 1:
         raise InputError("the rows have different lengths", file=path, found=sorted(widths))
@@ -37,6 +40,15 @@ def read_heights(path: Path) -> Matrix:
         raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(heights.shape))
     _check_size(heights, "a height", path, ("row", "column"))
     return heights
+
+
+def _height(cell: str, path: Path, row: int, column: int) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        key = f"row {row}, column {column}"
+        hint = "every cell has a height: fill holes first"
+        raise InputError("is not a number", file=path, key=key, found=cell.strip() or "nothing", hint=hint) from None
 
 
 def read_points(path: Path) -> Matrix:
