@@ -43,9 +43,21 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
     "heights empty": ("heightmap", "a.csv", b"", {"size": [1, 1]}, "empty"),
     "heights blank": ("heightmap", "a.csv", b" \n", {"size": [1, 1]}, "empty"),
     "heights not text": ("heightmap", "a.csv", b"\xff\xfe\x81", {"size": [1, 1]}, "is not UTF-8 text"),
-    "heights in words": ("heightmap", "a.csv", b"x,y\n1,2\n", {"size": [1, 1]}, "table of numbers.*'x'"),
+    "heights in words": (
+        "heightmap",
+        "a.csv",
+        b"x,y\n1,2\n",
+        {"size": [1, 1]},
+        "row 1, column 1: is not a number; found x",
+    ),
     "heights ragged": ("heightmap", "a.csv", b"1,2,3\n4,5\n", {"size": [1, 1]}, r"different lengths; found \[2, 3\]"),
-    "heights with a hole": ("heightmap", "a.csv", b"1,,3\n4,5,\n", {"size": [1, 1]}, "table of numbers"),
+    "heights with a hole": (
+        "heightmap",
+        "a.csv",
+        b"1,,3\n4,5,\n",
+        {"size": [1, 1]},
+        "row 1, column 2: .*found nothing",
+    ),
     "one height": ("heightmap", "a.csv", b"1\n", {"size": [1, 1]}, r"at least 2 x 2 heights; found \(1, 1\)"),
     "one row of heights": (
         "heightmap",
@@ -96,7 +108,7 @@ FILES: dict[str, tuple[str, str, bytes | None, dict[str, object], str]] = {
         "a.xyz",
         b"\n".join(b"%d %d 0" % (1000 * k, 2 * k) for k in range(40)),
         {"resolution": 0.5},
-        r"\(thing\)\.file: is too fine.*found 78001 voxels along an axis.*up to 65000.*coarser resolution",
+        r"\(thing\)\.file: .*a\.xyz: is too fine.*found 78001 voxels along an axis.*up to 65000.*coarser resolution",
     ),
 }
 
