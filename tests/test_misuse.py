@@ -248,6 +248,10 @@ def calls() -> dict[str, Call]:
         "Keep.segment_holds": call(keep().segment_holds, q_a=q4, q_b=q4),
         "Keep.motion_holds": call(keep().motion_holds, q=(stepped, Kind(SAMPLES.bad[:-2]))),
         "Keep.corner_holds": call(keep().corner_holds, q_a=q4, corner=q4, q_b=q4, sagitta=q4),
+        "Keep.widened": call(lambda q: len(keep().widened(q).conditions), q=q4),
+        "Keep.project": call(
+            keep().project, q=q4, lower=(the.limits.lower, vector(4)), upper=(the.limits.upper, vector(4))
+        ),
         "Keep.narrowed": call(keep().narrowed, target=(target, THING), lists=False),
         "Goal.error": call(bp.Goal(target).error, at=(at(), THING)),
         "Goal.jacobian": call(bp.Goal(target, q=Q).jacobian, at=(at(), THING)),
@@ -411,8 +415,8 @@ def recording() -> bp.Plan:
 RESULTS = {
     "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
     "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
-    "Obstruction", "Piece", "Plan", "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "Step",
-    "TaskInverse", "Tracking", "Transgression", "WaypointStep", "Wish",
+    "Obstruction", "Piece", "Plan", "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "SpotTurn",
+    "Step", "TaskInverse", "Tracking", "Transgression", "WaypointStep", "Wish",
 }  # fmt: skip
 PUBLIC = {name: getattr(bp, name) for name in dir(bp) if not name.startswith("_")}
 RECORDS = [name for name, thing in PUBLIC.items() if inspect.isclass(thing) and issubclass(thing, Record)]

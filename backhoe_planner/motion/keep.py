@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector, as_array
+from backhoe_planner.arrays import Matrix, Vector, as_array, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import Robot, TipTarget, tip_travel_bound
 from backhoe_planner.motion.conditions import Condition, PitchBand, RotationCone
@@ -126,6 +126,7 @@ class Keep:
 
         Newton's steps of least length on the conditions that do not hold, a little into the allowed range.
         """
+        lower, upper = as_vector(lower, self.robot.n, key="lower"), as_vector(upper, self.robot.n, key="upper")
         found = np.clip(self.robot.check_q(q), lower, upper)
         for _ in range(_NEWTON):
             if self.holds(found):

@@ -443,7 +443,7 @@ def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity
         place = (part * kinematics.at(q).tip_position + rng.normal(size=3) * 0.3).tolist()
         obstacle: dict[str, Any] = [
             {"shape": "sphere", "radius": float(rng.uniform(0.1, 0.5)), "position": place},
-            {"shape": "box", "size": rng.uniform(0.1, 1.2, 3).tolist(), "position": place, "rpy": [0.3, 0.2, seed]},
+            {"shape": "box", "size": rng.uniform(0.1, 1.2, 3).tolist(), "position": place, "rpy": [0.3, 0.2, seed % 6]},
             {"shape": "capsule", "radius": 0.1, "from": place, "to": (np.array(place) + rng.normal(size=3)).tolist()},
         ][seed % 3]
         scene = site(robot, [{"name": "thing", **obstacle}], q=q.tolist())
