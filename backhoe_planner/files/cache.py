@@ -10,6 +10,7 @@ import contextlib
 import hashlib
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from backhoe_planner.errors import OutputError
@@ -34,6 +35,17 @@ def caches() -> Path:
     else:
         above = home / ".cache"
     return above / "backhoe_planner"
+
+
+def maker_digest(folder: Path, files: Sequence[str], libraries: Sequence[str]) -> bytes:
+    """A digest of the code in `files` of a folder, and of the versions of the libraries that it calls."""
+    from importlib.metadata import version
+
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update((folder / file).read_bytes())
+    digest.update(" ".join(version(library) for library in libraries).encode())
+    return digest.digest()
 
 
 def read_entry(entry: Path, key: bytes) -> bytes | None:

@@ -215,9 +215,7 @@ class Shield:
 
     def _keep_rows(self, kept: Kept, braking_time: float, dt: float) -> Rows:
         """The rows -k v <= gamma left."""
-        gamma = _STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt)
-        back = -np.minimum(-_RECOVERY * kept.margin, _FASTEST_RECOVERY)
-        return Rows("keep", -kept.gradient, np.where(kept.margin >= 0.0, gamma * kept.margin, back))
+        return Rows("keep", -kept.gradient, _approach_rates(kept.margin, braking_time, dt))
 
     def _clearance_rows(
         self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float
@@ -225,15 +223,19 @@ class Shield:
         """The rows -g v <= gamma margin + drift that can bind at all, and the nearby pairs that they are of."""
         if len(nearby) == 0:
             return Rows.none("clearance", len(self.limits.velocity)), np.zeros(0, dtype=np.intp)
-        gamma = _STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt)
-        margin = nearby.margin - extra_margin
-        bound = gamma * margin
-        if margin.min() < 0.0:
-            bound = np.where(margin >= 0.0, bound, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY))
+        bound = _approach_rates(nearby.margin - extra_margin, braking_time, dt)
         bound += nearby.drift
         reachable = np.abs(nearby.gradient) @ self.limits.velocity
         pairs = np.flatnonzero(bound < reachable)
         return Rows("clearance", -nearby.gradient[pairs], bound[pairs]), pairs
+
+
+def _approach_rates(margin: Vector, braking_time: float, dt: float) -> Vector:
+    """(K,) gamma margin: how fast margins (K,) may shrink; negative where one is lost, the speed of the way back."""
+    bound = margin * (_STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt))
+    if margin.min(initial=0.0) < 0.0:
+        bound = np.where(margin >= 0.0, bound, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY))
+    return bound
 
 
 def _stoppable(gap: float, a: float, lead: float) -> float:

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from backhoe_planner.arrays import Array
-from backhoe_planner.files.cache import caches, keep_entry, read_entry
+from backhoe_planner.files.cache import caches, keep_entry, maker_digest, read_entry
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape.shapes import Piece
 
@@ -90,13 +90,8 @@ def _inner_of(piece: Piece) -> Iterator[Array]:
 
 @cache
 def _maker() -> bytes:
-    """A digest of the code that works pairs out, and of the versions of what it calls."""
-    from importlib.metadata import version
-
-    digest = hashlib.sha256(" ".join(version(library) for library in _LIBRARIES).encode())
-    for file in _MAKERS:
-        digest.update((Path(__file__).parent / file).read_bytes())
-    return digest.digest()
+    """Of the code that works pairs out."""
+    return maker_digest(Path(__file__).parent, _MAKERS, _LIBRARIES)
 
 
 def read_pairs(key: bytes) -> SelfPairs | None:

@@ -10,7 +10,7 @@ import pinocchio as pin
 from backhoe_planner.arrays import Array, Indices, Vector
 from backhoe_planner.machine import Distances, Reading, Robot, reach_ball
 from backhoe_planner.site.link_balls import LinkBalls
-from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.obstacles import Obstacle, offset_at
 
 EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; chosen, about how far obstacles act
 _FIRST_REACH = 0.25  # m beyond what is known already, within which a cluster is first looked for; chosen
@@ -95,8 +95,7 @@ class ClusterDistances:
         """(3,) how far an obstacle has moved [m]; None where it has not."""
         if index not in self._moving:
             return None
-        obstacle = self._obstacles[index]
-        return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
+        return offset_at(self._obstacles[index], time)
 
     def _grid(self, index: int) -> Distances:
         if index not in self._grids:

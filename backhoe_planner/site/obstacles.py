@@ -174,13 +174,18 @@ def _body(spec: obstacle_shapes.ObstacleSpec, folder: Path) -> list[shapes.Piece
         ) from error
 
 
+def offset_at(obstacle: Obstacle, time: float) -> Vector:
+    """(3,) how far an obstacle has moved by `time` [s] from where it appeared [m]."""
+    return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
+
+
 def sweep(obstacle: Obstacle, start: float, end: float) -> Obstacle:
     """An obstacle at rest that contains all the space `obstacle` takes up from time `start` to `end` [s].
 
     Round pieces become a little larger: a ball counts as the octahedron around it. A cluster becomes some
     larger boxes that contain it.
     """
-    ways = [obstacle.velocity * max(moment - obstacle.appears_at, 0.0) for moment in (start, end)]
+    ways = [offset_at(obstacle, moment) for moment in (start, end)]
     pieces = obstacle.pieces if obstacle.cluster is None else obstacle.cluster.boxes(_SWEPT_BOXES)
     return replace(
         obstacle,

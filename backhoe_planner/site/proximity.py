@@ -27,29 +27,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import (
-    Flags,
-    Indices,
-    Matrix,
-    Vector,
-    as_array,
-    as_count,
-    as_number,
-    as_rows,
-    as_vector,
-)
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector, as_array, as_count, as_number, as_rows, as_vector
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.machine import (
-    Reading,
-    Robot,
-    geometry_model,
-    self_pairs,
-    tracking_room,
-    travel_bounds,
-)
+from backhoe_planner.machine import Reading, Robot, geometry_model, self_pairs, tracking_room, travel_bounds
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
-from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
 
 
@@ -469,8 +452,7 @@ class Proximity:
             raise InputError(
                 "there is no such obstacle", key="index", found=index, allowed=f"less than {len(self.obstacles)}"
             )
-        obstacle, time = self.obstacles[index], as_number(time, key="time")
-        return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
+        return offset_at(self.obstacles[index], as_number(time, key="time"))
 
     def _checked(self, q: Vector, time: float) -> tuple[Vector, float]:
         """`q` (n,) and `time`, which a caller may give as a list and an int."""

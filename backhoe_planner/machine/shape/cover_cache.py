@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.files.cache import caches, keep_entry, read_entry
+from backhoe_planner.files.cache import caches, keep_entry, maker_digest, read_entry
 from backhoe_planner.machine.shape.convex import cover_with_surface, load_mesh
 
 _WHOLE = (".stl", ".obj", ".ply", ".dae", ".off", ".glb")  # suffixes of files that hold their mesh in themselves
@@ -83,14 +83,8 @@ def _key(mesh: bytes, scale: float | Vector, pieces: int, excess: float) -> byte
 
 @cache
 def _maker() -> bytes:
-    """A digest of the code that divides meshes, and of the versions of what it calls."""
-    from importlib.metadata import version
-
-    digest = hashlib.sha256()
-    for file in _MAKERS:
-        digest.update(Path(__file__).with_name(file).read_bytes())
-    digest.update(" ".join(version(library) for library in _LIBRARIES).encode())
-    return digest.digest()
+    """Of the code that divides meshes."""
+    return maker_digest(Path(__file__).parent, _MAKERS, _LIBRARIES)
 
 
 def _read(entry: Path, key: bytes) -> tuple[list[Matrix], list[Matrix | None]] | None:

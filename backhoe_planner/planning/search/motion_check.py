@@ -100,13 +100,7 @@ class MotionCheck:
         self._tight = np.zeros(len(self._pairs), dtype=bool)
         self._tight_ends: list[tuple[Vector, Vector]] = []
         self.ends_clear = [self._add_end(np.asarray(q, dtype=float)) for q in ends]
-        self._tight_rows = np.flatnonzero(self._tight)
         self._screen = ClearanceScreen(proximity, time=time, spare=self._least_spare())
-        self._full_screen = self._screen
-        if len(self._tight_rows):
-            spare_of_all = np.zeros(len(proximity.pairs))
-            spare_of_all[self._pairs] = self._spare
-            self._full_screen = ClearanceScreen(proximity, time=time, spare=spare_of_all)
         self._known.clear()  # the spare at a configuration depends on all ends
 
     # --- questions -------------------------------------------------------------
@@ -227,13 +221,6 @@ class MotionCheck:
         assert self._near is not None
         steps = int(np.ceil(float(np.max(rate / self.rate)) / _NEAR_EVERY)) + 1
         return all(self._near(point(part)) for part in places(steps))
-
-    def _is_clear_at(self, q: Vector) -> bool:
-        """Whether `q` keeps every clearance and its spare."""
-        if not self._screen.keeps_unchecked(q):
-            return False
-        tight = self._tight_rows
-        return not len(tight) or self._full_screen.keeps_unchecked(q) or bool(self._measure(tight, q).min() >= 0.0)
 
     # --- what is known -----------------------------------------------------------
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Indices, Vector
 from backhoe_planner.planning.search.motion_check import MotionCheck, places
+from backhoe_planner.site import ClearanceScreen
 
 _APART = 0.04  # m between two looks, of the point that moves most; chosen: a motion of 1 s is looked at 20 to 60 times
 
@@ -27,3 +29,22 @@ class SampledCheck(MotionCheck):
             return True
         steps = int(np.max(rate @ self._transposed) / _APART) + 1
         return all(self._is_clear_at(point(part)) for part in places(steps))
+
+    def _is_clear_at(self, q: Vector) -> bool:
+        """Whether `q` keeps every clearance and its spare."""
+        if not self._screen.keeps_unchecked(q):
+            return False
+        tight = self._tight_rows
+        return not len(tight) or self._full_screen.keeps_unchecked(q) or bool(self._measure(tight, q).min() >= 0.0)
+
+    @cached_property
+    def _tight_rows(self) -> Indices:
+        """(K,) the pairs that have less than the spare at an end."""
+        return np.flatnonzero(self._tight)
+
+    @cached_property
+    def _full_screen(self) -> ClearanceScreen:
+        """For the spare of all pairs, also of those."""
+        spare = np.zeros(len(self.proximity.pairs))
+        spare[self._pairs] = self._spare
+        return ClearanceScreen(self.proximity, time=self._time, spare=spare)

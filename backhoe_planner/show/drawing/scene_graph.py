@@ -40,7 +40,7 @@ from backhoe_planner.show.drawing.palette import FAR, GOAL, PASSED_BY, PATH, TRA
 from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline
-from backhoe_planner.site import Obstacle
+from backhoe_planner.site import Obstacle, offset_at
 
 UP = np.array([0.0, 0.0, 1.0])
 HIDDEN = 1e-5  # scale of what is hidden: too small to be seen, while 0 has no inverse
@@ -291,7 +291,7 @@ class SceneGraph:
             self._place("machine", self._links[link], self._data.oMi[joint].homogeneous)
         for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
-                self.place(obstacle.name, None if time < obstacle.appears_at else _offset(obstacle, time))
+                self.place(obstacle.name, None if time < obstacle.appears_at else offset_at(obstacle, time))
         for name, point in zip(self._obstacles, nearest, strict=False):
             self.point(name, point)
 
@@ -375,7 +375,7 @@ class SceneGraph:
                 tracks.append(Track(path, "quaternion", time, timeline.poses[:, joint, 3:]))
         for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
-                offset = np.array([_offset(obstacle, moment) for moment in timeline.time])
+                offset = np.array([offset_at(obstacle, moment) for moment in timeline.time])
                 size = np.where(timeline.time < obstacle.appears_at, HIDDEN, 1.0)
                 for group in ("site", "clearance"):
                     path = f"{self._prefix}/{group}/{self._obstacles[obstacle.name]}"
@@ -393,10 +393,6 @@ class SceneGraph:
                 tracks.append(Track(path, kind, time, np.array([rod[column] for rod in rods])))
             tracks.append(Track(f"{path}/<object>", "material.color", time, colours))
         return PlanAnimation(tracks, float(time[-1]))
-
-
-def _offset(obstacle: Obstacle, time: float) -> Vector:
-    return np.asarray(obstacle.velocity * max(time - obstacle.appears_at, 0.0))
 
 
 def _box_corners(low: Vector, high: Vector) -> Matrix:
