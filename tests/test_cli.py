@@ -554,6 +554,8 @@ def test_files_that_are_not_there(run: Run, tmp_path: Path) -> None:
         (["plan", PLANAR4, "scene.yaml", "--budget", "-1"], "budget"),
         (["plan", PLANAR4, "scene.yaml", "--method", "magic"], "auto, reactive"),
         (["inspect", PLANAR4, "--tip", "bucket"], "bucket"),
+        (["inspect", PLANAR4, "--plot", "reach.jpgg"], ".png, .svg, .pdf"),
+        (["plan", PLANAR4, "scene.yaml", "--html", "page.pdf"], ".html, .htm"),
     ],
 )
 def test_a_bad_command_line(run: Run, tmp_path: Path, arguments: list[str], word: str) -> None:

@@ -14,7 +14,7 @@ import typer
 import backhoe_planner as bp
 from backhoe_planner import machine, show, site
 from backhoe_planner.cli.terminal import DEGREES, OUT, VERIFIED, Urdf, print_warnings, table_of
-from backhoe_planner.files.output_file import check_writable
+from backhoe_planner.files.output_file import check_ending, check_writable
 
 
 def inspect(
@@ -33,6 +33,7 @@ def inspect(
     Joints, limits, held joints, links, which may touch, Denavit-Hartenberg table, envelope and cylinders.
     """
     if plot is not None:
+        check_ending(plot, show.FIGURE_FORMATS, what="a figure")
         check_writable(plot)
     robot, limits, warnings = _machine(urdf, None if scene is None else bp.load_scene(scene), tip)
     print_warnings((*robot.warnings, *warnings))

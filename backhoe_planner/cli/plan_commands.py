@@ -16,7 +16,7 @@ import backhoe_planner as bp
 from backhoe_planner import motion, planning, show, site
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
-from backhoe_planner.files.output_file import check_output
+from backhoe_planner.files.output_file import check_ending, check_output
 
 
 def plan(
@@ -53,6 +53,8 @@ def plan(
     for target in (output, html):
         if target is not None:
             check_output(target, (*robot.files, *loaded.files))
+    if html is not None:
+        check_ending(html, show.PAGE_FORMATS, what="a page")
     print_warnings((*robot.warnings, *loaded.warnings(), *site.limit_warnings(robot, loaded)))
     unit = motion.OBJECTIVES[loaded.objective or "time"].unit  # of what is shown on the way to a goal
     compute = functools.partial(bp.plan, robot, loaded, method=method, seed=seed, effort=effort, budget=budget)

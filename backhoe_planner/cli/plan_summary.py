@@ -73,10 +73,9 @@ def _print_keep(found: bp.Plan) -> None:
 
 def _print_motion(found: bp.Plan) -> None:
     metrics, tracking = found.metrics, found.certificate.tracking
-    angle = f", {DEGREES * tracking.max_angle_error:.2f} deg" if _asks_angle(found) else ""
     _print_goal(found)
     _print_keep(found)
-    OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{angle} at most")
+    OUT.print(f"tip error     {1e3 * tracking.max_error:.2f} mm{_angle_error(found)} at most")
     for detour in metrics.detours:
         OUT.print(
             f"detour        leaves the path at {detour.path_from:.2f} m, back at {detour.path_to:.2f} m: "
@@ -133,7 +132,7 @@ def print_certificate(plan: bp.Plan) -> None:
         _print_tracking_error(plan)
         _print_goal(plan)
         _print_keep(plan)
-        OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm at most")
+        OUT.print(f"{'tip error':<13}{1e3 * certificate.tracking.max_error:.3f} mm{_angle_error(plan)} at most")
         _print_left_out(certificate.tracking)
     speed = certificate.tip_speed
     if speed is not None:
@@ -245,7 +244,11 @@ def _print_zone_table(visits: Sequence[bp.Transgression]) -> None:
     OUT.print(table)
 
 
-def _asks_angle(found: bp.Plan) -> bool:
-    number = found.certificate.tracking.goal
+def _angle_error(found: bp.Plan) -> str:
+    """How far the tip is turned from what is asked, in words; empty where no angle is asked for."""
+    tracking = found.certificate.tracking
+    number = tracking.goal
     asked = [found.problem.goals[number - 1].target] if number else [pose.target for pose in found.scene.waypoints()]
-    return any(target.pitch is not None or target.rotation is not None for target in asked)
+    if not any(target.pitch is not None or target.rotation is not None for target in asked):
+        return ""
+    return f", {DEGREES * tracking.max_angle_error:.2f} deg"

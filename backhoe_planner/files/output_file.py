@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -62,6 +62,27 @@ def check_writable(path: str | os.PathLike[str]) -> None:
         raise OutputError("the folder does not exist", file=target, found=str(target.parent), hint="create it first")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise OutputError("the folder may not be written", file=target, found=str(target.parent))
+
+
+def check_ending(path: str | os.PathLike[str], allowed: Sequence[str], *, what: str) -> str:
+    """The ending of a file's name in lower case, where what is to be written can be written so.
+
+    Parameters
+    ----------
+    allowed: endings, such as ``.png``.
+    what: is to be written, for the message, such as ``a page``.
+
+    Raises
+    ------
+    OutputError: the name ends otherwise.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in allowed:
+        raise OutputError(
+            f"{what} cannot be written in this format", file=os.fspath(path), found=ending or "no ending",
+            allowed=", ".join(allowed),
+        )  # fmt: skip
+    return ending
 
 
 def check_output(path: str | os.PathLike[str], inputs: Iterable[Path]) -> None:

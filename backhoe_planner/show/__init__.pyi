@@ -19,9 +19,11 @@ from .drawing.solids import tube as tube
 from .drawing.timeline import ITSELF as ITSELF
 from .drawing.timeline import timeline as timeline
 from .page.display import Display as Display
+from .page.page import PAGE_FORMATS as PAGE_FORMATS
 from .page.page import plan_page as plan_page
 from .page.page import write_page as write_page
 from .plots.envelope_plot import plot_envelope as plot_envelope
+from .plots.figure_file import FIGURE_FORMATS as FIGURE_FORMATS
 from .plots.plots import plot_plan as plot_plan
 from .teleop.changes import Change as Change
 from .teleop.changes import describe_changes as describe_changes

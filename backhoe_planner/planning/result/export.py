@@ -5,15 +5,13 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import yaml
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.errors import OutputError
-from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.files.output_file import check_ending, check_output, whole_file
 from backhoe_planner.machine import Hydraulics
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning.result.plan import Plan
@@ -33,10 +31,7 @@ def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     ------
     OutputError: unknown ending, the file cannot be written, or is of the machine or the scene.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in FORMATS:
-        raise OutputError("unknown format", file=Path(path), found=suffix or "no ending", allowed=", ".join(FORMATS))
-    write, mode = FORMATS[suffix]
+    write, mode = FORMATS[check_ending(path, tuple(FORMATS), what="a motion")]
     check_output(path, plan.input_files)
     with whole_file(path, mode) as stream:
         write(plan, stream)

@@ -13,10 +13,12 @@ from functools import lru_cache
 from importlib import resources
 from typing import Any
 
-from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.files.output_file import check_ending, check_output, whole_file
 from backhoe_planner.planning import Plan
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.page_content import show_plan
+
+PAGE_FORMATS = (".html", ".htm")
 
 # nothing may be fetched from anywhere; meshcat reads its own commands with eval
 _POLICY = (
@@ -34,9 +36,11 @@ def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
 
     Raises
     ------
-    OutputError: the folder does not exist or cannot be written; or the file is of the machine or the scene.
+    OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
+        the file is of the machine or the scene.
     """
     check_output(path, plan.input_files)
+    check_ending(path, PAGE_FORMATS, what="a page")
     page, warnings = plan_page(plan)
     with whole_file(path) as stream:
         stream.write(page)

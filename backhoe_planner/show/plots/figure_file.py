@@ -9,15 +9,15 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from backhoe_planner.errors import InputError, OutputError
-from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.errors import InputError
+from backhoe_planner.files.output_file import check_ending, check_output, whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-_FORMATS = (".png", ".svg", ".pdf")
+FIGURE_FORMATS = (".png", ".svg", ".pdf")
 _RESOLUTION = 150  # dots per inch; chosen, text of 8 points is readable on a screen
 
 
@@ -29,12 +29,7 @@ def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inp
     OutputError: the suffix is none of .png, .svg, .pdf, the folder cannot be written, or the file is one of `inputs`.
     InputError: matplotlib is not installed.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in _FORMATS:
-        raise OutputError(
-            "a figure cannot be written in this format", file=os.fspath(path), found=suffix or "no suffix",
-            allowed=", ".join(_FORMATS),
-        )  # fmt: skip
+    check_ending(path, FIGURE_FORMATS, what="a figure")
     check_output(path, inputs)
     if importlib.util.find_spec("matplotlib") is None:
         raise InputError("figures need matplotlib", hint="pip install backhoe_planner[plots]")
