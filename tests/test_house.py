@@ -19,7 +19,7 @@ ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 FLOORS = [
     "errors", "arrays", "files",
-    "machine", "site", "motion", "proof", "law", "planning", "live", "show", "cli", "__main__",
+    "machine", "site", "motion", "proof", "law", "planning", "live", "job", "show", "cli", "__main__",
 ]  # fmt: skip
 FILES = sorted(PACKAGE.rglob("*.py"))
 

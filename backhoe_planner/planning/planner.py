@@ -94,7 +94,7 @@ def plan(
         allowed = ", ".join(name for name in METHODS if name != checked)
         problem_text = f"needs a goal given by the tip's pose; this scene has a {has}"
         raise InputError(problem_text, key="method", found=checked, allowed=allowed)
-    outcome, certificate = _plan_drivable(problem, checked, seed=seed, effort=EFFORTS[asked], brake=brake, watch=watch)
+    outcome, certificate = plan_motion(problem, checked, seed=seed, effort=EFFORTS[asked], brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message
     if note and not outcome.reason and not certificate.verified:
@@ -131,13 +131,26 @@ def _describe_unused_limits(problem: Problem, motion: Trajectory) -> str:
     return "" if used >= _BINDS else f"the motion uses at most {100.0 * used:.0f} % of any limit: it could be faster"
 
 
-def _plan_drivable(
-    problem: Problem, method: Method, *, seed: int, effort: Effort, brake: Brake, watch: Watcher | None
+def plan_motion(
+    problem: Problem,
+    method: Method = "auto",
+    *,
+    seed: int = 0,
+    effort: Effort = EFFORTS["normal"],
+    brake: Brake | None = None,
+    watch: Watcher | None = None,
 ) -> tuple[Outcome, Certificate]:
-    """A motion that the machine can drive, and what is proven of it.
+    """A motion for a ready problem that the machine can drive, and what is proven of it.
 
     Where obstacles move, a motion cannot just be slowed down: it is planned anew with slower joints.
+
+    Parameters
+    ----------
+    method, seed, watch: as of `plan`.
+    effort: how much counted work the searches may take.
+    brake: ends what takes too long; by default nothing does.
     """
+    brake = brake or Brake()
     slowed = narrow_path(problem)
     for _ in range(_SLOWER):
         outcome = _find_motion(World(slowed, seed=seed, work=Work(effort, brake), watch=watch), method)
