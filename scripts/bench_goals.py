@@ -12,9 +12,11 @@ a file; runs with other seeds and more effort make it better.
     python scripts/bench_goals.py --sites 10 --best best.json --objective work
     python scripts/bench_goals.py --sites 67 --problems tabletop
     python scripts/bench_goals.py --sites 2 --best best.json --ompl 1 5
+    python scripts/bench_goals.py --sites 10 --problems tabletop --effort quick --roboplan
 
 `--ompl` plans every site also with OMPL's own planners (validation/ompl_planners.py), each in the
-processor time that our plan took and in the seconds that are given.
+processor time that our plan took and in the seconds that are given. `--roboplan` plans tabletop problems
+also with RoboPlan (`pip install roboplan`; validation/roboplan_runs.py).
 
 Ctrl-C ends the run and prints what is done. The exit status is 1 where an exception was raised
 or a motion is below a bound, 130 after Ctrl-C, else 0.
@@ -27,6 +29,7 @@ import os
 os.environ["OMP_NUM_THREADS"] = "1"  # one site to a core; before numpy is imported
 
 import argparse
+import importlib.util
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -37,7 +40,7 @@ from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS
 from validation import goal_runs as runs
-from validation import ompl_runs, tabletop
+from validation import ompl_runs, roboplan_runs, tabletop
 from validation.obstacles import MACHINES
 from validation.planning_runs import all_keys
 from validation.sites import KINDS, random_site
@@ -59,6 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--best", type=Path, metavar="FILE.json", help="the best known; it is read and made better")
     parser.add_argument("--save", type=Path, metavar="FILE.json", help="every row of this run")
     parser.add_argument("--ompl", nargs="*", type=float, metavar="SECONDS", help="OMPL's planners on the same sites")
+    parser.add_argument("--roboplan", action="store_true", help="RoboPlan on the same tabletop problems")
     options = parser.parse_args(arguments)
     if options.sites < 1 or options.seed < 0 or options.jobs == 0 or min(options.planning_seeds) < 0:
         parser.error("--sites and --jobs must be greater than 0, --seed and --planning-seeds not negative")
@@ -84,6 +88,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if sys.stderr.isatty():
             print(f"\r{done} of {len(keys)} ", end="", file=sys.stderr, flush=True)
 
+    if options.roboplan:
+        if options.problems != "tabletop" or importlib.util.find_spec("roboplan") is None:
+            parser.error("--roboplan needs --problems tabletop, and the package: pip install roboplan")
+        beside, interrupted = roboplan_runs.compare(keys, settings, draw=draw, jobs=options.jobs, progress=progress)
+        if beside:
+            print(roboplan_runs.table(beside))
+        return 130 if interrupted else 0
     if options.ompl is not None:
         found, interrupted = ompl_runs.compare(
             keys, settings, options.ompl, draw=draw, jobs=options.jobs, progress=progress
