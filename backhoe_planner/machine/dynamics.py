@@ -115,6 +115,7 @@ def motion_energy(
     a: Matrix,
     payload: float = 0.0,
     tip_force: Matrix | None = None,
+    outside: Matrix | None = None,
 ) -> MotionEnergy:
     """Torque, power and energy along a sampled motion.
 
@@ -122,13 +123,16 @@ def motion_energy(
     ----------
     time: (T,) [s]; q, v, a: (T, n) positions, velocities and accelerations of the joints.
     payload: mass at the tip [kg].
-    tip_force: (T, 3) force on the tip from outside [N], world, such as the soil's.
+    tip_force: (T, 3) force on the tip from outside [N], world.
+    outside: (T, n) torques on the joints from outside [N m or N], such as the soil's.
     """
     dynamics = Dynamics(robot, payload=payload)
-    outside = [None] * len(time) if tip_force is None else list(tip_force)
+    forces = [None] * len(time) if tip_force is None else list(tip_force)
     torque = np.array(
-        [dynamics.torques(*row, tip_force=force) for *row, force in zip(q, v, a, outside, strict=True)]
+        [dynamics.torques(*row, tip_force=force) for *row, force in zip(q, v, a, forces, strict=True)]
     ).reshape(q.shape)
+    if outside is not None:
+        torque = torque - outside
     potential = np.array([dynamics.potential_energy(row) for row in q])
     joint_power = torque * v
     power = np.sum(np.maximum(joint_power, 0.0), axis=1)

@@ -85,7 +85,7 @@ class PathCost:
         self.objective = problem.objective if name is None else find_objective(name, robot)
         self._machine = LoadedMachine(
             Dynamics(robot, payload=scene.payload),
-            None if scene.soil is None else SoilReaction(robot, scene.soil),
+            None if scene.soil is None else SoilReaction(robot, scene.soil, problem.ground),
             robot.hydraulics,
         )
         self._kinematics = BatchKinematics(robot)
@@ -365,8 +365,8 @@ def _costs(problem: Problem, motion: Trajectory, objectives: Sequence[Objective[
 
 def _energy(problem: Problem, time: Array, q: Array, v: Array, a: Array) -> MotionEnergy:
     robot, soil = problem.robot, problem.scene.soil
-    force = None if soil is None else SoilReaction(robot, soil).force(q, v)
-    return motion_energy(robot, time, q=q, v=v, a=a, payload=problem.scene.payload, tip_force=force)
+    outside = None if soil is None else SoilReaction(robot, soil, problem.ground).torques(q, v)
+    return motion_energy(robot, time, q=q, v=v, a=a, payload=problem.scene.payload, outside=outside)
 
 
 def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, float]:

@@ -18,6 +18,7 @@ from backhoe_planner.motion.objectives import Objective, find_objective
 from backhoe_planner.motion.path import TipPath
 from backhoe_planner.site import (
     Gains,
+    Ground,
     JointsGoal,
     Obstacle,
     Pose,
@@ -50,6 +51,7 @@ class Problem:
     keep: what is to hold along the whole motion, or None.
     joint_steps: (n,) how far a joint may move from waypoint to waypoint of the path [rad or m],
         infinite where it may freely; None where all may.
+    ground: where the scene's soil is; None where it is level at the soil's `surface`.
     """
 
     robot: Robot
@@ -63,6 +65,7 @@ class Problem:
     path: TipPath | None
     keep: Keep | None = None
     joint_steps: Vector | None = None
+    ground: Ground | None = None
 
     @property
     def is_dynamic(self) -> bool:

@@ -1,4 +1,7 @@
 from .clearance_screen import ClearanceScreen as ClearanceScreen
+from .ground import Ground as Ground
+from .ground import GroundContact as GroundContact
+from .ground import LevelGround as LevelGround
 from .joint_names import check_joint_names as check_joint_names
 from .joint_names import joint_positions as joint_positions
 from .limits import joints_on_site as joints_on_site

@@ -16,8 +16,16 @@ E. McKyes, Soil Cutting and Tillage, 1985.) The soil fails where it resists leas
 the angle that makes F smallest. F lies at the angle delta to the blade's normal; in addition
 adhesion c_a w d / sin alpha acts along the blade.
 
-The equation holds for a blade drawn level through level ground, slowly. The soil in the
-bucket, its side plates and the ground's slope are left out.
+Where the ground rises by sigma in the direction of the cut, d is measured across it and alpha
+from it, and the soil's weight leans against the wedge: N_gamma and N_q are times
+
+    (cos sigma + sin sigma cot(beta + phi)),
+
+as the equilibrium of the wedge along the normal of the force on its failure plane says (so
+too in O. Luengo, S. Singh, H. Cannon, Modeling and identification of soil-tool interaction in
+automated excavation, IROS 1998, whose surcharge is the weight of the soil ahead of the blade).
+
+The equation holds for a blade drawn along the ground, slowly. The side plates are left out.
 """
 
 from __future__ import annotations
@@ -27,6 +35,7 @@ import numpy as np
 from backhoe_planner.arrays import Array
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import GRAVITY, BatchKinematics, ConfigurationBatch, Robot
+from backhoe_planner.site.ground import Ground, GroundContact, LevelGround
 from backhoe_planner.site.scene_file import Soil
 
 LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
@@ -36,46 +45,55 @@ _SHALLOWEST = 1e-9  # m, in place of 0: at depth 0 the terms per depth have no v
 _STEEPEST = 0.9  # part of the rakes at which a wedge can slide up the blade; chosen, since F grows without bound at 1
 
 
-def blade_force(depth: Array, rake: Array, soil: Soil, *, width: float) -> Array:
+def blade_force(
+    depth: Array, rake: Array, soil: Soil, *, width: float, slope: Array | float = 0.0, surcharge: Array | float = 0.0
+) -> Array:
     """F of the fundamental earthmoving equation [N], 0 or more; 0 at depth 0 and above the ground.
 
     Parameters
     ----------
-    depth: of the blade's edge below the ground [m].
-    rake: alpha [rad]; its shape broadcasts with that of `depth`. It is brought between 10
+    depth: of the blade's edge below the ground, across it [m].
+    rake: alpha from the ground [rad]; the shapes of all arrays broadcast. It is brought between 10
         degrees and upright: in front of a blade beyond these a body of soil stands still.
     soil: what is cut.
     width: w [m].
+    slope: sigma, by which the ground rises in the direction of the cut [rad].
+    surcharge: load on the ground besides the soil's own [Pa].
     """
-    depth, alpha = np.broadcast_arrays(np.maximum(depth, 0.0), _usable(rake, soil))
-    return width * depth * _resistance(failure_angle(depth, alpha, soil), depth, alpha, soil)
+    depth, alpha, sigma, load = np.broadcast_arrays(np.maximum(depth, 0.0), _usable(rake, soil), slope, surcharge)
+    beta = failure_angle(depth, alpha, soil, slope=sigma, surcharge=load)
+    return width * depth * _resistance(beta, depth, alpha, soil, sigma, load)
 
 
-def failure_angle(depth: Array, rake: Array, soil: Soil) -> Array:
-    """The angle beta of the plane of failure [rad] that makes F smallest.
+def failure_angle(
+    depth: Array, rake: Array, soil: Soil, *, slope: Array | float = 0.0, surcharge: Array | float = 0.0
+) -> Array:
+    """The angle beta of the plane of failure, from the ground [rad], that makes F smallest.
 
     Parameters
     ----------
-    depth, rake, soil: as of `blade_force`.
+    depth, rake, soil, slope, surcharge: as of `blade_force`.
 
     As a function of x = 2 beta, F is a quotient of two expressions n0 + n1 cos x +
     n2 sin x, so that dF/dx = 0 reads P sin x + Q cos x + R = 0.
     """
-    depth, alpha = np.broadcast_arrays(np.maximum(depth, _SHALLOWEST), _usable(rake, soil))
+    depth, alpha, sigma, load = np.broadcast_arrays(
+        np.maximum(depth, _SHALLOWEST), _usable(rake, soil), slope, surcharge
+    )
     phi, delta = soil.friction, _tool_friction(soil)
-    K, C, A = _per_depth(depth, soil)
+    K, C, A = _per_depth(depth, soil, load)
     k, adhesive = 0.5 * K / np.sin(alpha), 0.5 * A / np.sin(alpha)
     turned = alpha + phi
-    n0 = k * np.cos(alpha - phi) + C * np.cos(phi) + adhesive * np.sin(turned)
-    n1 = -k * np.cos(turned) - adhesive * np.sin(turned)
-    n2 = k * np.sin(turned) - adhesive * np.cos(turned)
+    n0 = k * np.cos(alpha - phi - sigma) + C * np.cos(phi) + adhesive * np.sin(turned)
+    n1 = -k * np.cos(turned + sigma) - adhesive * np.sin(turned)
+    n2 = k * np.sin(turned + sigma) - adhesive * np.cos(turned)
     d0, d1, d2 = 0.5 * np.cos(turned + delta), -0.5 * np.cos(turned + delta), 0.5 * np.sin(turned + delta)
     P, Q, R = n0 * d1 - n1 * d0, n2 * d0 - n0 * d2, n2 * d1 - n1 * d2
     middle = np.arctan2(P, Q)
     spread = np.arccos(np.clip(-R / np.hypot(P, Q), -1.0, 1.0))
     beta = np.stack((middle + spread, middle - spread)) / 2.0 % np.pi
     with np.errstate(divide="ignore", invalid="ignore"):
-        force = _resistance(beta, depth, alpha, soil)
+        force = _resistance(beta, depth, alpha, soil, sigma, load)
     fails = (beta > 0.0) & (beta + phi + alpha + delta < np.pi) & np.isfinite(force)
     best = np.argmin(np.where(fails, force, np.inf), axis=0)
     return np.asarray(np.take_along_axis(beta, best[None], axis=0)[0])
@@ -89,6 +107,7 @@ def soil_force(
     forward: Array,
     soil: Soil,
     width: float,
+    contact: GroundContact | None = None,
 ) -> Array:
     """(..., 3) the force of the soil on the teeth [N], world.
 
@@ -102,21 +121,31 @@ def soil_force(
     forward: (..., 3) horizontal unit vector outward along the arm, world.
     soil: in which the blade moves.
     width: of the blade [m].
+    contact: how the teeth stand in the ground; by default in level ground at the soil's `surface`.
     """
     velocity, forward = np.asarray(tip_velocity, dtype=float), np.asarray(forward, dtype=float)
-    depth = np.maximum(soil.surface - np.asarray(tip_position, dtype=float)[..., 2], 0.0)
+    if contact is None:
+        contact = LevelGround(soil.surface).contact(tip_position)
     # the face's normal into the bucket: (faces, -cos) out along the arm and up
     tilt = np.asarray(pitch, dtype=float) - LIP
     faces = np.sin(tilt)
-    alpha = _usable(np.arccos(np.clip(-np.cos(tilt), -1.0, 1.0)), soil)
+    rake = np.arccos(np.clip(-np.cos(tilt), -1.0, 1.0))
+    cutting = np.sign(faces)[..., None] * forward
+    sigma = _slope_along(contact, cutting)
+    depth = np.maximum(contact.depth, 0.0) * np.cos(sigma)
+    alpha = _usable(rake + sigma, soil)
     into = faces * np.sum(velocity * forward, axis=-1)
     acting = np.maximum(into, 0.0) / np.hypot(into, _CREEP)
-    F = acting * blade_force(depth, alpha, soil, width=width)
+    load = 0.0 if contact.surcharge is None else contact.surcharge
+    F = acting * blade_force(depth, alpha, soil, width=width, slope=sigma, surcharge=load)
     stuck = acting * soil.adhesion * width * depth
     delta = _tool_friction(soil)
     back = F * np.sin(alpha + delta) + stuck / np.tan(alpha)
     down = F * np.cos(alpha + delta) - stuck
-    force = -(back * np.sign(faces))[..., None] * forward - down[..., None] * np.array([0.0, 0.0, 1.0])
+    # along the ground and across it, in the direction of the cut and up
+    ahead = -back * np.cos(sigma) + down * np.sin(sigma)
+    up = -back * np.sin(sigma) - down * np.cos(sigma)
+    force = ahead[..., None] * cutting + up[..., None] * np.array([0.0, 0.0, 1.0])
     driving = np.maximum(np.sum(force * velocity, axis=-1, keepdims=True), 0.0)
     squared = np.sum(velocity * velocity, axis=-1, keepdims=True)
     return np.asarray(force - driving / np.maximum(squared, 1e-300) * velocity)
@@ -129,6 +158,7 @@ class SoilReaction:
     ----------
     robot: the machine, with a bucket as its last link.
     soil: in which its tip moves.
+    ground: where the soil is; by default level at the soil's `surface`.
 
     Raises
     ------
@@ -136,11 +166,12 @@ class SoilReaction:
         machine's last link has no collision shape to measure.
     """
 
-    def __init__(self, robot: Robot, soil: Soil) -> None:
+    def __init__(self, robot: Robot, soil: Soil, ground: Ground | None = None) -> None:
         if not robot.has_pitch:
             problem = "soil acts on a bucket: the axis of the last joint must stay horizontal"
             raise InputError(problem, key="soil", found=robot.name)
         self._soil = soil
+        self._ground = LevelGround(soil.surface) if ground is None else ground
         self._width = bucket_width(robot) if soil.width is None else soil.width
         self._kinematics = BatchKinematics(robot)
 
@@ -149,34 +180,48 @@ class SoilReaction:
         return self._over(q, v)[0]
 
     def torques(self, q: Array, v: Array) -> Array:
-        """(..., n) J^T F, what the soil does to the joints [N m], at q, v (..., n)."""
+        """(..., n) what the soil does to the joints [N m], at q, v (..., n): J^T F, and the weight of what is held."""
         return self._over(q, v)[1]
 
     def torques_at(self, q: Array, tip_velocity: Array) -> Array:
-        """(B, n) J^T F [N m] at q (B, n) while the tip moves with (B, 3) or (3,) [m/s], world."""
+        """(B, n) `torques` [N m] at q (B, n) while the tip moves with (B, 3) or (3,) [m/s], world."""
         at = self._kinematics.at(q)
-        force = self._force(at, np.broadcast_to(tip_velocity, (len(q), 3)))
-        return np.asarray(np.einsum("tij,ti->tj", at.position_jacobian(), force))
+        return self._forces(at, np.broadcast_to(tip_velocity, (len(q), 3)), at.position_jacobian())[1]
 
     def _over(self, q: Array, v: Array) -> tuple[Array, Array]:
         q, v = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
         at = self._kinematics.at(q.reshape(-1, q.shape[-1]))
         J = at.position_jacobian()
-        force = self._force(at, np.einsum("tij,tj->ti", J, v.reshape(-1, v.shape[-1])))
-        torque = np.einsum("tij,ti->tj", J, force)
+        force, torque = self._forces(at, np.einsum("tij,tj->ti", J, v.reshape(-1, v.shape[-1])), J)
         return force.reshape(*q.shape[:-1], 3), torque.reshape(q.shape)
 
-    def _force(self, at: ConfigurationBatch, tip_velocity: Array) -> Array:
+    def _forces(self, at: ConfigurationBatch, tip_velocity: Array, J: Array) -> tuple[Array, Array]:
+        """(B, 3) the force on the tip [N], world, and (B, n) the torques on the joints [N m]."""
         axis = at.pitch_sense * at.axes[:, -1]
         forward = np.column_stack((-axis[:, 1], axis[:, 0], np.zeros(len(at))))
-        return soil_force(
+        contact = self._ground.contact(at.tip_position)
+        force = soil_force(
             at.tip_position,
             tip_velocity,
             pitch=at.pitch(),
             forward=forward / np.linalg.norm(forward, axis=1, keepdims=True),
             soil=self._soil,
             width=self._width,
+            contact=contact,
         )
+        torque = np.einsum("tij,ti->tj", J, force)
+        if contact.held is None:
+            return force, torque
+        return force, torque - (GRAVITY * contact.held)[:, None] * self._lift(at, J)
+
+    def _lift(self, at: ConfigurationBatch, J: Array) -> Array:
+        """(B, n) by how much each joint lifts what the bucket holds [m/rad]."""
+        if self._ground.held_at is None:
+            return np.asarray(J[:, 2])
+        offset = at.origins[:, -1] + at.rotations[:, -1] @ self._ground.held_at - at.tip_position
+        # a point of the same body: the tip's velocity and omega x offset, of which the z part is wanted
+        turned = at.rotation_jacobian()
+        return np.asarray(J[:, 2] + turned[:, 0] * offset[:, 1, None] - turned[:, 1] * offset[:, 0, None])
 
 
 def bucket_width(robot: Robot) -> float:
@@ -194,21 +239,30 @@ def bucket_width(robot: Robot) -> float:
     return right + left
 
 
-def _resistance(beta: Array, depth: Array, alpha: Array, soil: Soil) -> Array:
+def _slope_along(contact: GroundContact, cutting: Array) -> Array:
+    """(...) by how much the ground rises in the direction of the cut (..., 3) [rad]."""
+    if contact.gradient is None:
+        return np.zeros(np.shape(contact.depth))
+    return np.asarray(np.arctan(np.sum(contact.gradient * cutting[..., :2], axis=-1)))
+
+
+def _resistance(beta: Array, depth: Array, alpha: Array, soil: Soil, sigma: Array, load: Array) -> Array:
     """F / (w d) at any angle of failure [Pa]."""
     phi, delta = soil.friction, _tool_friction(soil)
-    K, C, A = _per_depth(depth, soil)
+    K, C, A = _per_depth(depth, soil, load)
     cot_fail = 1.0 / np.tan(beta + phi)
     D = np.cos(alpha + delta) + np.sin(alpha + delta) * cot_fail
-    weight = K * (1.0 / np.tan(alpha) + 1.0 / np.tan(beta))
+    leans = np.cos(sigma) + np.sin(sigma) * cot_fail
+    weight = K * (1.0 / np.tan(alpha) + 1.0 / np.tan(beta)) * leans
     cohesion = C * (1.0 + cot_fail / np.tan(beta))
     adhesion = A * (1.0 - cot_fail / np.tan(alpha))
     return np.asarray(np.maximum(weight + cohesion + adhesion, 0.0) / D)
 
 
-def _per_depth(depth: Array, soil: Soil) -> tuple[Array, float, float]:
+def _per_depth(depth: Array, soil: Soil, load: Array) -> tuple[Array, float, float]:
     """Weight with surcharge, cohesion and adhesion, each per depth and width [Pa]."""
-    return 0.5 * soil.density * GRAVITY * depth + soil.surcharge, soil.cohesion, soil.adhesion
+    weight = 0.5 * soil.density * GRAVITY * depth + (soil.surcharge + load)
+    return weight, soil.cohesion, soil.adhesion
 
 
 def _tool_friction(soil: Soil) -> float:

@@ -16,7 +16,7 @@ from backhoe_planner.arrays import Array
 from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Kinematics, Robot
 from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Moments, Trajectory
-from backhoe_planner.site import Soil, SoilReaction
+from backhoe_planner.site import Ground, Soil, SoilReaction
 
 _BRISK = 1.0  # rad/s or m/s of the fastest joint; chosen: fast enough for the soil's full force
 _MOST = 1e6  # ratio to a limit: greater ones count as this, so that none is infinite
@@ -57,6 +57,7 @@ class Drive:
         default; infinite for no limit.
     payload: at the tip [kg].
     soil: in which the tip moves.
+    ground: where the soil is; by default level at the soil's `surface`.
 
     Raises
     ------
@@ -64,13 +65,19 @@ class Drive:
     """
 
     def __init__(
-        self, robot: Robot, *, effort: Array | None = None, payload: float = 0.0, soil: Soil | None = None
+        self,
+        robot: Robot,
+        *,
+        effort: Array | None = None,
+        payload: float = 0.0,
+        soil: Soil | None = None,
+        ground: Ground | None = None,
     ) -> None:
         self.joint_names = robot.joint_names
         self.hydraulics: Hydraulics | None = robot.hydraulics
         self._effort = robot.limits.effort if effort is None else effort
         self._dynamics = Dynamics(robot, payload=payload)
-        self._soil = None if soil is None else SoilReaction(robot, soil)
+        self._soil = None if soil is None else SoilReaction(robot, soil, ground)
 
     @property
     def limited(self) -> bool:
@@ -178,7 +185,10 @@ def _beside(between: Array) -> Array:
 
 def drive_of(problem: Problem) -> Drive:
     """The drive of a problem's machine with the scene's payload and soil."""
-    return Drive(problem.robot, effort=problem.limits.effort, payload=problem.scene.payload, soil=problem.scene.soil)
+    scene = problem.scene
+    return Drive(
+        problem.robot, effort=problem.limits.effort, payload=scene.payload, soil=scene.soil, ground=problem.ground
+    )
 
 
 @dataclass(frozen=True, eq=False)
