@@ -1,0 +1,6 @@
+from .cuts.bucket import Bucket as Bucket
+from .cuts.cut import Cut as Cut
+from .cuts.cut import NoCut as NoCut
+from .cuts.digger import Digger as Digger
+from .cuts.finding import find_cut as find_cut
+from .cuts.profile import Profile as Profile

@@ -55,8 +55,8 @@ class Soil(Record):
 
     density: Positive = 1700.0
     """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
-    cohesion: NonNegative = 5000.0
-    """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay."""
+    cohesion: Annotated[float, Field(strict=True, ge=0.0, le=1e8, allow_inf_nan=False)] = 5000.0
+    """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
     friction: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.55
     """Internal friction angle [rad]; 0.55 by default, usual are 0.44 to 0.70 (25 to 40 degrees)."""
     adhesion: NonNegative = 0.0

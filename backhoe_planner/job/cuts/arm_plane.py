@@ -1,0 +1,187 @@
+"""The arm in its upright plane: joints that put the teeth at a radius, a height and a pitch.
+
+With the plane turned to the swing angle, r is the horizontal distance of the teeth from the
+swing axis and z their height. An arm of three hinges across that plane (boom, stick and
+bucket) has two solutions at most, in closed form: the pin of the bucket follows from the
+pitch, the angle at the elbow from the law of cosines. The elbow that stays within the limits
+at most places is kept. For any other arm the joints are searched place by place by Newton's
+method, each from its neighbour's; that takes some two hundred times as long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Vector
+from backhoe_planner.errors import InputError
+from backhoe_planner.machine import BatchKinematics, JointLimits, Robot, TargetBatch, TipTarget, solve_batch, wrap_angle
+
+_SAME = 1e-6  # m or a sine: rounding of a URDF's numbers
+_ROUNDING = 1e-9  # rad beyond a limit that is rounding
+_PASSES = 3  # along the places and back, in which a search starts from its neighbours' results; chosen
+
+
+@dataclass(frozen=True, eq=False)
+class _Hinges:
+    """An arm of three hinges: lengths [m] and angles [rad] of its parts where all joints are at 0, and senses of turn.
+
+    Attributes
+    ----------
+    foot: (2,) r, z of the first hinge.
+    lengths, angles, senses: (3,).
+    """
+
+    foot: Vector
+    lengths: Vector
+    angles: Vector
+    senses: Vector
+
+
+class ArmPlane:
+    """The plane in which an arm digs.
+
+    Parameters
+    ----------
+    robot: the machine.
+    limits: of its joints; its own by default.
+
+    Attributes
+    ----------
+    axis: (2,) x, y of the swing axis [m], world; (0, 0) where nothing swings.
+    swings: whether the first joint turns the plane.
+    closed: whether its joints follow in closed form.
+
+    Raises
+    ------
+    InputError: pitch is not defined for the machine; or its plane is not upright through the swing axis.
+    """
+
+    def __init__(self, robot: Robot, *, limits: JointLimits | None = None) -> None:
+        if not robot.has_pitch:
+            problem = "cuts are dug in an upright plane: the axis of the last joint must stay horizontal"
+            raise InputError(problem, key="robot", found=robot.name)
+        self.robot = robot
+        self.limits = robot.limits if limits is None else limits
+        self._kinematics = BatchKinematics(robot)
+        self._zero = robot.nearest_zero
+        at = self._kinematics.at(self._zero[None, :])
+        self.swings = bool(abs(at.axes[0, 0, 2]) > 1.0 - _SAME and not robot.prismatic[0] and robot.n > 1)
+        self._sense = float(np.sign(at.axes[0, 0, 2])) if self.swings else 0.0
+        self.axis = at.origins[0, 0, :2].copy() if self.swings else np.zeros(2)
+        across = at.pitch_sense * at.axes[0, -1]
+        forward = np.array([-across[1], across[0]])
+        self._zero_heading = float(np.arctan2(forward[1], forward[0]))
+        off = at.tip_position[0, :2] - self.axis
+        self._beside = float(forward[0] * off[1] - forward[1] * off[0])
+        self._hinges = self._three_hinges()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the joints follow in closed form."""
+        return self._hinges is not None
+
+    @property
+    def kinematics(self) -> BatchKinematics:
+        """Of the machine."""
+        return self._kinematics
+
+    def heading(self, swing: float) -> float:
+        """Direction of the plane at a swing angle [rad], world, about z from x."""
+        if not self.swings:
+            return self._zero_heading
+        return self._zero_heading + self._sense * (swing - float(self._zero[0]))
+
+    def world(self, swing: float, r: Array, z: Array) -> Array:
+        """(..., 3) the places at radius r and height z [m] of the plane at a swing angle, world."""
+        turn = self.heading(swing)
+        out, left = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+        flat = self.axis + np.asarray(r)[..., None] * out + self._beside * left
+        return np.concatenate((flat, np.asarray(z, dtype=float)[..., None]), axis=-1)
+
+    def place(self, q: Array) -> tuple[Array, Array, Array]:
+        """(K,) radius [m], height [m] and pitch [rad] of the teeth at q (K, n)."""
+        at = self._kinematics.at(q)
+        across = at.pitch_sense * at.axes[:, -1]
+        off = at.tip_position[:, :2] - self.axis
+        return off[:, 1] * across[:, 0] - off[:, 0] * across[:, 1], at.tip_position[:, 2], at.pitch()
+
+    def joints(self, swing: float, r: Array, z: Array, pitch: Array) -> Array:
+        """(K, n) joints with the teeth at r, z [m] and at `pitch` [rad], all (K,); nan where the limits allow none."""
+        if self._hinges is None:
+            return self._searched(swing, r, z, pitch)
+        r, z, pitch = (np.asarray(values, dtype=float) for values in np.broadcast_arrays(r, z, pitch))
+        found = [self._by_elbow(side, r, z, pitch) for side in (-1.0, 1.0)]
+        kept = [np.count_nonzero(~np.isnan(one[:, 0])) for one in found]
+        q = np.empty((len(r), self.robot.n))
+        q[:, -3:] = found[int(np.argmax(kept))]
+        if self.swings:
+            q[:, 0] = swing
+            if not self.limits.lower[0] - _ROUNDING <= swing <= self.limits.upper[0] + _ROUNDING:
+                q[:] = np.nan
+        q[np.isnan(q[:, -1])] = np.nan
+        return q
+
+    def _by_elbow(self, side: float, r: Array, z: Array, pitch: Array) -> Array:
+        """(K, 3) the hinges, with the elbow on one side; nan where there are none within the limits."""
+        assert self._hinges is not None
+        (first, second, third), hinges = self._hinges.lengths, self._hinges
+        x = r - third * np.cos(pitch) - hinges.foot[0]
+        y = z - third * np.sin(pitch) - hinges.foot[1]
+        far = x * x + y * y
+        cosine = (far - first**2 - second**2) / (2.0 * first * second)
+        with np.errstate(invalid="ignore"):
+            elbow = side * np.arccos(np.where(np.abs(cosine) <= 1.0 + _ROUNDING, np.clip(cosine, -1.0, 1.0), np.nan))
+        one = np.arctan2(y, x) - np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
+        absolute = np.column_stack((one, one + elbow, pitch))
+        absolute[:, 2] += np.where(np.isnan(one), np.nan, 0.0)
+        turned = np.diff(absolute - hinges.angles, axis=1, prepend=0.0) * hinges.senses
+        lower, upper = self.limits.lower[-3:], self.limits.upper[-3:]
+        middle = np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * (lower + upper), 0.0)
+        q = middle + wrap_angle(turned - middle)
+        outside = np.any((q < lower - _ROUNDING) | (q > upper + _ROUNDING), axis=1)
+        q[outside] = np.nan
+        return np.clip(q, lower, upper)
+
+    def _searched(self, swing: float, r: Array, z: Array, pitch: Array) -> Array:
+        r, z, pitch = np.broadcast_arrays(r, z, pitch)
+        places = self.world(swing, r, z)
+        targets = [TipTarget(place, pitch=(float(p), float(p))) for place, p in zip(places, pitch, strict=True)]
+        q, fine = np.full((len(r), self.robot.n), np.nan), np.zeros(len(r), dtype=bool)
+        guess = np.clip(self.robot.middle, self.limits.lower, self.limits.upper)
+        if self.swings:
+            guess[0] = swing
+        for _ in range(_PASSES):
+            for order in (range(len(r)), range(len(r) - 1, -1, -1)):
+                near = guess
+                for k in order:
+                    if not fine[k]:
+                        ends, reached = solve_batch(self._kinematics, TargetBatch.of([targets[k]]), near[None, :])
+                        fine[k] = reached[0]
+                        q[k] = ends[0] if reached[0] else np.nan
+                    near = q[k] if fine[k] else near
+            if fine.all():
+                break
+        within = np.all((q >= self.limits.lower - _ROUNDING) & (q <= self.limits.upper + _ROUNDING), axis=1)
+        q[~within] = np.nan
+        return q
+
+    def _three_hinges(self) -> _Hinges | None:
+        """The arm as three hinges across its plane; None where it is another."""
+        robot = self.robot
+        if robot.n != 3 + self.swings or robot.prismatic.any():
+            return None
+        at = self._kinematics.at(np.zeros((1, robot.n)))
+        across = at.pitch_sense * at.axes[0, -1]
+        axes = at.axes[0, -3:]
+        if np.max(np.linalg.norm(np.cross(axes, across), axis=1)) > _SAME or robot.pitch_pin is not None:
+            return None
+        points = np.vstack((at.origins[0, -3:], at.tip_position[0]))
+        forward = np.array([-across[1], across[0]])
+        flat = np.column_stack(((points[:, :2] - self.axis) @ forward, points[:, 2]))
+        parts = np.diff(flat, axis=0)
+        lengths = np.linalg.norm(parts, axis=1)
+        if float(np.min(lengths)) < _SAME:
+            return None
+        return _Hinges(flat[0], lengths, np.arctan2(parts[:, 1], parts[:, 0]), np.sign(axes @ across))

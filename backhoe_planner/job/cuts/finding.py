@@ -1,0 +1,256 @@
+"""The search for a cut: as deep as wanted, the floor and the cylinders allow, as long as fills the bucket.
+
+A cut of a given depth is as long as it takes to fill the bucket, and then rises out of the
+ground. Its joints follow from the arm's plane, the torques that hold machine and soil from
+gravity, from what the bucket holds so far, and from the earthmoving equation at the local depth
+and slope. Where they exceed what the cylinders hold, less a margin, the cut is made shallower.
+
+An operator's manual of a backhoe loader of this class has first cuts of 75 to 100 mm over about
+1.2 m, and later ones of 100 to 150 mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Vector, as_number
+from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.job.cuts.attitude import Attitude, Stuck, attitude, wanted_pitch
+from backhoe_planner.job.cuts.cut import Cut, CutGround, NoCut
+from backhoe_planner.job.cuts.digger import Digger
+from backhoe_planner.job.cuts.edge_path import Descent, Underground, spaced
+from backhoe_planner.job.cuts.profile import Profile
+
+_THINNEST = 0.03  # m; chosen: a cut that is less deep scrapes
+_NOTHING = 0.01  # m between ground and floor that are not worth a cut; chosen, a fifth of the usual tolerance
+_ABOVE = 0.1  # m above the ground, where a cut begins; chosen
+_LIFT = 0.7  # m from the ground up to where it ends: the level bucket reaches 0.5 m below its teeth
+_ENTRIES = (1.4, 0.95, 0.6)  # rad, the steepest descents to be tried, in turn: 80, 54, 34 degrees; chosen
+_LEAVE = 1.05  # rad: 60 degrees; chosen
+_HALVINGS = 7  # of the depth: to 1 % of it
+_FILLINGS = 9  # evaluations of the length that fills the bucket, at most
+_FILLED = 2e-3  # part of the wanted volume
+_SHORTENINGS = 5  # of a cut that leaves the reach at its inner end; chosen
+_INWARD = 0.05  # m by which each of them stays further out than where the reach ended
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What is asked of a cut, checked."""
+
+    digger: Digger
+    profile: Profile
+    swing: float
+    under: Underground
+    end: float
+    wanted: float
+    leave: float
+
+
+def find_cut(
+    digger: Digger,
+    profile: Profile,
+    *,
+    swing: float,
+    start: float,
+    end: float,
+    depth: float,
+    floor: tuple[Vector, Vector] | None = None,
+    volume: float | None = None,
+    leave: float = _LEAVE,
+) -> Cut | NoCut:
+    """A cut that begins at radius `start`, and fills the bucket and no more.
+
+    Parameters
+    ----------
+    digger: the machine and the soil.
+    profile: of the ground in the plane.
+    swing: angle of the arm's plane [rad].
+    start, end: the edge enters the ground at `start` and is out of it at `end` at the latest, radii [m];
+        `end` is the nearer one.
+    depth: the most below the ground as it is [m].
+    floor: (F,) increasing radii and (F,) heights [m], world, below which nothing is dug; none by default.
+    volume: of loose soil to be taken [m^3]; the bucket's capacity by default.
+    leave: angle at which the edge rises out of the ground, at most [rad]; chosen, 60 degrees.
+
+    Returns
+    -------
+    The cut. Its bucket is not full where `end` comes first. `NoCut` says why there is none.
+
+    Raises
+    ------
+    InputError: a number is out of its range, or `start` and `end` are not on the profile, `end` below `start`.
+    """
+    asked = _checked(digger, profile, swing, (start, end), depth, floor, volume, leave)
+    under = asked.under
+    between = (under.r >= asked.end - 1e-9) & (under.r <= under.start + 1e-9)
+    room = float(np.max(under.followed[between] - under.floor[between]))
+    if room < _NOTHING:
+        reason = (
+            f"there is nothing to dig between r {asked.end:.2f} and {under.start:.2f} m: the ground is at the floor"
+        )
+        return NoCut("nothing", reason)
+    deepest = min(depth, room)
+    first: Cut | NoCut = _deepest(asked, deepest, _ENTRIES[0])
+    for entry in _ENTRIES[1:]:
+        if isinstance(first, Cut) or first.kind == "cylinder":
+            break
+        first = _deepest(asked, deepest, entry)
+    return first
+
+
+def _checked(
+    digger: Digger,
+    profile: Profile,
+    swing: float,
+    between: tuple[float, float],
+    depth: float,
+    floor: tuple[Vector, Vector] | None,
+    volume: float | None,
+    leave: float,
+) -> _Asked:
+    check_kind(digger, Digger, key="digger")
+    check_kind(profile, Profile, key="profile")
+    swing = as_number(swing, key="swing")
+    start, end = as_number(between[0], key="start"), as_number(between[1], key="end")
+    low, high = float(profile.r[0]), float(profile.r[-1])
+    if not low <= end < start <= high:
+        raise InputError(
+            "does not lie on the profile, nearer than the start",
+            key="end", found=f"start {start}, end {end}", allowed=f"{low:.3g} to {high:.3g}, end below start",
+        )  # fmt: skip
+    as_number(depth, key="depth", above=0.0)
+    leave = as_number(leave, key="leave", above=0.0)
+    if leave >= 0.5 * np.pi:
+        raise InputError("is not below a right angle", key="leave", found=leave, allowed="0 to 1.57")
+    wanted = digger.bucket.capacity if volume is None else as_number(volume, key="volume", above=0.0)
+    own = (np.array([low, high]), np.full(2, -1e6)) if floor is None else floor
+    under = Underground(profile, own, end=end, start=start)
+    return _Asked(digger, profile, swing, under, end, wanted, leave)
+
+
+def _deepest(asked: _Asked, depth: float, entry: float) -> Cut | NoCut:
+    """The deepest cut that the cylinders hold, at most `depth`."""
+    allowed = 1.0 - asked.digger.margin
+    found = _cut(asked, depth, entry)
+    if isinstance(found, NoCut) or found.holding.ratio <= allowed:
+        return found
+    least = _cut(asked, min(_THINNEST, depth), entry)
+    if isinstance(least, NoCut):
+        return least
+    if least.holding.ratio > allowed:
+        kept = f", of which {100.0 * asked.digger.margin:.0f} % are kept in reserve" if asked.digger.margin else ""
+        reason = f"this soil cannot be cut at any depth: even at {100.0 * _THINNEST:.0f} cm it takes {{}}{kept}"
+        holding = least.holding
+        return NoCut("cylinder", reason.format(holding.describe()), holding.r, holding.z, holding)
+    low, high, best = min(_THINNEST, depth), depth, least
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        tried = _cut(asked, middle, entry)
+        if isinstance(tried, Cut) and tried.holding.ratio <= allowed:
+            low, best = middle, tried
+        else:
+            high = middle
+    return best
+
+
+def _cut(asked: _Asked, depth: float, entry: float) -> Cut | NoCut:
+    """The cut of a depth, whatever it asks of the cylinders."""
+    end = asked.end
+    for attempt in range(_SHORTENINGS + 1):
+        found = _cut_to(asked, depth, entry, end)
+        if not isinstance(found, tuple):
+            return found
+        where, problem = found
+        nearest = where + _INWARD
+        if attempt == _SHORTENINGS or nearest > asked.under.start - 2.0 * _INWARD:
+            return problem
+        end = max(nearest, end + _INWARD)
+    raise AssertionError
+
+
+def _cut_to(asked: _Asked, depth: float, entry: float, end: float) -> Cut | NoCut | tuple[float, NoCut]:
+    """The cut of a depth that ends at `end` at the latest; or where it cannot be, and why."""
+    digger, under = asked.digger, asked.under
+    descent = Descent(entry, asked.leave)
+    end = _filling_end(asked, depth, descent, end)
+    r, z = spaced(*under.path(depth, end, descent))
+    top = float(np.max(z)) + _LIFT
+    rise = np.linspace(z[-1], top, max(int((top - z[-1]) / 0.03), 2) + 1)[1:]
+    down = np.linspace(z[0] + _ABOVE, z[0], 4)[:-1]
+    lift = len(down) + len(r) - 1
+    r = np.concatenate((np.full(len(down), r[0]), r, np.full(len(rise), r[-1])))
+    z = np.concatenate((down, z, rise))
+    line = under.line(depth, end, descent)
+
+    def below(at: Array, edge: Array) -> Array:
+        return np.where(at >= edge, np.interp(at, under.r, line), asked.profile.height(at))
+
+    wanted = wanted_pitch(r, z, lift, digger.bucket)
+    held = attitude(digger.plane, digger.bucket, swing=asked.swing, path=(r, z, wanted), below=below)
+    if isinstance(held, Stuck):
+        at = (float(r[held.index]), float(z[held.index]))
+        place = f"with the teeth at r {at[0]:.2f}, z {at[1]:.2f} m"
+        if held.in_reach:
+            problem = NoCut("back", f"the bucket's back presses into the ground {place}, at any pitch", *at)
+        else:
+            problem = NoCut("reach", f"out of reach {place}", *at)
+        return at[0], problem
+    return _finished(asked, r, z, held, lift)
+
+
+def _filling_end(asked: _Asked, depth: float, descent: Descent, end: float) -> float:
+    """The radius at which the edge comes out of the ground with the bucket full; `end` where it does not fill."""
+
+    def excess(at: float) -> float:
+        r, z = asked.under.path(depth, at, descent)
+        bank, loose = asked.profile.taken(r, z, width=asked.digger.bucket.width)
+        return (float(bank[-1]) * asked.digger.swell + float(loose[-1])) / asked.wanted - 1.0
+
+    low, high = end, asked.under.start
+    at_low, at_high = excess(low), -1.0
+    if at_low <= 0.0:
+        return low
+    side = 0
+    for _ in range(_FILLINGS):  # regula falsi, with the older end halved (Illinois)
+        middle = (low * at_high - high * at_low) / (at_high - at_low)
+        value = excess(middle)
+        if -_FILLED < value <= 0.0:
+            return middle
+        if value > 0.0:
+            low, at_low = middle, value
+            at_high = 0.5 * at_high if side == 1 else at_high
+            side = 1
+        else:
+            high, at_high = middle, value
+            at_low = 0.5 * at_low if side == -1 else at_low
+            side = -1
+    return high
+
+
+def _finished(asked: _Asked, r: Vector, z: Vector, held: Attitude, lift: int) -> Cut:
+    digger, plane, bucket = asked.digger, asked.digger.plane, asked.digger.bucket
+    bank, loose = asked.profile.taken(r, z, width=bucket.width)
+    mass = digger.soil.density * (bank + loose / digger.swell)
+    turn = plane.heading(asked.swing)
+    outward = np.array([np.cos(turn), np.sin(turn)])
+    ground = CutGround(asked.profile, plane.axis, outward, r, mass, bucket)
+    torque, use = digger.loads(held.q, ground)
+    depth = np.maximum(asked.profile.depth(r, z), 0.0)
+    rising = np.gradient(z) > 0.3 * np.hypot(np.gradient(r), np.gradient(z))
+    below = np.flatnonzero(depth > 0.0)
+    first = int(below[0]) if len(below) else lift
+    lowest = first + int(np.argmax(z[first : lift + 1] <= np.min(z) + 0.1 * float(np.max(depth))))
+    out = np.flatnonzero(~rising[: lift + 1])
+    time, work = digger.estimated_run(held.q, torque)
+    return Cut(
+        swing=asked.swing, r=r, z=z, pitch=held.pitch, q=held.q,
+        position=plane.world(asked.swing, r, z), across=np.array([-outward[1], outward[0], 0.0]),
+        bank=bank, loose=loose, depth=depth,
+        begin=(first, lowest, max(int(out[-1]) + 1, lowest) if len(out) else lowest, lift),
+        held=mass, torque=torque, holding=digger.holding(held.q, torque, use, (r, z)),
+        back=float(np.min(held.back)), wanted=asked.wanted, swell=digger.swell, ground=ground, bucket=bucket,
+        time=time, work=work,
+    )  # fmt: skip

@@ -1,0 +1,166 @@
+"""The ground in the arm's plane: heights over the radius, side by side across the blade."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Matrix, Vector, as_array, as_number
+from backhoe_planner.errors import InputError
+from backhoe_planner.job.cuts.arm_plane import ArmPlane
+
+_LANES = 7  # across the blade; chosen: a lane of a bucket of 0.6 m is then less than two cells of 5 cm wide
+_STEP = 0.025  # m along the radius: half of a cell of 5 cm
+_BESIDE = 0.15  # m to each side over which the ground's slope is taken; chosen, a wedge ahead of the blade is as long
+_STEEPEST = 0.7  # of the slope: 35 degrees; what is steeper slumps, or is a wall that no wedge leans on
+
+
+class Heights(Protocol):
+    """A grid of heights, as a terrain has: rows along y, columns along x."""
+
+    @property
+    def low(self) -> Vector:
+        """(2,) x, y of the first node [m]."""
+
+    @property
+    def cell(self) -> float:
+        """Distance of neighbouring nodes [m]."""
+
+    @property
+    def bank(self) -> Matrix:
+        """(rows, columns) height of the undisturbed soil [m]."""
+
+    @property
+    def loose(self) -> Matrix:
+        """(rows, columns) thickness of the loose soil on it [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Heights of the ground in the arm's plane.
+
+    Attributes
+    ----------
+    r: (K,) distances from the swing axis, increasing [m].
+    bank: (K, L) height of the undisturbed soil in L lanes of equal width across the blade [m], world.
+    loose: (K, L) thickness of the loose soil on it [m].
+
+    Raises
+    ------
+    InputError: the shapes do not fit, a number is not finite, `r` does not increase, or loose soil is below 0.
+    """
+
+    r: Vector
+    bank: Matrix
+    loose: Matrix
+
+    def __post_init__(self) -> None:
+        r = as_array(self.r, None, key="profile.r")
+        if len(r) < 2 or np.any(np.diff(r) <= 0.0):
+            raise InputError("does not increase", key="profile.r", allowed="two or more increasing radii")
+        for name in ("bank", "loose"):
+            as_array(getattr(self, name), len(r), None, key=f"profile.{name}")
+        if self.loose.shape != self.bank.shape:
+            raise InputError("is not of the shape of the bank", key="profile.loose", found=str(self.loose.shape))
+        if np.any(self.loose < 0.0):
+            raise InputError("is below 0", key="profile.loose", found=float(np.min(self.loose)), allowed="0 or more")
+
+    @classmethod
+    def level(cls, height: float, low: float, high: float) -> Profile:
+        """Level ground of bank soil from radius `low` to `high` [m]."""
+        low, high = as_number(low, key="low"), as_number(high, key="high")
+        count = max(int(np.ceil((high - low) / _STEP)) + 1, 2)
+        r = np.linspace(low, high, count)
+        return cls(r, np.full((count, 1), as_number(height, key="height")), np.zeros((count, 1)))
+
+    @classmethod
+    def of_terrain(cls, terrain: Heights, plane: ArmPlane, swing: float, *, width: float) -> Profile:
+        """The heights of a terrain under a blade of `width` [m] that runs along the plane at a swing angle.
+
+        Raises
+        ------
+        InputError: less than two of its radii lie on the terrain.
+        """
+        rows, columns = terrain.bank.shape
+        size = terrain.cell * np.array([columns - 1, rows - 1])
+        corners = terrain.low + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * size
+        farthest = float(np.max(np.linalg.norm(corners - plane.axis, axis=1)))
+        r = np.arange(0.0, farthest + width, min(_STEP, 0.5 * terrain.cell))
+        turn = plane.heading(swing)
+        left = np.array([-np.sin(turn), np.cos(turn)])
+        middle = plane.world(swing, r, np.zeros(len(r)))[:, :2]
+        lanes = width * ((np.arange(_LANES) + 0.5) / _LANES - 0.5)
+        points = (middle[:, None, :] + lanes[:, None] * left - terrain.low) / terrain.cell
+        inside = np.all((points >= 0.0) & (points <= [columns - 1, rows - 1]), axis=(1, 2))
+        if np.count_nonzero(inside) < 2:
+            raise InputError("the terrain has no ground under the blade", key="swing", found=swing)
+        first, last = int(np.argmax(inside)), len(inside) - int(np.argmax(inside[::-1]))
+        if not inside[first:last].all():
+            last = first + int(np.argmin(inside[first:]))
+        points = points[first:last]
+        return cls(r[first:last], _bilinear(terrain.bank, points), _bilinear(terrain.loose, points))
+
+    @cached_property
+    def surface(self) -> Matrix:
+        """(K, L) height of the ground [m]."""
+        return np.asarray(self.bank + self.loose)
+
+    @cached_property
+    def mean(self) -> Vector:
+        """(K,) height of the ground, on the average across the blade [m]."""
+        return np.asarray(self.surface.mean(axis=1))
+
+    @cached_property
+    def slope(self) -> Vector:
+        """(K,) dz/dr of the ground beside each radius."""
+        ahead, behind = (np.interp(self.r + step, self.r, self.mean) for step in (_BESIDE, -_BESIDE))
+        span = np.minimum(self.r + _BESIDE, self.r[-1]) - np.maximum(self.r - _BESIDE, self.r[0])
+        return np.asarray(np.clip((ahead - behind) / span, -_STEEPEST, _STEEPEST))
+
+    def height(self, r: Array) -> Array:
+        """(...) height of the ground at radii (...) [m]; beyond its ends that of the end."""
+        return np.interp(r, self.r, self.mean)
+
+    def depth(self, r: Array, z: Array) -> Array:
+        """(...) mean depth below the ground, across the blade, of an edge at r, z (...) [m].
+
+        Where the edge is above all of the ground, its height above the highest lane, negative.
+        """
+        r, z = np.broadcast_arrays(r, z)
+        lanes = np.stack([np.interp(r, self.r, lane) for lane in self.surface.T], axis=-1) - z[..., None]
+        within = np.mean(np.maximum(lanes, 0.0), axis=-1)
+        return np.asarray(np.where(within > 0.0, within, np.max(lanes, axis=-1)))
+
+    def taken(self, r: Vector, z: Vector, *, width: float) -> tuple[Vector, Vector]:
+        """(M,), (M,) bank and loose soil [m^3] that an edge of `width` has taken at each of its places r, z (M,) [m].
+
+        The edge moves inward: r does not increase. Loose soil lies on the bank, so it is taken as the edge
+        comes from above.
+        """
+        bank, thickness = np.zeros(len(r)), np.zeros(len(r))
+        for own, on_it in zip(self.bank.T, self.loose.T, strict=True):
+            at, over = np.interp(r, self.r, own), np.interp(r, self.r, on_it)
+            solid = np.maximum(at - z, 0.0)
+            bank += solid
+            thickness += np.clip(at + over - z, 0.0, over)
+        lanes = self.bank.shape[1]
+        return _inward(r, bank / lanes) * width, _inward(r, thickness / lanes) * width
+
+
+def _inward(r: Vector, depth: Vector) -> Vector:
+    """(M,) area [m^2] of `depth` (M,) over radii that do not increase, up to each, by the trapezium rule."""
+    return np.concatenate(([0.0], np.cumsum(0.5 * (depth[1:] + depth[:-1]) * -np.diff(r))))
+
+
+def _bilinear(grid: Matrix, points: Array) -> Array:
+    """(...) values of a grid at points (..., 2), column and row."""
+    column, row = points[..., 0], points[..., 1]
+    j = np.clip(column.astype(int), 0, grid.shape[1] - 2)
+    i = np.clip(row.astype(int), 0, grid.shape[0] - 2)
+    s, t = column - j, row - i
+    low = (1.0 - s) * grid[i, j] + s * grid[i, j + 1]
+    high = (1.0 - s) * grid[i + 1, j] + s * grid[i + 1, j + 1]
+    return np.asarray((1.0 - t) * low + t * high)
