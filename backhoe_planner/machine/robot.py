@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from backhoe_planner.machine.description.link_shapes import (
 )
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, read_urdf
 from backhoe_planner.machine.hydraulics.hydraulics import Hydraulics
+from backhoe_planner.machine.shape.shapes import Piece, moved
 
 DEFAULT_VELOCITY = 1.0  # rad/s or m/s, where the URDF gives none; chosen
 _FULL_RATE_AFTER = 0.5  # s from rest, where neither URDF nor scene gives an acceleration; chosen
@@ -104,6 +105,8 @@ class Robot:
     warnings: what the URDF does not say about its shape, in words.
     hydraulics: cylinders and pump, where the machine has a description of them.
     tube: how far it may be off where it is commanded; None where it is exact.
+    carried: what it carries, by the name under which it stands among the links, with its pieces in the tip's
+        frame; None where that is nothing.
     """
 
     name: str
@@ -121,6 +124,7 @@ class Robot:
     warnings: tuple[str, ...] = ()
     hydraulics: Hydraulics | None = None
     tube: TrackingTube | None = None
+    carried: tuple[str, tuple[Piece, ...]] | None = None
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, tip={self.tip!r}, joints={self.joint_names})"
@@ -312,12 +316,53 @@ class Robot:
         hold = _checked_hold(hold)
         return self if hold == self.hold else self._rebuilt(self.tip, hold)
 
+    def pieces_of(self, links: Collection[str] | None) -> tuple[int, ...]:
+        """Rows of `pieces` that move and belong to these links, to any where None; a load to those that hold it."""
+        moving = [row for row, piece in enumerate(self.pieces) if piece.joint > 0]
+        if links is None:
+            return tuple(moving)
+        load = None if self.carried is None else self.carried[0]
+        holding = {piece.joint for piece in self.pieces if piece.link in links}
+        return tuple(
+            row
+            for row in moving
+            if self.pieces[row].link in links or (self.pieces[row].link == load and self.pieces[row].joint in holding)
+        )
+
+    def carrying(self, name: str, pieces: Iterable[Piece]) -> Robot:
+        """The same machine with a load that is fixed to its tip, as a part of its shape.
+
+        Parameters
+        ----------
+        name: under which it stands among the links.
+        pieces: convex, at placements T_tip_piece.
+
+        Raises
+        ------
+        InputError: a link has that name, or something is carried already.
+        """
+        pieces = tuple(check_kind(one, Piece, key="pieces") for one in pieces)
+        if check_kind(name, str, key="name") in self.all_link_names:
+            raise InputError("is the name of a link", key="name", found=name)
+        if self.carried is not None:
+            raise InputError("something is carried already", key="name", found=self.carried[0])
+        tip = self.model.frames[self.tip_frame]
+        placed = tuple(
+            LinkPiece(f"{name}/{number}", name, int(tip.parentJoint), moved(piece, tip.placement))
+            for number, piece in enumerate(pieces)
+        )
+        return replace(self, pieces=(*self.pieces, *placed), carried=(name, pieces))
+
     @cached_property
     def as_described(self) -> Robot:
         """The same machine with nothing held and the URDF's own limits; itself where it is that.
 
         Where it cannot be without what is held, since a joint copies it, that stays held.
         """
+        if self.carried is not None:
+            name, pieces = self.carried
+            bare = replace(self, pieces=self.pieces[: -len(pieces)], carried=None)
+            return self if bare.as_described is bare else bare.as_described.carrying(name, pieces)
         own = _limits(self.urdf, self.model)
         same = np.array_equal(own.lower, self.limits.lower) and np.array_equal(own.upper, self.limits.upper)
         if same and not self.hold:
@@ -327,6 +372,10 @@ class Robot:
         return self._rebuilt(self.tip, self.hold)
 
     def _rebuilt(self, tip: str, hold: Mapping[str, float]) -> Robot:
+        if self.carried is not None:
+            raise InputError(
+                "a machine that carries something keeps its tip and its held joints", found=self.carried[0]
+            )
         hydraulics = None if self.hydraulics is None else self.hydraulics.file
         return _build(self.urdf, tip, hydraulics, solids=self.solids, warnings=self.warnings, hold=hold)
 

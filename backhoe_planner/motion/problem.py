@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,8 +27,12 @@ from backhoe_planner.site import (
     build_obstacles,
     check_joint_names,
     joint_positions,
+    leg_key,
+    leg_of,
+    leg_scene,
     machine_on_site,
     scaled_limits,
+    with_carried,
 )
 
 
@@ -52,6 +56,11 @@ class Problem:
     joint_steps: (n,) how far a joint may move from waypoint to waypoint of the path [rad or m],
         infinite where it may freely; None where all may.
     ground: where the scene's soil is; None where it is level at the soil's `surface`.
+    name: of the leg of a sequence; empty for a task of its own.
+    wait: of a leg that waits, how long [s]; None elsewhere.
+    tip_speed: the greatest speed of the tip on the whole way to a goal [m/s]; None where nothing is asked.
+    legs: of a sequence, each a problem of its own, of which only the first has a start; see `beginning`.
+        A sequence has neither goals nor a path, and its obstacles are those of all legs.
     """
 
     robot: Robot
@@ -66,6 +75,30 @@ class Problem:
     keep: Keep | None = None
     joint_steps: Vector | None = None
     ground: Ground | None = None
+    name: str = ""
+    wait: float | None = None
+    tip_speed: float | None = None
+    legs: tuple[Problem, ...] = ()
+
+    def beginning(self, q: Vector, time: float = 0.0) -> Problem:
+        """The same, with the joints at `q` (n,) [rad or m] at the start, on a clock that begins at `time` [s]."""
+        goals = self.goals
+        if self.wait is not None:
+            at = Kinematics(self.robot).at(q)
+            goals = (Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name="place"),)
+        return replace(self, start_q=q, start_target=None, goals=goals, obstacles=self._obstacles_from(time))
+
+    def clocked_from(self, time: float) -> Problem:
+        """The same, on a clock that begins at `time` [s]: obstacles that move are where they are by then."""
+        return self if time == 0.0 else replace(self, obstacles=self._obstacles_from(time))
+
+    def _obstacles_from(self, time: float) -> tuple[Obstacle, ...]:
+        if time == 0.0 or not self.is_dynamic:
+            return self.obstacles
+        return tuple(
+            replace(one, appears_at=one.appears_at - time) if one.moves or one.appears_at > 0.0 else one
+            for one in self.obstacles
+        )
 
     @property
     def is_dynamic(self) -> bool:
@@ -89,6 +122,40 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
             file=robot.urdf.path,
             key="link",
         )
+    whole = _build(robot, scene, build_obstacles(scene, robot))
+    return whole if scene.task.sequence is None else replace(whole, legs=_legs(whole))
+
+
+def _legs(whole: Problem) -> tuple[Problem, ...]:
+    """The legs of a sequence, each as a problem of its own."""
+    scene, found = whole.scene, []
+    for index, leg in enumerate(scene.task.sequence or ()):
+        robot, own = with_carried(whole.robot, scene, index), leg_scene(scene, index)
+        there = {one.name for one in own.obstacles} | {zone.name for zone in own.zones}
+        try:
+            built = _build(robot, own, tuple(one for one in whole.obstacles if one.name in there))
+        except SceneError as error:
+            raise _in_leg(error, scene, index) from None
+        speed = leg.speed if leg.goal is not None else None
+        found.append(replace(built, name=leg.name, wait=leg.wait, tip_speed=speed))
+    return tuple(found)
+
+
+def _in_leg(error: SceneError, scene: Scene, index: int) -> SceneError:
+    """What is wrong in a leg, by its key in the sequence."""
+    leg, key = leg_of(scene, index), error.key or ""
+    first, _, rest = key.partition(".")
+    if first == "task":
+        key = f"{leg_key(scene, index)}.{rest}"
+    elif getattr(leg, first, None) is not None:
+        key = f"{leg_key(scene, index)}.{key}"
+    return SceneError(
+        error.problem, file=error.file, key=key or None, found=error.found, allowed=error.allowed, hint=error.hint
+    )
+
+
+def _build(robot: Robot, scene: Scene, obstacles: tuple[Obstacle, ...]) -> Problem:
+    """The problem of a scene, or of one leg, for a machine that stands on its site."""
     if scene.gains != "auto":
         check_joint_names(robot, scene, scene.gains.s_k, key="gains.s_k")
     if scene.soil is not None and not robot.has_pitch:
@@ -98,7 +165,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
             key="soil",
             found=robot.name,
         )
-    default = "work" if scene.task.goal is None else "time"
+    default = "time" if scene.task.path is None else "work"
     objective = find_objective(scene.objective or default, robot, file=scene.file)
     start_q, start_target = _start(robot, scene)
     path = None
@@ -109,7 +176,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
         numbers = _without_repeats(waypoints)
         path = TipPath([waypoints[number - 1] for number in numbers], numbers=numbers)
     return Problem(
-        robot, scene, limits=scaled_limits(robot, scene), objective=objective, obstacles=build_obstacles(scene, robot),
+        robot, scene, limits=scaled_limits(robot, scene), objective=objective, obstacles=obstacles,
         start_q=start_q, start_target=start_target, goals=_goals(robot, scene), path=path,
         keep=keep_of(robot, scene),
         joint_steps=_joint_steps(robot, scene),

@@ -4,6 +4,10 @@ from .ground import GroundContact as GroundContact
 from .ground import LevelGround as LevelGround
 from .joint_names import check_joint_names as check_joint_names
 from .joint_names import joint_positions as joint_positions
+from .legs import leg_key as leg_key
+from .legs import leg_of as leg_of
+from .legs import leg_scene as leg_scene
+from .legs import with_carried as with_carried
 from .limits import joints_on_site as joints_on_site
 from .limits import limit_warnings as limit_warnings
 from .limits import load_machine as load_machine
@@ -21,11 +25,11 @@ from .proximity import Nearby as Nearby
 from .proximity import Proximity as Proximity
 from .scene_file import Gains as Gains
 from .scene_file import Scene as Scene
-from .scene_file import Soil as Soil
 from .scene_file import load_scene as load_scene
 from .scene_file import obstacle_from_dict as obstacle_from_dict
 from .scene_file import scene_from_dict as scene_from_dict
 from .scene_file import scene_schema as scene_schema
+from .schema.digging import Soil as Soil
 from .schema.names import check_name as check_name
 from .schema.obstacle_shapes import Box as Box
 from .schema.obstacle_shapes import Capsule as Capsule

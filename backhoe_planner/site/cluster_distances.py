@@ -29,8 +29,8 @@ class ClusterDistances:
         pairs = [
             (index, row)
             for index, obstacle in enumerate(obstacles)
-            for row, own in enumerate(robot.pieces)
-            if obstacle.cluster is not None and own.joint > 0 and (obstacle.links is None or own.link in obstacle.links)
+            if obstacle.cluster is not None
+            for row in robot.pieces_of(obstacle.links)
         ]
         self.owner, self.piece = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         self._reach = reach_ball(robot)

@@ -147,11 +147,9 @@ class Proximity:
                 geometry = self._model.addGeometryObject(
                     pin.GeometryObject(f"obstacle {index}/{part}", 0, 0, piece.placement, piece.shape)
                 )
-                for row, link_piece in enumerate(robot.pieces):
-                    if link_piece.joint == 0 or not (obstacle.links is None or link_piece.link in obstacle.links):
-                        continue
+                for row in robot.pieces_of(obstacle.links):
                     self._model.addCollisionPair(pin.CollisionPair(row, geometry))
-                    pairs.append(Pair(link_piece.link, "obstacle", obstacle.name, row, obstacle.clearance))
+                    pairs.append(Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance))
                     owner.append(index)
                     second.append(part)
         for outer, inner in self_pairs(robot).kept if self_collision else ():

@@ -7,23 +7,24 @@ whether it fits a machine.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, model_validator
 
-from backhoe_planner.errors import InputError, SceneError, check_kind, check_path
+from backhoe_planner.errors import InputError, SceneError, check_kind, check_path, nearest_name
 from backhoe_planner.files.records import Record, describe, explain
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.machine import shipped_folder
+from backhoe_planner.site.schema.digging import Soil
 from backhoe_planner.site.schema.joint_limits import Limits
 from backhoe_planner.site.schema.names import check_name
 from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
 from backhoe_planner.site.schema.path_file import read_path_file
 from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive
-from backhoe_planner.site.schema.tasks import PathTask, Start, Task, Waypoint
+from backhoe_planner.site.schema.sequence import ObjectiveName, Task
+from backhoe_planner.site.schema.tasks import PathTask, Start, Waypoint
 from backhoe_planner.site.schema.zone_kinds import ZoneSpec
 
 
@@ -45,30 +46,6 @@ class TrackingError(Record):
     """Of every joint [rad or m], one number or by joint name; a joint that is not named is exact."""
     tip: Positive | None = None
     """Of the tip's position [m], where that is known to be less than what the joints' errors allow."""
-
-
-class Soil(Record):
-    """What the bucket digs in (fundamental earthmoving equation).
-
-    Every key may be left out: the defaults are those of a soil of medium strength.
-    """
-
-    density: Positive = 1700.0
-    """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
-    cohesion: Annotated[float, Field(strict=True, ge=0.0, le=1e8, allow_inf_nan=False)] = 5000.0
-    """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
-    friction: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.55
-    """Internal friction angle [rad]; 0.55 by default, usual are 0.44 to 0.70 (25 to 40 degrees)."""
-    adhesion: NonNegative = 0.0
-    """Between soil and blade [Pa]; 0 by default."""
-    tool_friction: Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0)] | None = None
-    """Between soil and blade [rad]; 2/3 of `friction` by default."""
-    surface: Finite = 0.0
-    """Height z of the ground, below which the soil resists [m], world; 0 by default."""
-    surcharge: NonNegative = 0.0
-    """Load on the ground beside the blade [Pa]; 0 by default."""
-    width: Positive | None = None
-    """Of the blade [m]; that of the bucket's collision shape by default."""
 
 
 class Scene(Record):
@@ -93,7 +70,7 @@ class Scene(Record):
     gains: Literal["auto"] | Gains = "auto"
     limits: Limits = Limits()
     tracking: TrackingError | None = None
-    objective: Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"] | None = None
+    objective: ObjectiveName | None = None
     """What a plan is to make small; left out: the time to a goal, the work along a path."""
     payload: NonNegative = 0.0
     """Mass in the bucket [kg]."""
@@ -110,8 +87,16 @@ class Scene(Record):
             for index, one in enumerate(getattr(self, key)):
                 check_name(one.name, in_use=in_use, key=f"{key}[{index}].name")
                 in_use[one.name] = f"{key}[{index}]"
-        if self.task.goal is not None and self.start is None:
-            raise ValueError("start is needed with a goal: where the machine stands")
+        if self.start is None:
+            if self.task.goal is not None:
+                raise ValueError("start is needed with a goal: where the machine stands")
+            if self.task.sequence is not None and self.task.sequence[0].path is None:
+                raise ValueError("start is needed with a sequence whose first leg is no path: where the machine stands")
+        legs = self.task.leg_names
+        for index, obstacle in enumerate(self.obstacles):
+            for leg in obstacle.legs or ():
+                if leg not in legs:
+                    raise _unknown_leg(f"obstacles[{index}] ({obstacle.name}).legs", leg, legs)
         return self
 
     @property
@@ -127,10 +112,18 @@ class Scene(Record):
     @property
     def files(self) -> tuple[Path, ...]:
         """From which it is read: the scene file, the path file, the files of obstacles."""
-        path = self.task.path
-        named = [None if path is None else path.file, *(getattr(one, "file", None) for one in self.obstacles)]
+        loads = [leg.carries for leg in self.task.sequence or () if leg.carries is not None]
+        named = [
+            *(path.file for path in self._paths),
+            *(getattr(one, "file", None) for one in (*self.obstacles, *loads)),
+        ]
         own = () if self.file is None else (self.file,)
         return (*own, *(self.folder / name for name in named if name is not None))
+
+    @property
+    def _paths(self) -> tuple[PathTask, ...]:
+        """The path of the task, or those of the legs of a sequence."""
+        return tuple(path for path in (self.task.path, *(leg.path for leg in self.task.sequence or ())) if path)
 
     def waypoints(self) -> tuple[Waypoint, ...]:
         """The path's waypoints in the world, from the scene or from its path file.
@@ -169,12 +162,21 @@ class Scene(Record):
         ------
         SceneError: the path file is missing, empty, or malformed.
         """
-        path = self.task.path
-        return () if path is None or path.file is None else read_path_file(self.folder / path.file).warnings
+        files = dict.fromkeys(path.file for path in self._paths if path.file is not None)
+        return tuple(warning for file in files for warning in read_path_file(self.folder / file).warnings)
 
     def to_dict(self) -> dict[str, Any]:
         """The scene as plain data that `scene_from_dict` reads again."""
         return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+
+def _unknown_leg(key: str, found: str, legs: tuple[str, ...]) -> ValueError:
+    """That an obstacle is there in a leg that the task does not have."""
+    if not legs:
+        return ValueError(f"{key}: only a sequence has legs; found {found!r}")
+    near = nearest_name(found, legs)
+    hint = f"; did you mean {near!r}?" if near else "."
+    return ValueError(f"{key}: the sequence has no leg {found!r}{hint} Allowed: {', '.join(legs)}")
 
 
 def load_scene(path: str | Path) -> Scene:

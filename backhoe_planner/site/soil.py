@@ -36,7 +36,7 @@ from backhoe_planner.arrays import Array
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine import GRAVITY, BatchKinematics, ConfigurationBatch, Robot
 from backhoe_planner.site.ground import Ground, GroundContact, LevelGround
-from backhoe_planner.site.scene_file import Soil
+from backhoe_planner.site.schema.digging import Soil
 
 LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; that of models/backhoe.urdf
 _FLATTEST = np.radians(10.0)  # rad of rake; chosen: a flatter blade slides rather than cuts

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -278,6 +278,12 @@ def hull(points: Matrix) -> ConvexHull:
     axes = _axes(points)
     along = points @ axes.T
     return ConvexHull(_box_corners(along.min(axis=0), along.max(axis=0)) @ axes)
+
+
+def moved(piece: Piece, T: pin.SE3) -> Piece:  # noqa: N803 - a transform
+    """The same piece in another frame, of which `T` maps the piece's frame into it."""
+    hull = piece.hull @ T.rotation.T + T.translation
+    return replace(piece, placement=T * piece.placement, hull=hull)
 
 
 def halfspace(point: Vector, normal: Vector) -> Piece:

@@ -66,6 +66,8 @@ class ObstacleRecord(Record):
     """Distance to be kept [m]; the scene's clearance by default."""
     links: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """The only links for which it is an obstacle; all of them by default."""
+    legs: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """The only legs of the sequence in which it is there, by name; all of them by default."""
     appears_at: NonNegative = 0.0
     """Time before which nobody knows of it [s]."""
     velocity: Vector3 = (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The part of the scene file that says what is to be done: start, goal, path."""
+"""The parts of which the scene file says what is to be done: start, goals, path, what is kept."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from backhoe_planner.site.schema.quantities import (
 )
 
 _UPRIGHT = 1e-12  # of a cosine: a frame whose z axis leans less stands upright
-_SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
+SLOWEST = 1e-4  # m/s of the tip; chosen: no digging is as slow
 
 
 class Pose(Record):
@@ -103,7 +103,7 @@ def _kind_of_goal(found: object) -> str:
 AnyGoal = Annotated[
     Annotated[Goal, Tag("Goal")] | Annotated[JointsGoal, Tag("JointsGoal")], Discriminator(_kind_of_goal)
 ]
-_Goals = Annotated[
+Goals = Annotated[
     Annotated[Goal, Tag("Goal")]
     | Annotated[JointsGoal, Tag("JointsGoal")]
     | Annotated[tuple[AnyGoal, ...], Tag("list")],
@@ -183,7 +183,7 @@ class PathTask(Record):
 
     @model_validator(mode="after")
     def _some_length(self) -> PathTask:
-        if self.speed is not None and self.speed < _SLOWEST:
+        if self.speed is not None and self.speed < SLOWEST:
             raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
         if self.waypoints is not None:
             if len(self.waypoints) < 2:
@@ -258,29 +258,3 @@ class Keep(Record):
         if self.above is not None and self.below is not None and self.above > self.below:
             raise ValueError(f"no height is above {self.above:g} and below {self.below:g}")
         return self
-
-
-class Task(Record):
-    """What is to be done: exactly one of goal, path."""
-
-    goal: _Goals | None = None
-    """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
-    path: PathTask | None = None
-    keep: Keep | None = None
-    """What holds along the whole way to a goal, or to a path and along it."""
-
-    _one = exactly_one("goal", "path")
-
-    @field_validator("goal")
-    @classmethod
-    def _at_least_one(cls, goal: object) -> object:
-        if goal == ():
-            raise ValueError("a list of goals holds at least one; found []")
-        return goal
-
-    @property
-    def goals(self) -> tuple[Goal | JointsGoal, ...]:
-        """Every goal, of which any will do; none where a path is given."""
-        if self.goal is None:
-            return ()
-        return self.goal if isinstance(self.goal, tuple) else (self.goal,)

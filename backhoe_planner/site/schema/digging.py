@@ -1,0 +1,35 @@
+"""The part of the scene file that says what the bucket digs in."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import Field
+
+from backhoe_planner.files.records import Record
+from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive
+
+
+class Soil(Record):
+    """What the bucket digs in (fundamental earthmoving equation).
+
+    Every key may be left out: the defaults are those of a soil of medium strength.
+    """
+
+    density: Positive = 1700.0
+    """Of the soil [kg/m^3]; 1700 by default, usual are 1300 to 2000."""
+    cohesion: Annotated[float, Field(strict=True, ge=0.0, le=1e8, allow_inf_nan=False)] = 5000.0
+    """What holds its grains together [Pa]; 5000 by default, 0 for dry sand, up to 50000 for clay, 1e6 for rock."""
+    friction: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.55
+    """Internal friction angle [rad]; 0.55 by default, usual are 0.44 to 0.70 (25 to 40 degrees)."""
+    adhesion: NonNegative = 0.0
+    """Between soil and blade [Pa]; 0 by default."""
+    tool_friction: Annotated[float, Field(strict=True, ge=0.0, lt=math.pi / 2.0)] | None = None
+    """Between soil and blade [rad]; 2/3 of `friction` by default."""
+    surface: Finite = 0.0
+    """Height z of the ground, below which the soil resists [m], world; 0 by default."""
+    surcharge: NonNegative = 0.0
+    """Load on the ground beside the blade [Pa]; 0 by default."""
+    width: Positive | None = None
+    """Of the blade [m]; that of the bucket's collision shape by default."""

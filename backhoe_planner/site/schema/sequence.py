@@ -1,0 +1,133 @@
+"""The task of a scene: a goal, a path, or a sequence of legs that are done one after the other."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from backhoe_planner.files.records import Record, exactly_one
+from backhoe_planner.site.schema.digging import Soil
+from backhoe_planner.site.schema.names import Name, check_name
+from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
+from backhoe_planner.site.schema.quantities import NonNegative, Positive
+from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, Keep, PathTask
+
+ObjectiveName = Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"]
+
+_CARRIED = ("box", "capsule", "cylinder", "mesh", "sphere")
+_NOT_CARRIED = ("appears_at", "velocity", "links", "legs", "clearance")  # keys that say something of what stands
+
+
+def _some_goal(goal: Any) -> Any:
+    if goal == ():
+        raise ValueError("a list of goals holds at least one; found []")
+    return goal
+
+
+def _listed(goal: Goals | None) -> tuple[Goal | JointsGoal, ...]:
+    if goal is None:
+        return ()
+    return goal if isinstance(goal, tuple) else (goal,)
+
+
+class Leg(Record):
+    """One part of a sequence: exactly one of goal, path, wait. It begins where the one before has ended."""
+
+    name: Name
+    """Unique within the sequence; appears in reports and on the page."""
+    goal: Goals | None = None
+    """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
+    path: PathTask | None = None
+    """A path that the tip is to follow; the way to its beginning is part of the leg."""
+    wait: Positive | None = None
+    """How long the machine stands [s]."""
+    keep: Keep | None = None
+    """What holds along the whole leg."""
+    payload: NonNegative | None = None
+    """Mass in the bucket during the leg [kg]; the scene's by default."""
+    soil: Soil | None = None
+    """What the bucket digs in during the leg; the scene's by default."""
+    objective: ObjectiveName | None = None
+    """What the leg is to make small; the scene's by default, else the time to a goal and the work along a path."""
+    speed: Positive | None = None
+    """Greatest speed of the tip [m/s]: along a path as its own `speed`, and on the whole way to a goal."""
+    carries: ObstacleSpec | None = None
+    """What hangs from the tip or lies in the bucket, in the tip's frame: part of the machine's shape in this leg."""
+
+    _one = exactly_one("goal", "path", "wait")
+    _check_goal = field_validator("goal")(_some_goal)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Leg:
+        if self.wait is not None:
+            given = [key for key in ("keep", "objective", "speed") if getattr(self, key) is not None]
+            if given:
+                raise ValueError(f"a wait has no {' and no '.join(given)}: the machine stands")
+        if self.speed is not None and self.speed < SLOWEST:
+            raise ValueError(f"a speed of {self.speed:.3g} m/s is slower than 0.1 mm/s")
+        if self.path is not None and self.speed is not None and self.path.speed is not None:
+            raise ValueError(
+                f"speed is given twice, as {self.speed:g} for the leg and as {self.path.speed:g} for its path"
+            )
+        if self.carries is not None:
+            if self.carries.shape not in _CARRIED:
+                raise ValueError(
+                    f"carries: a {self.carries.shape} cannot be carried; allowed shapes: {', '.join(_CARRIED)}"
+                )
+            wrong = [key for key in _NOT_CARRIED if key in self.carries.model_fields_set]
+            if wrong:
+                raise ValueError(f"carries: {wrong[0]} says something of what stands on the site; leave it out")
+        return self
+
+    @property
+    def goals(self) -> tuple[Goal | JointsGoal, ...]:
+        """Every goal, of which any will do; none along a path and where it waits."""
+        return _listed(self.goal)
+
+    @property
+    def followed_path(self) -> PathTask | None:
+        """The path with the leg's speed, where it has one."""
+        if self.path is None or self.speed is None:
+            return self.path
+        return self.path.model_copy(update={"speed": self.speed})
+
+
+class Task(Record):
+    """What is to be done: exactly one of goal, path, sequence."""
+
+    goal: Goals | None = None
+    """A pose of the tip, or the joints; or a list of such goals, any of which will do."""
+    path: PathTask | None = None
+    sequence: Annotated[tuple[Leg, ...], Field(min_length=1)] | None = None
+    """Legs, done one after the other."""
+    keep: Keep | None = None
+    """What holds along the whole way to a goal, or to a path and along it."""
+
+    _one = exactly_one("goal", "path", "sequence")
+    _check_goal = field_validator("goal")(_some_goal)
+
+    @model_validator(mode="after")
+    def _legs(self) -> Task:
+        legs = self.sequence
+        if legs is None:
+            return self
+        if self.keep is not None:
+            raise ValueError("keep stands beside a sequence; give it to the legs in which it holds")
+        in_use: dict[str, str] = {}
+        for index, leg in enumerate(legs):
+            check_name(leg.name, in_use=in_use, key=f"sequence[{index}].name")
+            in_use[leg.name] = f"sequence[{index}]"
+        if all(leg.wait is not None for leg in legs):
+            raise ValueError("the sequence does nothing but wait; at least one leg has a goal or a path")
+        return self
+
+    @property
+    def goals(self) -> tuple[Goal | JointsGoal, ...]:
+        """Every goal, of which any will do; none where a path or a sequence is given."""
+        return _listed(self.goal)
+
+    @property
+    def leg_names(self) -> tuple[str, ...]:
+        """Of the sequence; none where a goal or a path is given."""
+        return tuple(leg.name for leg in self.sequence or ())
