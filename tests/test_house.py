@@ -76,7 +76,7 @@ SUITES = {
     "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
     "site": ["schema", ""],
     "motion": ["", "timing"],
-    "planning": ["search", "descent", "paths", "reactive", "report", "result", ""],
+    "planning": ["search", "descent", "paths", "reactive", "report", "result", "", "sequence"],
     "live": ["braking", "recovery", "servo", ""],
     "show": ["drawing", "plots", "page", "viewer", "teleop"],
 }

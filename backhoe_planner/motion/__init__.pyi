@@ -13,6 +13,8 @@ from .goals import JOINT_TOLERANCE as JOINT_TOLERANCE
 from .goals import Goal as Goal
 from .keep import KEPT_TO as KEPT_TO
 from .keep import Keep as Keep
+from .legs import LegPart as LegPart
+from .legs import leg_parts as leg_parts
 from .objectives import OBJECTIVES as OBJECTIVES
 from .objectives import Nodes as Nodes
 from .orientation import angle_bounds as angle_bounds
@@ -37,6 +39,7 @@ from .timing.time_optimal import fastest as fastest
 from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE
 from .timing.timing import retime as retime
 from .timing.timing import run_curve as run_curve
+from .timing.timing import slow_tip as slow_tip
 from .timing.timing import time_along as time_along
 from .timing.timing import time_curve as time_curve
 from .timing.timing import time_polyline as time_polyline
@@ -47,6 +50,7 @@ from .tracking import progress as progress
 from .tracking import track_goals as track_goals
 from .tracking import track_path as track_path
 from .trajectory import SAMPLE_PERIOD as SAMPLE_PERIOD
+from .trajectory import Beside as Beside
 from .trajectory import Moments as Moments
 from .trajectory import Trajectory as Trajectory
 from .trajectory import chord_sagitta as chord_sagitta

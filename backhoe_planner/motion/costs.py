@@ -27,7 +27,7 @@ they move. In the search these get further terms, which are not part of their re
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array
 from backhoe_planner.machine import BatchKinematics, Dynamics, MotionEnergy, motion_energy
+from backhoe_planner.motion.legs import leg_parts
 from backhoe_planner.motion.objectives import (
     OBJECTIVES,
     LoadedMachine,
@@ -325,9 +326,25 @@ class _Inside:
 def trajectory_energy(problem: Problem, trajectory: Trajectory) -> MotionEnergy:
     """Torque, power and energy over the samples of a motion, with payload and soil.
 
-    Between samples far apart `work` and `hydraulic` also count what the samples alone do not show.
+    Between samples far apart `work` and `hydraulic` also count what the samples alone do not show. Where two
+    legs of a sequence meet, the sample is that of the later one; the potential energy counts from its beginning.
     """
-    return _whole_energy(problem, trajectory, _Inside.of(trajectory))[0]
+    parts = leg_parts(problem, trajectory)
+    found = [_whole_energy(part.problem, part.motion, _Inside.of(part.motion))[0] for part in parts]
+    if len(found) == 1:
+        return found[0]
+    last = len(found) - 1
+    rows: dict[str, Any] = {"time": trajectory.time}
+    for field in fields(MotionEnergy)[1:]:
+        values = [getattr(one, field.name) for one in found]
+        if any(value is None for value in values):
+            rows[field.name] = None
+            continue
+        if field.name in ("work", "hydraulic"):
+            done = np.cumsum([0.0, *(value[-1] for value in values[:-1])])
+            values = [value + before for value, before in zip(values, done, strict=True)]
+        rows[field.name] = np.concatenate([v[: len(v) - (k < last)] for k, v in enumerate(values)])
+    return MotionEnergy(**rows)
 
 
 def _whole_energy(problem: Problem, motion: Trajectory, more: _Inside) -> tuple[MotionEnergy, MotionEnergy]:
@@ -350,6 +367,8 @@ def motion_cost(problem: Problem, trajectory: Trajectory) -> float:
     """What a motion costs by the problem's objective, in its unit."""
     if problem.objective.is_time:
         return trajectory.duration
+    if problem.legs:
+        return trajectory_costs(problem, trajectory)[problem.objective.name]
     return _costs(problem, trajectory, [problem.objective])[0]
 
 
@@ -375,4 +394,5 @@ def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, floa
     By full inverse dynamics, with payload and soil.
     """
     found = {name: objective for name, objective in OBJECTIVES.items() if objective.suits(problem.robot)}
-    return dict(zip(found, _costs(problem, trajectory, list(found.values())), strict=True))
+    costs = [_costs(part.problem, part.motion, list(found.values())) for part in leg_parts(problem, trajectory)]
+    return dict(zip(found, np.sum(costs, axis=0).tolist(), strict=True))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Matrix, Vector, as_array, as_number
-from backhoe_planner.errors import InputError
+from backhoe_planner.arrays import Matrix, Vector, as_array, as_count, as_number
+from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.machine import JointLimits
 
 SAMPLE_PERIOD = 0.02  # s between the samples of a planned motion; chosen
@@ -40,6 +41,20 @@ class Moments:
 
 
 @dataclass(frozen=True, eq=False)
+class Beside:
+    """The segment before or after a part of a motion.
+
+    Attributes
+    ----------
+    velocity: (n,) of the joints on it [rad/s or m/s].
+    span: how long it takes [s].
+    """
+
+    velocity: Vector
+    span: float
+
+
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Samples of a motion; between them the joints move linearly in time.
 
@@ -49,11 +64,16 @@ class Trajectory:
     q: (T, n) joint positions [rad or m].
     v: (T, n) joint velocities at the samples [rad/s or m/s]: the mean of the
         velocities before and after, 0 at both ends of a motion from rest to rest.
+    begins: of the motion of a sequence, the first sample of each leg that it has begun, from 0; else empty.
+    before, after: of a part of a motion, the segments beside it; None where it begins or ends at rest.
     """
 
     time: Vector
     q: Matrix
     v: Matrix
+    begins: tuple[int, ...] = ()
+    before: Beside | None = None
+    after: Beside | None = None
 
     def __post_init__(self) -> None:
         for name, axes in (("time", 1), ("q", 2), ("v", 2)):
@@ -73,17 +93,56 @@ class Trajectory:
             raise InputError("does not start at 0", key="trajectory.time", found=float(self.time[0]))
         if np.any(np.diff(self.time) <= 0.0):
             raise InputError("does not increase", key="trajectory.time")
+        object.__setattr__(self, "begins", self._checked_begins())
+
+    def _checked_begins(self) -> tuple[int, ...]:
+        begins = tuple(
+            as_count(first, key=f"trajectory.begins[{index}]")
+            for index, first in enumerate(check_kind(self.begins, Iterable, key="trajectory.begins"))  # type: ignore[type-abstract]
+        )
+        if begins and not (begins[0] == 0 and list(begins) == sorted(set(begins)) and begins[-1] < len(self)):
+            raise InputError(
+                "is not the first sample of each leg", key="trajectory.begins", found=list(begins),
+                allowed=f"0, then ascending, less than {len(self)}",
+            )  # fmt: skip
+        return begins
 
     @classmethod
-    def from_steps(cls, time: Vector, q: Matrix) -> Trajectory:
-        """The motion through samples `q` (T, n) at `time` (T,), from rest to rest."""
+    def from_steps(cls, time: Vector, q: Matrix, *, begins: Sequence[int] = ()) -> Trajectory:
+        """The motion through samples `q` (T, n) at `time` (T,), from rest to rest; `begins` see `Trajectory`."""
         time = np.array(as_array(time, None, key="trajectory.time"))
         q = np.array(as_array(q, None, None, key="trajectory.q"))
         v = np.zeros_like(q)
         if len(time) > 2 and len(time) == len(q) and np.all(np.diff(time) > 0.0):
             segment = np.diff(q, axis=0) / np.diff(time)[:, None]
             v[1:-1] = 0.5 * (segment[:-1] + segment[1:])
-        return cls(time=time, q=q, v=v)
+        return cls(time=time, q=q, v=v, begins=tuple(begins))
+
+    def part(self, first: int, last: int) -> Trajectory:
+        """The motion from the sample `first` to `last`, on a clock of its own."""
+        steps, velocity = np.diff(self.time), self.segment_velocities()
+        return Trajectory(
+            time=self.time[first : last + 1] - self.time[first],
+            q=self.q[first : last + 1],
+            v=self.v[first : last + 1],
+            before=Beside(velocity[first - 1], float(steps[first - 1])) if first > 0 else self.before,
+            after=Beside(velocity[last], float(steps[last])) if last < len(self) - 1 else self.after,
+        )
+
+    def own_velocities(self) -> Matrix:
+        """(T, n) the velocities that belong to the samples: the mean of those before and after, 0 at rest."""
+        if len(self) < 2:
+            return self.v if self.before is not None or self.after is not None else np.zeros_like(self.q)
+        around = np.vstack((self._velocity(self.before), self.segment_velocities(), self._velocity(self.after)))
+        found = 0.5 * (around[:-1] + around[1:])
+        for row, beside in ((0, self.before), (-1, self.after)):
+            if beside is None:
+                found[row] = 0.0
+        return np.asarray(found)
+
+    def _velocity(self, beside: Beside | None) -> Vector:
+        """(n,) that of a segment beside the motion; 0 at rest."""
+        return np.zeros(self.q.shape[1]) if beside is None else beside.velocity
 
     @property
     def duration(self) -> float:
@@ -129,7 +188,7 @@ class Trajectory:
         corner = np.append(first, len(segment))  # rows of the samples
         # the further apart the samples, the nearer a corner comes to the velocities beside it
         sharp = (1.0 - np.minimum(SAMPLE_PERIOD / self._spans(), 1.0))[:, None] if last else np.zeros((1, 1))
-        beside = np.vstack((np.zeros(self.q.shape[1]), velocities, np.zeros(self.q.shape[1])))
+        beside = np.vstack((self._velocity(self.before), velocities, self._velocity(self.after)))
         found = [np.vstack((moving, moving[-1:] if last else self.v)) for _ in range(4)]
         at_samples = (
             self.v, self.corner_accelerations(),
@@ -172,14 +231,17 @@ class Trajectory:
         return np.asarray(self.velocity_changes() / np.minimum(self._spans(), SAMPLE_PERIOD)[:, None])
 
     def velocity_changes(self) -> Matrix:
-        """(T, n) by how much the velocity jumps at each sample, from and to rest at the ends."""
-        still = np.zeros(self.q.shape[1])
-        return np.asarray(np.diff(np.vstack((still, self.segment_velocities(), still)), axis=0))
+        """(T, n) by how much the velocity jumps at each sample, from and to rest at the ends of a whole motion."""
+        around = (self._velocity(self.before), self.segment_velocities(), self._velocity(self.after))
+        return np.asarray(np.diff(np.vstack(around), axis=0))
 
     def _spans(self) -> Vector:
         """(T,) the half segments beside each sample, at the ends a whole one [s]."""
         step = np.diff(self.time)
-        return np.concatenate((step[:1], 0.5 * (step[:-1] + step[1:]), step[-1:]))
+        before = step[0] if self.before is None else self.before.span
+        after = step[-1] if self.after is None else self.after.span
+        around = np.concatenate(([before], step, [after]))
+        return np.asarray(0.5 * (around[:-1] + around[1:]))
 
 
 def chord_sagitta(limits: JointLimits) -> Vector:

@@ -11,7 +11,7 @@ from .paths.path_resolution import PathResolver as PathResolver
 from .paths.path_resolution import Resolution as Resolution
 from .paths.smoothing import smooth_stretch as smooth_stretch
 from .paths.stretch import Stretch as Stretch
-from .planner import plan as plan
+from .planner import plan_motion as plan_motion
 from .reactive.law_timing import places_on as places_on
 from .reactive.law_timing import speed_up as speed_up
 from .reactive.law_timing import time_iterates as time_iterates
@@ -56,4 +56,5 @@ from .search.sampled_check import SampledCheck as SampledCheck
 from .search.sampling import JointPath as JointPath
 from .search.sampling import sample_path as sample_path
 from .search.shortening import shorten as shorten
+from .sequence.plan_task import plan as plan
 from .world import World as World

@@ -1,6 +1,6 @@
 from .certificate import Certificate as Certificate
-from .certificate import certify as certify
-from .certificate import certify_problem as certify_problem
+from .certificate import LegCertificate as LegCertificate
+from .certificate import certify_motion as certify_motion
 from .certificate import describe_step as describe_step
 from .clearances import STEP_ROUNDING as STEP_ROUNDING
 from .clearances import TOUCH as TOUCH
@@ -13,3 +13,5 @@ from .least_times import LeastTimes as LeastTimes
 from .least_work import least_work as least_work
 from .limits import LimitUse as LimitUse
 from .limits import describe_ratio as describe_ratio
+from .sequence import certify as certify
+from .sequence import certify_problem as certify_problem

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.errors import check_kind
-from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.machine import Kinematics
 from backhoe_planner.motion import (
     Detour,
     Problem,
@@ -18,17 +17,17 @@ from backhoe_planner.motion import (
     Tracking,
     Trajectory,
     WaypointStep,
-    build_problem,
     track_goals,
     track_path,
 )
 from backhoe_planner.proof.clearances import KEPT_WITHIN, find_clearances
 from backhoe_planner.proof.keeping import KeepUse, keep_uses
 from backhoe_planner.proof.limits import LimitUse, machine_uses, position_use, tip_speed_use
-from backhoe_planner.site import Obstruction, Proximity, Scene
+from backhoe_planner.site import Obstruction, Proximity
 
 _STARTS_AT = 1e-5  # m and rad: rounding of what inverse kinematics finds is below
 _STARTS_AT_JOINTS = 1e-9  # rad or m: rounding in a plan file is below
+_WAITS_WITHIN = 1e-9  # part of the time to wait: rounding of a sum of times
 _SAME_VELOCITY = 1e-6  # relative, and rad/s or m/s: velocities nearer than this are the same
 
 
@@ -49,6 +48,7 @@ class Certificate:
     tip_speed: use of the asked speed; None where none is asked for.
     keep: what is left of every condition that is to be kept along the motion; empty where there is none.
     problems: everything that is not as it must be, in words; empty where verified.
+    legs: of a sequence, what was proven of each leg that the motion has begun; all else is the tightest over them.
     """
 
     clearances: tuple[Obstruction, ...]
@@ -61,6 +61,7 @@ class Certificate:
     tip_speed: LimitUse | None
     problems: tuple[str, ...]
     keep: tuple[KeepUse, ...] = ()
+    legs: tuple[LegCertificate, ...] = ()
 
     @property
     def min_clearance(self) -> Obstruction | None:
@@ -97,25 +98,27 @@ class Certificate:
         return self.tracking.goal or None if self.tracking.done else None
 
 
-def certify(robot: Robot, scene: Scene, trajectory: Trajectory) -> Certificate:
-    """Prove what holds over a whole motion.
+@dataclass(frozen=True)
+class LegCertificate:
+    """What was proven of one leg of a sequence.
 
-    Parameters
+    Attributes
     ----------
-    robot, scene: the machine and its task; they need not have been checked against each other.
-    trajectory: the motion.
-
-    Raises
-    ------
-    SceneError, RobotError: the scene does not fit the machine.
-    InputError: the trajectory has another number of joints.
+    name: of the leg.
+    first, last: its samples in the whole motion; the last is the first of the next leg.
+    begins: when [s].
+    certificate: of its part of the motion; its times count from `begins`.
     """
-    check_kind(trajectory, Trajectory, key="trajectory")
-    return certify_problem(build_problem(robot, scene), trajectory)
+
+    name: str
+    first: int
+    last: int
+    begins: float
+    certificate: Certificate
 
 
-def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
-    """Prove what holds over a whole motion, for a problem that is already built; see `certify`."""
+def certify_motion(problem: Problem, trajectory: Trajectory) -> Certificate:
+    """Prove what holds over a motion, or over the part of one that belongs to a leg."""
     problem.robot.check_q(trajectory.q[0], what="trajectory.q")
     clearances = find_clearances(Proximity(problem.robot, problem.obstacles), trajectory)
     position = position_use(problem, trajectory)
@@ -129,7 +132,7 @@ def certify_problem(problem: Problem, trajectory: Trajectory) -> Certificate:
         )  # fmt: skip
     else:
         tracking = track_goals(problem.goals, trajectory, kinematics)
-    tip_speed = tip_speed_use(problem, tracking)
+    tip_speed = tip_speed_use(problem, trajectory, tracking)
     keep = keep_uses(problem, trajectory)
     tightest = clearances[0] if clearances else None
     problems = []
@@ -170,11 +173,15 @@ def _task_problems(problem: Problem, trajectory: Trajectory, tracking: Tracking,
     found, q = [], trajectory.q[0]
     if problem.start_target is not None and max(problem.start_target.distances(kinematics.at(q))) > _STARTS_AT:
         found.append("the motion does not begin at the asked start")
-    own = Trajectory.from_steps(trajectory.time, trajectory.q).v
-    if not np.allclose(trajectory.v, own, rtol=_SAME_VELOCITY, atol=_SAME_VELOCITY):
+    if not np.allclose(trajectory.v, trajectory.own_velocities(), rtol=_SAME_VELOCITY, atol=_SAME_VELOCITY):
         found.append("the velocities at the samples are not those of the motion")
     if problem.start_q is not None and np.max(np.abs(q - problem.start_q)) > _STARTS_AT_JOINTS:
         found.append("the motion does not begin at the asked start")
+    if problem.wait is not None:
+        if trajectory.duration < problem.wait * (1.0 - _WAITS_WITHIN):
+            found.append(f"the machine waits {trajectory.duration:.3g} s, asked are {problem.wait:.3g} s")
+        if np.max(np.abs(trajectory.q - q)) > _STARTS_AT_JOINTS:
+            found.append("the machine moves while it is to wait")
     path = problem.scene.task.path
     if not tracking.done:
         found.append(tracking.shortfall)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from backhoe_planner.machine import BatchKinematics
 from backhoe_planner.motion import DRIVE_TOLERANCE, LimitUsage, Problem, Tracking, Trajectory, drive_of, limit_usage
 
 JOINTS_WITHIN = 1e-6  # part of a limit of the joints: rounding
@@ -67,7 +68,7 @@ class LimitUse:
             return f"{self.joint} asks its cylinders for {much} their greatest speed {when}"
         if self.kind == "tip speed":
             speeds = f"{self.needed:.3g} m/s {when}, {much} the asked {self.available:.3g} m/s"
-            return f"the tip moves along the path at {speeds}"
+            return f"the tip moves at {speeds}"
         return f"the motion asks for {much} the {self.kind} {when}"
 
 
@@ -109,13 +110,27 @@ def machine_uses(
     )
 
 
-def tip_speed_use(problem: Problem, tracking: Tracking) -> LimitUse | None:
-    """Use of the tip's speed on the followed parts of a path; None where the scene does not limit it."""
+def tip_speed_use(problem: Problem, trajectory: Trajectory, tracking: Tracking) -> LimitUse | None:
+    """Use of the tip's speed on the followed parts of a path, or on the whole way to a goal; None where it is free."""
+    if problem.tip_speed is not None:
+        time, speed = _fastest_tip(problem, trajectory)
+        return LimitUse("tip speed", "", speed / problem.tip_speed, time, speed, problem.tip_speed, "m/s")
     path = problem.scene.task.path
     if path is None or path.speed is None:
         return None
     ratio = tracking.max_speed / path.speed
     return LimitUse("tip speed", "", ratio, tracking.max_speed_time, tracking.max_speed, path.speed, "m/s")
+
+
+def _fastest_tip(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
+    """When the tip is fastest [s], and how fast it is [m/s]."""
+    moments = trajectory.moments()
+    if len(moments.time) < 2:
+        return 0.0, 0.0
+    tips = BatchKinematics(problem.robot).at(moments.q).tip_position
+    speed = np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(moments.time)
+    row = int(np.argmax(speed))
+    return float(moments.time[row]), float(speed[row])
 
 
 def _worst(problem: Problem, usage: LimitUsage, *kinds: str) -> LimitUse:

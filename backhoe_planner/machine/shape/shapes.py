@@ -280,7 +280,7 @@ def hull(points: Matrix) -> ConvexHull:
     return ConvexHull(_box_corners(along.min(axis=0), along.max(axis=0)) @ axes)
 
 
-def moved(piece: Piece, T: pin.SE3) -> Piece:  # noqa: N803 - a transform
+def moved(piece: Piece, T: pin.SE3) -> Piece:
     """The same piece in another frame, of which `T` maps the piece's frame into it."""
     hull = piece.hull @ T.rotation.T + T.translation
     return replace(piece, placement=T * piece.placement, hull=hull)

@@ -7,13 +7,14 @@ valves, the shared pump and the engine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array
 from backhoe_planner.machine import BothWays, Dynamics, Hydraulics, Kinematics, Robot
+from backhoe_planner.motion.legs import leg_parts
 from backhoe_planner.motion.problem import Problem
 from backhoe_planner.motion.trajectory import Moments, Trajectory
 from backhoe_planner.site import Ground, Soil, SoilReaction
@@ -243,10 +244,15 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
     ----------
     tip_speed: whether to look at the tip's speed.
     """
+    if problem.legs:
+        return _usage_of_legs(problem, trajectory)
     joints, moments = problem.robot.joint_names, trajectory.moments()
     velocity = np.zeros_like(trajectory.q)
     if len(trajectory) > 1:
         velocity = _beside(np.abs(trajectory.segment_velocities())[moments.segment[:-1]])
+        for row, beside in ((0, trajectory.before), (-1, trajectory.after)):
+            if beside is not None:
+                velocity[row] = np.maximum(velocity[row], np.abs(beside.velocity))
     kinds = ["velocity", "acceleration"]
     columns = [velocity / problem.limits.velocity, np.abs(moments.a) / problem.limits.acceleration]
     drive = drive_of(problem)
@@ -272,3 +278,19 @@ def limit_usage(problem: Problem, trajectory: Trajectory, *, tip_speed: bool = T
         limits.append(("tip speed", ""))
         columns.append(speed[:, None] / task.speed)
     return LimitUsage(moments, tuple(limits), np.hstack(columns))
+
+
+def _usage_of_legs(problem: Problem, trajectory: Trajectory) -> LimitUsage:
+    """That of every leg of a sequence, one after the other; the moment at which two meet stands for the later one."""
+    parts = leg_parts(problem, trajectory)
+    found = [limit_usage(part.problem, part.motion, tip_speed=False) for part in parts]
+    last = len(found) - 1
+    kept = [slice(0, len(use.moments.time) - (k < last)) for k, use in enumerate(found)]
+    own = {field.name: [getattr(use.moments, field.name) for use in found] for field in fields(Moments)}
+    own["time"] = [time + part.begins for time, part in zip(own["time"], parts, strict=True)]
+    own["segment"] = [rows + part.first for rows, part in zip(own["segment"], parts, strict=True)]
+    moments = Moments(
+        **{name: np.concatenate([v[s] for v, s in zip(values, kept, strict=True)]) for name, values in own.items()}
+    )
+    ratio = np.vstack([use.ratio[rows] for use, rows in zip(found, kept, strict=True)])
+    return LimitUsage(moments, found[0].limits, ratio)

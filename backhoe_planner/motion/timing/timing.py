@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.machine import BatchKinematics, JointLimits
+from backhoe_planner.machine import BatchKinematics, JointLimits, Robot
 from backhoe_planner.motion.path import SmoothWay, step_lengths
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
@@ -182,6 +182,11 @@ def _tip_speeds(kinematics: BatchKinematics, trajectory: Trajectory) -> Vector:
     """(T - 1,) the tip's speed from sample to sample [m/s]."""
     moved = np.diff(kinematics.at(trajectory.q).tip_position, axis=0)
     return np.asarray(np.linalg.norm(moved, axis=1) / np.diff(trajectory.time))
+
+
+def slow_tip(trajectory: Trajectory, limits: JointLimits, *, speed: float, robot: Robot, drive: Drive) -> Trajectory:
+    """The motion, slower where its tip is faster than `speed` [m/s], within the limits of joints and drive."""
+    return retime(_slow_to_speed(trajectory, limits, speed, BatchKinematics(robot)), limits, drive=drive)
 
 
 def _slow_to_speed(
