@@ -35,6 +35,7 @@ from .machine import TipTarget as TipTarget
 from .machine import digging_forces as digging_forces
 from .machine import load_robot as load_robot
 from .machine import solve_inverse_kinematics as solve_inverse_kinematics
+from .motion import Beside as Beside
 from .motion import Detour as Detour
 from .motion import Goal as Goal
 from .motion import Keep as Keep
@@ -55,6 +56,7 @@ from .planning import Metrics as Metrics
 from .planning import NearestPose as NearestPose
 from .planning import ObjectiveCost as ObjectiveCost
 from .planning import Plan as Plan
+from .planning import PlannedLeg as PlannedLeg
 from .planning import PlannerStep as PlannerStep
 from .planning import Reaction as Reaction
 from .planning import RecordingNotes as RecordingNotes
@@ -63,6 +65,7 @@ from .planning import load_plan as load_plan
 from .planning import plan as plan
 from .proof import Certificate as Certificate
 from .proof import KeepUse as KeepUse
+from .proof import LegCertificate as LegCertificate
 from .proof import LimitUse as LimitUse
 from .proof import certify as certify
 from .site import Nearby as Nearby

@@ -225,6 +225,12 @@ def calls() -> dict[str, Call]:
         "Robot.random_q": call(the.random_q, rng=(np.random.default_rng(0), THING), lists=False),
         "Robot.with_tip": call(the.with_tip, tip=("bucket_tip", optional(TEXT)), lists=False),
         "Robot.with_hold": call(the.with_hold, hold=({"boom": 0.1}, only(*HOLD, None, [], "text")), lists=False),
+        "Robot.carrying": call(
+            lambda **keys: the.carrying(**keys).link_names, lists=False,
+            name=("pipe", only(None, {"a": 1}, OBJECT, [], 3.0, "bucket")),
+            pieces=((shapes.sphere(0.3, pin.SE3.Identity()),), only(None, "text", OBJECT, 3.0, [3.0])),
+        ),
+        "Robot.pieces_of": call(the.pieces_of, links=(("bucket",), only(3.0, OBJECT)), lists=False),
         "Robot.check_q": call(lambda q: the.check_q(q), q=q4),
         "Kinematics": call(bp.Kinematics, robot=(the, THING), lists=False),
         "Kinematics.at": call(lambda q: bp.Kinematics(the).at(q).J_world, q=q4),
@@ -283,14 +289,21 @@ def calls() -> dict[str, Call]:
         # motions
         "Trajectory": call(
             lambda **keys: bp.Trajectory(**keys).accelerations(), time=t3, q=(stepped, SAMPLES),
-            v=(0 * stepped, SAMPLES),
+            v=(0 * stepped, SAMPLES), begins=((0, 1), only(None, 3.0, [0.5], [1], [0, 9], [0, 2, 1])),
+            before=(None, only("text", 3.0)), after=(None, only("text", 3.0)),
         ),
         "Trajectory.from_steps": call(
             lambda **keys: bp.Trajectory.from_steps(**keys).v, time=(t3[0], Kind((*t3[1].bad, [0.0, 1.0, 0.5]))),
-            q=(stepped, SAMPLES),
+            q=(stepped, SAMPLES), begins=((0, 1), only(None, 3.0, [0.5], [1], [0, 9], [0, 2, 1])),
+        ),
+        "Trajectory.part": call(
+            lambda **keys: motion().part(**keys).q, first=(1, index), last=(3, Kind((*index.bad, 0))), lists=False
         ),
         "Trajectory.at": call(motion().at, time=(np.array([0.3, 0.7]), only(None, "text", {}, OBJECT, NAN, [NAN]))),
         "Trajectory.moments": call(lambda longest: motion().moments(longest=longest).q, longest=(0.1, POSITIVE)),
+        "Problem.beginning": call(
+            lambda **keys: bp.build_problem(the, scene()).beginning(**keys).start_q, q=q4, time=(1.0, NUMBER)
+        ),
         "TipPath": call(
             bp.TipPath, waypoints=(path().waypoints, only(None, "text", {"a": 1}, OBJECT, [], 3.0, [1, 2])),
             numbers=((1, 2), only(None, "text", OBJECT, 3.0, [1], [0.5, 1.5])), lists=False,
@@ -413,9 +426,10 @@ def recording() -> bp.Plan:
 
 # what only holds values, made by this package; their methods are above
 RESULTS = {
-    "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
+    "Beside", "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
     "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
-    "Obstruction", "Piece", "Plan", "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "SpotTurn",
+    "LegCertificate", "Obstruction", "Piece", "Plan", "PlannedLeg",
+    "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "SpotTurn",
     "Step", "TaskInverse", "Tracking", "Transgression", "WaypointStep", "Wish",
 }  # fmt: skip
 PUBLIC = {name: getattr(bp, name) for name in dir(bp) if not name.startswith("_")}

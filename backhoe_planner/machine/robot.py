@@ -321,6 +321,7 @@ class Robot:
         moving = [row for row, piece in enumerate(self.pieces) if piece.joint > 0]
         if links is None:
             return tuple(moving)
+        links = check_kind(links, Collection, key="links")  # type: ignore[type-abstract]
         load = None if self.carried is None else self.carried[0]
         holding = {piece.joint for piece in self.pieces if piece.link in links}
         return tuple(
@@ -341,7 +342,8 @@ class Robot:
         ------
         InputError: a link has that name, or something is carried already.
         """
-        pieces = tuple(check_kind(one, Piece, key="pieces") for one in pieces)
+        given = check_kind(pieces, Iterable, key="pieces")  # type: ignore[type-abstract]
+        pieces = tuple(check_kind(one, Piece, key="pieces") for one in given)
         if check_kind(name, str, key="name") in self.all_link_names:
             raise InputError("is the name of a link", key="name", found=name)
         if self.carried is not None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Vector
+from backhoe_planner.arrays import Vector, as_number, as_vector
 from backhoe_planner.errors import RobotError, SceneError
 from backhoe_planner.machine import JointLimits, Kinematics, Robot, TipTarget
 from backhoe_planner.motion.conditions import Condition, HeightBound, PitchBand, RotationCone
@@ -82,15 +82,11 @@ class Problem:
 
     def beginning(self, q: Vector, time: float = 0.0) -> Problem:
         """The same, with the joints at `q` (n,) [rad or m] at the start, on a clock that begins at `time` [s]."""
-        goals = self.goals
+        q, time, goals = as_vector(q, self.robot.n, key="q"), as_number(time, key="time"), self.goals
         if self.wait is not None:
             at = Kinematics(self.robot).at(q)
             goals = (Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name="place"),)
         return replace(self, start_q=q, start_target=None, goals=goals, obstacles=self._obstacles_from(time))
-
-    def clocked_from(self, time: float) -> Problem:
-        """The same, on a clock that begins at `time` [s]: obstacles that move are where they are by then."""
-        return self if time == 0.0 else replace(self, obstacles=self._obstacles_from(time))
 
     def _obstacles_from(self, time: float) -> tuple[Obstacle, ...]:
         if time == 0.0 or not self.is_dynamic:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,6 +94,9 @@ class Trajectory:
         if np.any(np.diff(self.time) <= 0.0):
             raise InputError("does not increase", key="trajectory.time")
         object.__setattr__(self, "begins", self._checked_begins())
+        for name in ("before", "after"):
+            if getattr(self, name) is not None:
+                check_kind(getattr(self, name), Beside, key=f"trajectory.{name}")
 
     def _checked_begins(self) -> tuple[int, ...]:
         begins = tuple(
@@ -108,7 +111,7 @@ class Trajectory:
         return begins
 
     @classmethod
-    def from_steps(cls, time: Vector, q: Matrix, *, begins: Sequence[int] = ()) -> Trajectory:
+    def from_steps(cls, time: Vector, q: Matrix, *, begins: tuple[int, ...] = ()) -> Trajectory:
         """The motion through samples `q` (T, n) at `time` (T,), from rest to rest; `begins` see `Trajectory`."""
         time = np.array(as_array(time, None, key="trajectory.time"))
         q = np.array(as_array(q, None, None, key="trajectory.q"))
@@ -116,10 +119,14 @@ class Trajectory:
         if len(time) > 2 and len(time) == len(q) and np.all(np.diff(time) > 0.0):
             segment = np.diff(q, axis=0) / np.diff(time)[:, None]
             v[1:-1] = 0.5 * (segment[:-1] + segment[1:])
-        return cls(time=time, q=q, v=v, begins=tuple(begins))
+        return cls(time=time, q=q, v=v, begins=begins)
 
     def part(self, first: int, last: int) -> Trajectory:
         """The motion from the sample `first` to `last`, on a clock of its own."""
+        first, last = as_count(first, key="first"), as_count(last, key="last")
+        for key, sample, low in (("first", first, 0), ("last", last, first)):
+            if not low <= sample < len(self):
+                raise InputError("is no sample of the part", key=key, found=sample, allowed=f"{low} to {len(self) - 1}")
         steps, velocity = np.diff(self.time), self.segment_velocities()
         return Trajectory(
             time=self.time[first : last + 1] - self.time[first],

@@ -11,7 +11,6 @@ from .paths.path_resolution import PathResolver as PathResolver
 from .paths.path_resolution import Resolution as Resolution
 from .paths.smoothing import smooth_stretch as smooth_stretch
 from .paths.stretch import Stretch as Stretch
-from .planner import plan_motion as plan_motion
 from .reactive.law_timing import places_on as places_on
 from .reactive.law_timing import speed_up as speed_up
 from .reactive.law_timing import time_iterates as time_iterates
@@ -42,6 +41,7 @@ from .result.metrics import Metrics as Metrics
 from .result.metrics import ObjectiveCost as ObjectiveCost
 from .result.metrics import measure_motion as measure_motion
 from .result.plan import Plan as Plan
+from .result.plan import PlannedLeg as PlannedLeg
 from .result.plan import load_plan as load_plan
 from .result.plan import plan_to_dict as plan_to_dict
 from .search.blending import blend as blend
@@ -56,5 +56,7 @@ from .search.sampled_check import SampledCheck as SampledCheck
 from .search.sampling import JointPath as JointPath
 from .search.sampling import sample_path as sample_path
 from .search.shortening import shorten as shorten
+from .sequence.leg import Leg as Leg
+from .sequence.legs_planning import plan_legs as plan_legs
 from .sequence.plan_task import plan as plan
 from .world import World as World

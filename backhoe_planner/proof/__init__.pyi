@@ -15,3 +15,4 @@ from .limits import LimitUse as LimitUse
 from .limits import describe_ratio as describe_ratio
 from .sequence import certify as certify
 from .sequence import certify_problem as certify_problem
+from .sequence import join_certificates as join_certificates

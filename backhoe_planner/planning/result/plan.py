@@ -7,6 +7,7 @@ import importlib.metadata
 import json
 import os
 import platform
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,13 +18,14 @@ from numpy.typing import NDArray
 from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_path
 from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, shipped_folder
-from backhoe_planner.motion import Problem, Trajectory, build_problem, trajectory_energy
+from backhoe_planner.motion import Problem, Trajectory, build_problem, leg_parts, trajectory_energy
 from backhoe_planner.planning.result.bound import Bound
 from backhoe_planner.planning.result.findings import NOTHING, Findings
-from backhoe_planner.planning.result.metrics import Metrics
+from backhoe_planner.planning.result.metrics import Metrics, measure_motion
 from backhoe_planner.planning.result.plan_file import (
     CertificateRecord,
     DynamicsRecord,
+    LegRecord,
     Method,
     PlanRecord,
     Reason,
@@ -36,6 +38,33 @@ from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Scene, load_machine, scene_from_dict
 
 METHODS: tuple[Method, ...] = ("auto", "reactive", "optimal", "paper")  # "teleop" is driven by hand
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedLeg:
+    """One leg of the plan of a sequence.
+
+    Attributes
+    ----------
+    name: of the leg.
+    first, last: its samples in the whole motion; the last is the first of the next leg.
+    begins: when [s].
+    problem: of the leg, with where it begins; its clock begins with the leg.
+    trajectory: its part of the motion, on that clock; the legs beside it may go over into it without a stop.
+    certificate: what is proven of that part.
+    metrics: duration, lengths and energy of it.
+    findings: what the planner found out on the way.
+    """
+
+    name: str
+    first: int
+    last: int
+    begins: float
+    problem: Problem
+    trajectory: Trajectory
+    certificate: Certificate
+    metrics: Metrics
+    findings: Findings = NOTHING
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +90,7 @@ class Plan:
     bound: what no motion to the goal could fall short of; None along a path, and where the plan is not verified.
         Of a plan that was read, what its file says.
     effort: as it was given; None of a motion driven by hand, and of an older file.
+    legs: of a sequence, every leg that the motion has begun; else empty.
     """
 
     problem: Problem
@@ -74,6 +104,7 @@ class Plan:
     note: str = ""
     bound: Bound | None = None
     effort: EffortName | None = None
+    legs: tuple[PlannedLeg, ...] = ()
 
     @property
     def robot(self) -> Robot:
@@ -147,6 +178,31 @@ class Plan:
             stream.write(_record(self, path.parent).model_dump_json() + "\n")
 
 
+def planned_legs(
+    problem: Problem, trajectory: Trajectory, certificate: Certificate, found: Sequence[Findings] = ()
+) -> tuple[PlannedLeg, ...]:
+    """The legs of a plan, from its motion; none where the problem is no sequence.
+
+    Parameters
+    ----------
+    certificate: of the motion.
+    found: of every leg, what the planner found out.
+    """
+    if not problem.legs:
+        return ()
+    legs = []
+    for index, (part, of_leg) in enumerate(zip(leg_parts(problem, trajectory), certificate.legs, strict=True)):
+        findings = found[index] if index < len(found) else NOTHING
+        own = of_leg.certificate
+        legs.append(
+            PlannedLeg(
+                part.name, part.first, part.last, part.begins, part.problem, part.motion, own,
+                measure_motion(part.problem, part.motion, own, detours=findings.detours), findings,
+            )
+        )  # fmt: skip
+    return tuple(legs)
+
+
 def plan_to_dict(plan: Plan) -> dict[str, Any]:
     """The plan as plain data in the layout of the plan file, without what it has for every sample."""
     return dict(json.loads(_record(plan, None).model_dump_json(exclude={"trajectory", "dynamics"})))
@@ -190,7 +246,8 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
             allowed=", ".join(robot.joint_names),
         )
     problem = build_problem(robot, scene)
-    trajectory = record.trajectory.trajectory(robot.n, file=file)
+    begins = _begins(record, problem, file)
+    trajectory = record.trajectory.trajectory(robot.n, file=file, begins=begins)
     certificate = certify_problem(problem, trajectory)
     note = record.message
     if record.verdict == "verified" and not certificate.verified:
@@ -207,7 +264,19 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
         note=note,
         bound=record.bound if certificate.verified else None,
         effort=record.effort,
+        legs=planned_legs(problem, trajectory, certificate, [leg.findings for leg in record.legs]),
     )
+
+
+def _begins(record: PlanRecord, problem: Problem, file: Path) -> tuple[int, ...]:
+    """Where the legs of a sequence begin; PlanFileError where they are not those of the scene."""
+    found, known = [leg.name for leg in record.legs], [leg.name for leg in problem.legs]
+    if found != known[: len(found)] or (known and not found):
+        raise PlanFileError(
+            "are not those of the scene", file=file, key="legs", found=", ".join(found) or "none",
+            allowed=", ".join(known) or "none",
+        )  # fmt: skip
+    return tuple(leg.first for leg in record.legs)
 
 
 def _record(plan: Plan, folder: Path | None) -> PlanRecord:
@@ -241,7 +310,14 @@ def _record(plan: Plan, folder: Path | None) -> PlanRecord:
         metrics=plan.metrics,
         findings=plan.findings,
         bound=plan.bound,
-    )
+        legs=tuple(
+            LegRecord(
+                name=leg.name, first=leg.first, last=leg.last, begins=leg.begins,
+                certificate=CertificateRecord.of(leg.certificate), metrics=leg.metrics, findings=leg.findings,
+            )
+            for leg in plan.legs
+        ),
+    )  # fmt: skip
 
 
 def _source(robot: Robot, folder: Path | None) -> str:

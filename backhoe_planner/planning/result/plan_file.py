@@ -67,8 +67,11 @@ class TrajectoryRecord(Record):
     v: list[list[Finite]]
     """(T, n) joint velocities [rad/s or m/s]."""
 
-    def trajectory(self, n: int, *, file: Path) -> Trajectory:
-        """The motion of a machine with `n` joints; PlanFileError where the samples do not make one."""
+    def trajectory(self, n: int, *, file: Path, begins: tuple[int, ...] = ()) -> Trajectory:
+        """The motion of a machine with `n` joints; PlanFileError where the samples do not make one.
+
+        begins: the first sample of each leg of a sequence.
+        """
         for key, rows in (("q", self.q), ("v", self.v)):
             lengths = sorted({len(row) for row in rows} | {n})
             if lengths != [n]:
@@ -80,7 +83,7 @@ class TrajectoryRecord(Record):
         if len(time) > 1 and 0.0 <= np.min(np.diff(time)) < _SHORTEST_STEP:
             raise PlanFileError("samples lie too close together", file=file, key="trajectory.time")
         try:
-            return Trajectory(time, np.array(self.q).reshape(-1, n), np.array(self.v).reshape(-1, n))
+            return Trajectory(time, np.array(self.q).reshape(-1, n), np.array(self.v).reshape(-1, n), begins=begins)
         except InputError as error:
             raise PlanFileError(str(error), file=file) from None
 
@@ -204,6 +207,22 @@ class CertificateRecord(Record):
         )
 
 
+class LegRecord(Record):
+    """One leg of a sequence, as far as the motion has begun it."""
+
+    name: str
+    first: StrictInt
+    """Its first sample."""
+    last: StrictInt
+    """Its last sample, the first of the next leg."""
+    begins: Figure
+    """When [s]."""
+    certificate: CertificateRecord
+    """What was proven of its part; times count from where it begins."""
+    metrics: Metrics
+    findings: Findings = Findings()
+
+
 class PlanRecord(Record):
     """A plan file."""
 
@@ -231,6 +250,8 @@ class PlanRecord(Record):
     findings: Findings = Findings()
     bound: Bound | None = None
     """What no motion to the goal could fall short of."""
+    legs: tuple[LegRecord, ...] = ()
+    """Of a sequence."""
 
     @model_validator(mode="before")
     @classmethod

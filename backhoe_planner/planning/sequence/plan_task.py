@@ -17,9 +17,13 @@ from backhoe_planner.motion import SAMPLE_PERIOD, Problem, Trajectory, build_pro
 from backhoe_planner.planning.planner import plan_motion
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.bound import measure_bound
+from backhoe_planner.planning.result.findings import NOTHING
 from backhoe_planner.planning.result.metrics import measure_motion
-from backhoe_planner.planning.result.plan import METHODS, Plan
-from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, EFFORTS, Brake
+from backhoe_planner.planning.result.plan import METHODS, Plan, planned_legs
+from backhoe_planner.planning.result.plan_file import Method
+from backhoe_planner.planning.search.effort import DEFAULT_BUDGET, EFFORTS, Brake, EffortName
+from backhoe_planner.planning.sequence.leg import Leg
+from backhoe_planner.planning.sequence.legs_planning import plan_legs
 from backhoe_planner.site import Scene
 
 _LARGEST_SEED = 2**32 - 1  # what OMPL's generator takes
@@ -74,6 +78,11 @@ def plan(
     begun = clock.monotonic()
     brake = Brake(budget)
     problem = build_problem(robot, scene)
+    if problem.legs and checked == "paper":
+        allowed = ", ".join(name for name in METHODS if name != checked)
+        raise InputError("plans one motion; this scene has a sequence", key="method", found=checked, allowed=allowed)
+    if problem.legs:
+        return _plan_sequence(problem, checked, seed=seed, effort=asked, brake=brake, watch=watch, begun=begun)
     if checked == "paper" and (len(problem.goals) != 1 or problem.goals[0].q is not None):
         has = "list of goals, or joints" if problem.goals else "path"
         allowed = ", ".join(name for name in METHODS if name != checked)
@@ -114,3 +123,32 @@ def _describe_unused_limits(problem: Problem, motion: Trajectory) -> str:
         return ""
     used = float(np.max(limit_usage(problem, motion).ratio))
     return "" if used >= _BINDS else f"the motion uses at most {100.0 * used:.0f} % of any limit: it could be faster"
+
+
+def _plan_sequence(
+    problem: Problem, method: Method, *, seed: int, effort: EffortName, brake: Brake, watch: Watcher | None,
+    begun: float,
+) -> Plan:  # fmt: skip
+    """The plan of a sequence; `begun` is when the clock stood at its beginning [s]."""
+    found = plan_legs(
+        [Leg(leg) for leg in problem.legs],
+        method=method, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch,
+    )  # fmt: skip
+    planning_time = clock.monotonic() - begun
+    motion, certificate, failed = found.trajectory, found.certificate, found.failed
+    notes = [f"leg {leg.problem.name!r}: {leg.outcome.message}" for leg in found.done if leg.outcome.message]
+    if notes and failed is not None and not failed.outcome.reason:
+        notes += certificate.problems
+    return Plan(
+        problem=problem,
+        method=method,
+        seed=seed,
+        trajectory=motion,
+        certificate=certificate,
+        metrics=measure_motion(problem, motion, certificate, planning_time=planning_time),
+        findings=NOTHING if failed is None else failed.outcome.findings,
+        failure="" if failed is None else failed.outcome.reason,
+        note="; ".join(notes),
+        effort=effort,
+        legs=planned_legs(problem, motion, certificate, [leg.outcome.findings for leg in found.done]),
+    )

@@ -1,0 +1,104 @@
+"""A leg that is to be planned, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.machine import Kinematics, TipTarget
+from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory
+from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.proof import Certificate
+
+_SAME_PLACE = 1e-9  # rad or m: rounding; where two motions are further apart, one does not go on with the other
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """One leg of a sequence, before it is planned.
+
+    Attributes
+    ----------
+    problem: of the leg; its name is the leg's. Where it begins counts for the first leg alone: any other begins
+        where the one before has ended.
+    motion: ready, from rest to rest, such as a cut: planned is only the way to its beginning. None where
+        all is to be planned.
+
+    Raises
+    ------
+    InputError: the motion is of another machine.
+    """
+
+    problem: Problem
+    motion: Trajectory | None = None
+
+    def __post_init__(self) -> None:
+        problem = check_kind(self.problem, Problem, key="problem")
+        if problem.legs:
+            raise InputError("is a sequence itself", key="problem", found=problem.scene.name or "a sequence")
+        if self.motion is None:
+            return
+        motion = check_kind(self.motion, Trajectory, key="motion")
+        if motion.q.shape[1] != problem.robot.n:
+            raise InputError("has another number of joints", key="motion", found=motion.q.shape[1])
+        if not problem.goals and problem.path is None:
+            object.__setattr__(self, "problem", replace(problem, goals=(posture_goal(problem, motion.q[-1]),)))
+
+    @property
+    def name(self) -> str:
+        """Of the leg."""
+        return self.problem.name
+
+
+def posture_goal(problem: Problem, q: Vector, name: str = "end of the motion") -> Goal:
+    """The goal of standing at `q` (n,) [rad or m]."""
+    at = Kinematics(problem.robot).at(q)
+    return Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name=name)
+
+
+@dataclass(frozen=True, eq=False)
+class DoneLeg:
+    """A leg for which a motion was planned.
+
+    Attributes
+    ----------
+    problem: with where it begins, on its own clock.
+    outcome: the motion from rest to rest, or why there is none.
+    certificate: what is proven of it.
+    """
+
+    problem: Problem
+    outcome: Outcome
+    certificate: Certificate
+
+    @property
+    def motion(self) -> Trajectory:
+        """Of the leg, on its own clock."""
+        return self.outcome.trajectory
+
+    @property
+    def failed(self) -> bool:
+        """Whether it does not do what is asked."""
+        return not self.certificate.verified
+
+
+def join(motions: Sequence[Trajectory]) -> Trajectory:
+    """The motions one after the other, each beginning where and when the one before has ended.
+
+    One that takes no time rests for a sample, so that every leg has a part of its own.
+    """
+    time, q, begins = [np.zeros(1)], [motions[0].q[:1]], []
+    end, count = 0.0, 1
+    for motion in motions:
+        if np.max(np.abs(motion.q[0] - q[-1][-1])) > _SAME_PLACE:
+            raise InputError("does not begin where the motion before has ended", key="motions")
+        own = motion if len(motion) > 1 else Trajectory.from_steps(np.array([0.0, SAMPLE_PERIOD]), motion.q[[0, 0]])
+        begins.append(count - 1)
+        time.append(end + own.time[1:])
+        q.append(own.q[1:])
+        end, count = float(time[-1][-1]), count + len(own) - 1
+    return Trajectory.from_steps(np.concatenate(time), np.vstack(q), begins=tuple(begins))

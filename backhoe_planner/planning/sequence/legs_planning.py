@@ -1,0 +1,99 @@
+"""`plan_legs`: legs planned one after the other, each from where the one before has ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.motion import Trajectory
+from backhoe_planner.planning.reactive.stepping import Watcher
+from backhoe_planner.planning.result.plan_file import Method
+from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort
+from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, join
+from backhoe_planner.planning.sequence.leg_planning import LegPlanner
+from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
+
+
+@dataclass(frozen=True, eq=False)
+class LegsOutcome:
+    """The motion of a sequence of legs, as far as it was found.
+
+    Attributes
+    ----------
+    done: every leg that was begun; only the last of them may have failed.
+    trajectory: of all of them, with the samples at which they begin.
+    certificate: what is proven of it, in all and by leg.
+    """
+
+    done: tuple[DoneLeg, ...]
+    trajectory: Trajectory
+    certificate: Certificate
+
+    @property
+    def failed(self) -> DoneLeg | None:
+        """The leg that failed; None where none did."""
+        return next((leg for leg in self.done if leg.failed), None)
+
+
+def plan_legs(
+    legs: Iterable[Leg],
+    *,
+    method: Method = "auto",
+    seed: int = 0,
+    effort: Effort = EFFORTS["normal"],
+    brake: Brake | None = None,
+    watch: Watcher | None = None,
+) -> LegsOutcome:
+    """Plan legs one after the other.
+
+    Parameters
+    ----------
+    legs: at least one; the first one's problem says where the joints are.
+    method, seed, effort: of every leg, see `plan`.
+    brake: what ends the search; by default it is not ended.
+    watch: called with every step while the planner works.
+
+    Raises
+    ------
+    InputError: there is no leg, or two have the same name.
+    """
+    legs = tuple(check_kind(leg, Leg, key="legs") for leg in legs)
+    if not legs:
+        raise InputError("a sequence has at least one leg", key="legs", found="none")
+    names = [leg.name for leg in legs]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise InputError("is the name of two legs", key=f"legs[{index}]", found=name)
+    planner = LegPlanner(method, seed, effort, brake or Brake(), watch)
+    return _outcome(legs, _one_by_one(legs, planner))
+
+
+def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
+    """Each leg for itself, until one fails."""
+    done: list[DoneLeg] = []
+    time = 0.0
+    for leg in legs:
+        start = done[-1].motion.q[-1] if done else None
+        done.append(planner.plan(leg, start, time=time))
+        time += done[-1].motion.duration
+        if done[-1].failed:
+            break
+    return done
+
+
+def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg]) -> LegsOutcome:
+    motion = join([leg.motion for leg in done])
+    ends = (*motion.begins[1:], len(motion) - 1)
+    certificates = [
+        LegCertificate(
+            leg.problem.name,
+            first,
+            last,
+            float(motion.time[first]),
+            certify_motion(leg.problem, motion.part(first, last)),
+        )
+        for leg, first, last in zip(done, motion.begins, ends, strict=True)
+    ]
+    missing = [leg.name for leg in legs[len(done) :]]
+    return LegsOutcome(tuple(done), motion, join_certificates(certificates, missing=missing))

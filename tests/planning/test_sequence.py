@@ -1,0 +1,139 @@
+"""Sequences: legs planned together, one motion with one certificate, in all and by leg."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backhoe_planner import (
+    InputError,
+    Plan,
+    Robot,
+    Trajectory,
+    build_problem,
+    certify,
+    load_plan,
+    plan,
+    scene_from_dict,
+)
+from backhoe_planner.planning import Leg, plan_legs
+
+START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+POST = {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 3.0, "position": [2.5, 3.0, 1.5]}
+LEGS: list[dict[str, Any]] = [
+    {"name": "reach", "goal": {"position": [4.0, 0.0, 0.8]}},
+    {"name": "swing", "goal": {"position": [2.5, 2.5, 1.2]}, "payload": 250.0, "speed": 1.0},
+    {"name": "rest", "wait": 0.7},
+    {"name": "cut", "path": {"waypoints": [{"position": [2.5, 2.0, 1.0]}, {"position": [2.2, 1.8, 1.0]}]}},
+]
+
+
+def scene_of(*legs: dict[str, Any], **keys: Any) -> Any:
+    return scene_from_dict({"version": 1, "start": START, "task": {"sequence": list(legs)}} | keys)
+
+
+@pytest.fixture(scope="module")
+def done(backhoe: Robot) -> Plan:
+    return plan(backhoe, scene_of(*LEGS), effort="quick")
+
+
+def test_the_legs_are_one_motion_and_each_keeps_what_is_its_own(done: Plan) -> None:
+    assert done.verified, done.message
+    assert [leg.name for leg in done.legs] == ["reach", "swing", "rest", "cut"]
+    assert [leg.first for leg in done.legs[1:]] == [leg.last for leg in done.legs[:-1]]
+    assert (done.legs[0].first, done.legs[-1].last) == (0, len(done.trajectory) - 1)
+    reach, swing, rest, cut = done.legs
+    tips = done.tip_path()
+    for leg, goal in ((reach, [4.0, 0.0, 0.8]), (swing, [2.5, 2.5, 1.2]), (rest, [2.5, 2.5, 1.2])):
+        assert np.linalg.norm(tips[leg.last] - goal) <= 1e-3
+    assert np.linalg.norm(tips[cut.last] - [2.2, 1.8, 1.0]) <= 5e-3
+    assert rest.trajectory.duration == pytest.approx(0.7, abs=1e-9)
+    steps = np.linalg.norm(np.diff(tips[swing.first : swing.last + 1], axis=0), axis=1)
+    assert np.max(steps / np.diff(done.trajectory.time[swing.first : swing.last + 1])) <= 1.03
+
+
+def test_the_whole_is_the_sum_and_the_tightest_of_its_legs(done: Plan) -> None:
+    assert done.metrics.duration == pytest.approx(sum(leg.metrics.duration for leg in done.legs))
+    work = [leg.metrics.energy["work"] for leg in done.legs]
+    assert done.metrics.energy["work"] == pytest.approx(sum(work))
+    assert done.energy().work[-1] == pytest.approx(sum(work))
+    assert len(done.energy().work) == len(done.trajectory)
+    tightest = min(leg.certificate.min_clearance.margin for leg in done.legs if leg.certificate.min_clearance)
+    assert done.certificate.min_clearance is not None
+    assert done.certificate.min_clearance.margin == tightest
+    ratios = [leg.certificate.hydraulics.ratio for leg in done.legs if leg.certificate.hydraulics]
+    assert done.certificate.hydraulics is not None
+    assert done.certificate.hydraulics.ratio == max(ratios)
+
+
+def test_a_plan_of_a_sequence_is_proven_anew_from_its_file(done: Plan, tmp_path: Path) -> None:
+    done.save(tmp_path / "plan.json")
+    again = load_plan(tmp_path / "plan.json")
+    assert again.verified
+    assert [(leg.name, leg.first, leg.last) for leg in again.legs] == [(o.name, o.first, o.last) for o in done.legs]
+    assert again.certificate.clearances == done.certificate.clearances
+
+
+def test_a_motion_is_refuted_by_the_leg_whose_condition_it_breaks(backhoe: Robot, done: Plan) -> None:
+    post = POST | {"position": done.tip_path()[done.legs[1].last - 5].tolist()}
+    there = scene_of(*LEGS, obstacles=[post | {"legs": ["swing"]}])
+    found = certify(backhoe, there, done.trajectory)
+    assert not found.verified
+    assert all("leg 'swing'" in problem for problem in found.problems)
+    elsewhere = [post | {"legs": ["reach"], "position": [0.0, 0.0, 30.0]}]
+    assert certify(backhoe, scene_of(*LEGS, obstacles=elsewhere), done.trajectory).verified
+
+
+def test_too_short_a_wait_and_a_leg_that_is_left_out_are_refuted(backhoe: Robot, done: Plan) -> None:
+    longer = [*LEGS[:2], LEGS[2] | {"wait": 0.8}, LEGS[3]]
+    found = certify(backhoe, scene_of(*longer), done.trajectory)
+    assert any("the machine waits 0.7 s, asked are 0.8 s" in problem for problem in found.problems)
+    cut_off = done.trajectory.begins[:2]
+    part = Trajectory.from_steps(
+        done.trajectory.time[: done.legs[1].last + 1], done.trajectory.q[: done.legs[1].last + 1], begins=cut_off
+    )
+    found = certify(backhoe, scene_of(*LEGS), part)
+    assert found.problems == ("the leg 'rest' is not begun", "the leg 'cut' is not begun")
+
+
+def test_a_motion_without_legs_is_no_motion_of_a_sequence(backhoe: Robot, done: Plan) -> None:
+    with pytest.raises(InputError, match=r"trajectory\.begins"):
+        certify(backhoe, scene_of(*LEGS), replace(done.trajectory, begins=()))
+    one = scene_from_dict({"version": 1, "start": START, "task": {"goal": LEGS[0]["goal"]}})
+    with pytest.raises(InputError, match="the scene has no sequence"):
+        certify(backhoe, one, done.trajectory)
+
+
+def test_a_failure_names_the_leg(backhoe: Robot) -> None:
+    far = {"name": "too far", "goal": {"position": [14.0, 0.0, 0.5]}}
+    found = plan(backhoe, scene_of(LEGS[0], far, LEGS[2]), effort="quick")
+    assert (found.verdict, found.reason) == ("failed", "unreachable")
+    assert found.message.startswith("leg 'too far': the goal (14.00, 0.00, 0.50) is out of reach")
+    assert "the leg 'rest' is not begun" in found.certificate.problems
+
+
+def test_what_is_carried_counts_as_a_part_of_the_machine(backhoe: Robot) -> None:
+    pipe = {"name": "pipe", "shape": "capsule", "from": [0.0, 0.0, 0.0], "to": [0.0, 0.0, 1.0], "radius": 0.1}
+    problem = build_problem(backhoe, scene_of(LEGS[0], LEGS[1] | {"carries": pipe}))
+    bare, loaded = (leg.robot for leg in problem.legs)
+    assert set(loaded.link_names) - set(bare.link_names) == {"pipe"}
+    assert loaded.pieces_of(("bucket",)) == (*bare.pieces_of(("bucket",)), len(bare.pieces))
+    assert loaded.pieces_of(("boom",)) == bare.pieces_of(("boom",))
+
+
+def test_a_ready_motion_is_a_leg_after_the_way_to_its_beginning(backhoe: Robot, done: Plan) -> None:
+    problem = build_problem(backhoe, scene_of(LEGS[0], {"name": "cut", "wait": 1.0}))
+    q = done.trajectory.q[done.legs[0].last] + np.array([0.05, 0.02, 0.0, 0.0])
+    ready = Trajectory.from_steps(np.linspace(0.0, 2.0, 101), q + np.linspace(0.0, 0.1, 101)[:, None] ** 2)
+    cut = replace(problem.legs[1], wait=None)
+    found = plan_legs([Leg(problem.legs[0]), Leg(cut, ready)])
+    assert found.failed is None, found.certificate.problems
+    last = found.trajectory.part(found.trajectory.begins[1], len(found.trajectory) - 1)
+    assert np.allclose(last.q[-101:], ready.q, atol=1e-9)
+    assert last.duration > ready.duration
+    with pytest.raises(InputError, match="is the name of two legs"):
+        plan_legs([Leg(problem.legs[0]), Leg(problem.legs[0])])
