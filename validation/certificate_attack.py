@@ -20,7 +20,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 import backhoe_planner as bp
-from backhoe_planner.machine import self_pairs
+from backhoe_planner.machine import self_pairs, self_pieces
 from validation.dense_sweep import Least, Sweep
 from validation.link_pairs import BY_CONSTRUCTION, PIN_PLAY, LinkPair, touch_share
 from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
@@ -174,7 +174,7 @@ def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -
         return share >= BY_CONSTRUCTION
 
     robot = machine.robot
-    kept = self_pairs(robot)
+    kept, pieces = self_pairs(robot), self_pieces(robot)
     looked_at = {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in kept.kept}
     looked_at -= {frozenset((pair.link, pair.other)) for pair in kept.left_out}  # of which some parts are left out
     entry = next((entry for entry in certificate.clearances if entry.kind == "machine"), None)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.machine import self_pairs
+from backhoe_planner.machine import self_pairs, self_pieces
 from validation.signed_distances import SignedDistance, obstacle_distance
 from validation.surfaces import BRANCHES, Cover, Solid, link_shapes
 
@@ -226,8 +226,8 @@ def _against_itself(
     time: NDArray[np.float64],
     floor: Callable[[str, float], float],
 ) -> list[Least]:
-    pairs = self_pairs(robot)
-    links = {(robot.pieces[a].link, robot.pieces[b].link) for a, b in pairs.kept}
+    pairs, pieces = self_pairs(robot), self_pieces(robot)
+    links = {(pieces[a].link, pieces[b].link) for a, b in pairs.kept}
     links -= {(pair.link, pair.other) for pair in pairs.left_out if pair.touch}
     links |= {(b, a) for a, b in links}
     present = np.ones(len(time), dtype=bool)

@@ -119,8 +119,8 @@ def _print_meshes(robot: bp.Robot) -> None:
 
 
 def _print_self_collision(robot: bp.Robot) -> None:
-    pairs = machine.self_pairs(robot)
-    kept = {(robot.pieces[outer].link, robot.pieces[inner].link) for outer, inner in pairs.kept}
+    pairs, pieces = machine.self_pairs(robot), machine.self_pieces(robot)
+    kept = {(pieces[outer].link, pieces[inner].link) for outer, inner in pairs.kept}
     touching = {(pair.link, pair.other) for pair in pairs.left_out if pair.touch}
     reasons: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
     for pair in pairs.left_out:

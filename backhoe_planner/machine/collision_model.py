@@ -16,16 +16,22 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.machine.description.link_shapes import LinkPiece
 from backhoe_planner.machine.robot import Robot
 
 
-def geometry_model(robot: Robot, *, inner: Collection[int] = ()) -> pin.GeometryModel:
+def geometry_model(
+    robot: Robot, *, pieces: Sequence[LinkPiece] | None = None, inner: Collection[int] = ()
+) -> pin.GeometryModel:
     """A new geometry model that holds `robot.pieces`, in their order, without pairs.
 
+    Parameters
+    ----------
+    pieces: of the robot, which it holds instead.
     inner: indices of the pieces of which it holds `Piece.inner`, where there is one.
     """
     model = pin.GeometryModel()
-    for index, piece in enumerate(robot.pieces):
+    for index, piece in enumerate(robot.pieces if pieces is None else pieces):
         shape = (piece.piece.inner if index in inner else None) or piece.piece.shape
         model.addGeometryObject(pin.GeometryObject(piece.name, piece.joint, 0, piece.piece.placement, shape))
     return model
@@ -44,19 +50,21 @@ def _slide_reach(robot: Robot, q: Matrix | None = None) -> Vector:
     return np.where(robot.prismatic, reach if robot.tube is None else reach + robot.tube.joints, 0.0)
 
 
-def travel_bounds(robot: Robot, q: Matrix | None = None) -> Matrix:
+def travel_bounds(robot: Robot, q: Matrix | None = None, *, pieces: Sequence[LinkPiece] | None = None) -> Matrix:
     """(pieces, n) r of each of `robot.pieces` and each joint [m/rad], 1 for a prismatic joint.
 
     0 for joints further out than the piece: they do not move it. The bounds hold within the
-    limits; where postures q (..., n) are given, also in these and between them.
+    limits; where postures q (..., n) are given, also in these and between them. Where `pieces` of the
+    robot are given, of these instead.
     """
-    bounds, reach = np.zeros((len(robot.pieces), robot.n)), _slide_reach(robot, q)
-    for row, piece in enumerate(robot.pieces):
+    pieces = robot.pieces if pieces is None else pieces
+    bounds, reach = np.zeros((len(pieces), robot.n)), _slide_reach(robot, q)
+    for row, piece in enumerate(pieces):
         bounds[row] = _bounds_of_points(robot, piece.joint, piece.piece.hull, piece.piece.radius, reach)
     return bounds
 
 
-def tracking_room(robot: Robot, pieces: Sequence[int], travel: Matrix) -> Vector:
+def tracking_room(robot: Robot, pieces: Sequence[LinkPiece], travel: Matrix) -> Vector:
     """(K,) how far any point of a piece can be from where it is planned, by the machine's tracking error [m].
 
     It is sum_j |delta_j| r_j; for what is fixed to the tip and meets what stands, not more
@@ -64,7 +72,7 @@ def tracking_room(robot: Robot, pieces: Sequence[int], travel: Matrix) -> Vector
 
     Parameters
     ----------
-    pieces: indices into `robot.pieces`.
+    pieces: K of the robot's.
     travel: (K, n) r of each, see `travel_bounds`; of two links of the machine, of their motion
         against each other.
     """
@@ -75,10 +83,9 @@ def tracking_room(robot: Robot, pieces: Sequence[int], travel: Matrix) -> Vector
         return np.asarray(room)
     tip = robot.model.frames[robot.tip_frame]
     turn = float(robot.tube.joints[~robot.prismatic].sum())
-    own = travel_bounds(robot)
-    for row, index in enumerate(pieces):
-        piece = robot.pieces[index]
-        if piece.joint == int(tip.parentJoint) and np.array_equal(travel[row], own[index]):
+    own = travel_bounds(robot, pieces=pieces)
+    for row, piece in enumerate(pieces):
+        if piece.joint == int(tip.parentJoint) and np.array_equal(travel[row], own[row]):
             lever = float(np.linalg.norm(piece.piece.hull - tip.placement.translation, axis=1).max())
             room[row] = min(room[row], robot.tube.tip + turn * (lever + piece.piece.radius))
     return np.asarray(room)

@@ -19,11 +19,12 @@ import numpy as np
 
 from backhoe_planner.arrays import Array
 from backhoe_planner.files.cache import caches, keep_entry, maker_digest, read_entry
+from backhoe_planner.machine.finer_pairs import FinerPiece
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape.shapes import Piece
 
 _MAKERS = (
-    "self_collision.py", "proven_apart.py", "collision_model.py", "pairs_cache.py", "robot.py",
+    "self_collision.py", "finer_pairs.py", "proven_apart.py", "collision_model.py", "pairs_cache.py", "robot.py",
     "shape/shapes.py", "shape/overlap.py",
 )  # fmt: skip
 _LIBRARIES = ("coal", "pin", "numpy")
@@ -52,12 +53,16 @@ class SelfPairs:
 
     Attributes
     ----------
-    kept: pairs of indices into `Robot.pieces` that must not touch each other.
+    kept: pairs of indices into `self_pieces`, those of the robot and finer ones, that must not touch each other.
     left_out: why the other pairs of links that move against each other need not be looked at.
+    divided: pairs of indices into `Robot.pieces` in whose place finer pieces are among those that are kept.
+    finer: these finer pieces.
     """
 
     kept: tuple[tuple[int, int], ...]
     left_out: tuple[LeftOut, ...]
+    divided: tuple[tuple[int, int], ...] = ()
+    finer: tuple[FinerPiece, ...] = ()
 
 
 def key_of(robot: Robot) -> bytes:
@@ -99,15 +104,21 @@ def read_pairs(key: bytes) -> SelfPairs | None:
     with contextlib.suppress(RuntimeError):  # no home
         body = read_entry(_entry(key), key)
         if body is not None:
-            kept, left_out = json.loads(body)
-            return SelfPairs(tuple((outer, inner) for outer, inner in kept), tuple(LeftOut(*one) for one in left_out))
+            kept, left_out, divided, finer = json.loads(body)
+            return SelfPairs(
+                tuple((outer, inner) for outer, inner in kept),
+                tuple(LeftOut(*one) for one in left_out),
+                tuple((outer, inner) for outer, inner in divided),
+                tuple(FinerPiece(parent, tuple((x, y, z) for x, y, z in corners)) for parent, corners in finer),
+            )
     return None
 
 
 def keep_pairs(key: bytes, pairs: SelfPairs) -> None:
     """Write them into the cache folder, where that can be."""
     with contextlib.suppress(RuntimeError):
-        body = json.dumps((pairs.kept, [astuple(one) for one in pairs.left_out])).encode()
+        left_out, finer = ([astuple(one) for one in own] for own in (pairs.left_out, pairs.finer))
+        body = json.dumps((pairs.kept, left_out, pairs.divided, finer)).encode()
         keep_entry(_entry(key), key, body)
 
 

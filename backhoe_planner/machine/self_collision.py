@@ -17,7 +17,8 @@ A convex piece may be larger than the shape as it is written, as around a hollow
 touch is therefore judged on shapes that are nowhere larger than what is written (`Piece.inner`), and what
 overlaps by its pieces alone counts.
 
-Whatever else may touch somewhere counts. What is held, or moves in narrower ranges than the URDF's, may
+Whatever else may touch somewhere counts. Where two pieces that count often overlap and what is written does not,
+smaller pieces count in their place (`finer_pairs`). What is held, or moves in narrower ranges than the URDF's, may
 touch in all postures and not by construction: such a pair counts if it does in the machine as described.
 """
 
@@ -31,6 +32,8 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine.collision_model import geometry_model, travel_bounds
+from backhoe_planner.machine.description.link_shapes import LinkPiece
+from backhoe_planner.machine.finer_pairs import finer_pairs, pieces_with
 from backhoe_planner.machine.pairs_cache import LeftOut, SelfPairs, keep_pairs, key_of, read_pairs
 from backhoe_planner.machine.proven_apart import proven_apart
 from backhoe_planner.machine.robot import Robot
@@ -117,6 +120,31 @@ def _pairs_as_described(machine: _Described, posture: tuple[float, ...] | None) 
 
 
 def _worked_out(robot: Robot, posture: tuple[float, ...] | None) -> SelfPairs:
+    kept, left_out = _of_pieces(robot, posture)
+    if posture is None:
+        found = finer_pairs(robot, kept)
+        divided, finer, parts = found.divided, found.finer, found.pairs
+    else:
+        within = self_pairs(robot)
+        divided, finer = within.divided, within.finer
+        parts = tuple(pair for pair in within.kept if max(pair) >= len(robot.pieces))
+    return SelfPairs((*sorted(set(kept).difference(divided)), *parts), left_out, divided, finer)
+
+
+def self_pieces(robot: Robot) -> tuple[LinkPiece, ...]:
+    """The pieces of a machine that `self_pairs` are of: those of `Robot.pieces`, and finer ones after them."""
+    return _pieces_of(_Shaped(robot))
+
+
+@lru_cache(maxsize=8)
+def _pieces_of(shaped: _Shaped) -> tuple[LinkPiece, ...]:
+    return pieces_with(shaped.robot, self_pairs(shaped.robot).finer)
+
+
+def _of_pieces(
+    robot: Robot, posture: tuple[float, ...] | None
+) -> tuple[list[tuple[int, int]], tuple[LeftOut, ...]]:
+    """The pairs of `Robot.pieces` that must not touch, and why the others need not be looked at."""
     kept, reasons = _judged(robot, posture)
     if robot.as_described is not robot:
         _, whole = _judged(robot.as_described, None)
@@ -124,7 +152,7 @@ def _worked_out(robot: Robot, posture: tuple[float, ...] | None) -> SelfPairs:
         kept = sorted([*kept, *wrong])
         reasons = {pair: reason for pair, reason in reasons.items() if pair not in wrong}
     left_out = dict.fromkeys(LeftOut(*_links(robot, pair), *reason) for pair, reason in sorted(reasons.items()))
-    return SelfPairs(tuple(kept), tuple(left_out))
+    return kept, tuple(left_out)
 
 
 def held_overlaps(robot: Robot) -> tuple[tuple[str, str, float], ...]:
@@ -135,8 +163,10 @@ def held_overlaps(robot: Robot) -> tuple[tuple[str, str, float], ...]:
     whole = robot.as_described
     if whole is robot:
         return ()
-    model = geometry_model(robot)
-    pairs = [(a, b) for a, b in self_pairs(whole).kept if robot.pieces[a].joint == robot.pieces[b].joint]
+    described = self_pairs(whole)
+    pieces = pieces_with(robot, described.finer)
+    model = geometry_model(robot, pieces=pieces)
+    pairs = [(a, b) for a, b in described.kept if pieces[a].joint == pieces[b].joint]
     for a, b in pairs:
         model.addCollisionPair(pin.CollisionPair(a, b))
     data, geometry = robot.model.createData(), model.createData()
@@ -144,7 +174,7 @@ def held_overlaps(robot: Robot) -> tuple[tuple[str, str, float], ...]:
     deepest: defaultdict[tuple[str, str], float] = defaultdict(float)
     for row, pair in enumerate(pairs):
         depth = -float(shapes.measure(model, geometry, row).min_distance)
-        links = _links(robot, pair)
+        links = pieces[pair[0]].link, pieces[pair[1]].link
         if depth > 0.0:
             deepest[links] = max(deepest[links], depth)
     return tuple((link, other, depth) for (link, other), depth in deepest.items())

@@ -29,7 +29,15 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector, as_array, as_count, as_number, as_rows, as_vector
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.machine import Reading, Robot, geometry_model, self_pairs, tracking_room, travel_bounds
+from backhoe_planner.machine import (
+    Reading,
+    Robot,
+    geometry_model,
+    self_pairs,
+    self_pieces,
+    tracking_room,
+    travel_bounds,
+)
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
@@ -45,7 +53,7 @@ class Pair:
     link: name of the link.
     kind: ``obstacle``, or ``machine`` where the machine must not touch itself.
     obstacle: name of the obstacle, or of the machine's other link.
-    piece: index into the robot's pieces.
+    piece: index into the robot's pieces, of ``machine`` into its `self_pieces`.
     clearance: signed distance to be kept [m], with `tracking`.
     tracking: what of it is for the machine's tracking error [m].
     """
@@ -135,7 +143,8 @@ class Proximity:
         self.obstacles = tuple(check_kind(one, Obstacle, key=f"obstacles[{index}]") for index, one in given)
         self_collision = check_flag(self_collision, key="self_collision")
         self._n = robot.n
-        self._model = geometry_model(robot)
+        self._pieces = self_pieces(robot) if self_collision else robot.pieces
+        self._model = geometry_model(robot, pieces=self._pieces)
         self._data = robot.model.createData()
         pairs: list[Pair] = []
         owner: list[int] = []
@@ -154,7 +163,7 @@ class Proximity:
                     second.append(part)
         for outer, inner in self_pairs(robot).kept if self_collision else ():
             self._model.addCollisionPair(pin.CollisionPair(outer, inner))
-            pairs.append(Pair(robot.pieces[outer].link, "machine", robot.pieces[inner].link, outer, 0.0))
+            pairs.append(Pair(self._pieces[outer].link, "machine", self._pieces[inner].link, outer, 0.0))
             owner.append(-1)
             second.append(inner)
         self.plain = len(pairs)
@@ -167,7 +176,7 @@ class Proximity:
         self.second = tuple(second)
         self.owner = np.array(owner, dtype=int)
         first = np.array([pair.piece for pair in pairs], dtype=int)
-        joint_of = np.array([own.joint for own in robot.pieces], dtype=int)
+        joint_of = np.array([own.joint for own in self._pieces], dtype=int)
         self._other_joint = np.array(
             [0 if index >= 0 else joint_of[inner] for index, inner in zip(owner, second, strict=True)], dtype=int
         )
@@ -179,7 +188,7 @@ class Proximity:
         limits = robot.limits
         self._run_out = np.where(robot.prismatic, np.maximum(np.abs(limits.lower), np.abs(limits.upper)), np.inf)
         self.travel = self._travel_of_pairs()
-        room = tracking_room(robot, first.tolist(), self.travel)
+        room = tracking_room(robot, [self._pieces[row] for row in first.tolist()], self.travel)
         self.pairs = tuple(
             replace(pair, clearance=pair.clearance + more, tracking=more) if more else pair
             for pair, more in zip(pairs, room.tolist(), strict=True)
@@ -217,7 +226,7 @@ class Proximity:
 
     def _travel_of_pairs(self) -> Matrix:
         # joints that move both bodies do not change their distance
-        return np.where(self._mask_other > 0.0, 0.0, travel_bounds(self.robot, self._run_out)[self._first])
+        return np.where(self._mask_other > 0.0, 0.0, travel_bounds(self.robot, self._run_out, pieces=self._pieces)[self._first])
 
     @property
     def geometry(self) -> tuple[pin.GeometryModel, pin.GeometryData]:

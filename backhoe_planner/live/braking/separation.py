@@ -29,6 +29,7 @@ from backhoe_planner.machine import (
     covering_balls,
     reach_ball,
     self_pairs,
+    self_pieces,
     tracking_room,
     travel_bounds,
 )
@@ -76,9 +77,10 @@ class Separation:
 
     Attributes
     ----------
+    own_pieces: the robot's `self_pieces`; those of `Robot.pieces` where it is not kept clear of itself.
     owner: (P,) number that the obstacle was added with; `MACHINE` for pairs of the machine with itself.
     clearance: (P,) distance to be kept, with what the machine's tracking error can take [m].
-    piece, other_piece: (P,) rows of the robot's pieces: the one that comes near, and, for a pair of the
+    piece, other_piece: (P,) rows of `own_pieces`: the one that comes near, and, for a pair of the
         machine with itself, the one that must not be touched; -1 else.
     classes: (P,) row of `travel` that holds for the pair.
     velocity: (P, 3) of the obstacle [m/s], world.
@@ -96,26 +98,28 @@ class Separation:
         self.robot = robot
         self.measured = 0
         self._gauge = shapes.Gauge()
+        own_pieces = self.own_pieces = self_pieces(robot) if self_collision else robot.pieces
         self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
         # corners of the pieces that move, with a 1 behind each; those of the others are never used
-        most = max((len(robot.pieces[row].piece.hull) for row in self._moving), default=1)
-        self._corners4 = np.full((len(robot.pieces), most, 4), np.nan)
-        for row in self._moving:
-            hull = robot.pieces[row].piece.hull
+        that_move = [row for row, piece in enumerate(own_pieces) if piece.joint > 0]
+        most = max((len(own_pieces[row].piece.hull) for row in that_move), default=1)
+        self._corners4 = np.full((len(own_pieces), most, 4), np.nan)
+        for row in that_move:
+            hull = own_pieces[row].piece.hull
             self._corners4[row] = (*hull[0], 1.0)  # the first again, where others have more
             self._corners4[row, : len(hull), :3] = hull
         self._columns4 = np.ascontiguousarray(self._corners4.transpose(0, 2, 1))
-        self._fat = np.array([piece.piece.radius for piece in robot.pieces])
-        self._joint_of = np.array([piece.joint for piece in robot.pieces], dtype=np.intp)
-        self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in robot.pieces]
-        radii = travel_bounds(robot, q)
+        self._fat = np.array([piece.piece.radius for piece in own_pieces])
+        self._joint_of = np.array([piece.joint for piece in own_pieces], dtype=np.intp)
+        self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in own_pieces]
+        radii = travel_bounds(robot, q, pieces=own_pieces)
         posture = None
         if q is not None and np.any((q < robot.limits.lower) | (q > robot.limits.upper)):
             posture = tuple(q.tolist())
         pairs = self_pairs(robot, posture).kept if self_collision else ()
         rows = [*radii[self._moving]]
         for outer, inner in pairs:
-            shared = robot.support[robot.pieces[inner].joint] > 0.0
+            shared = robot.support[own_pieces[inner].joint] > 0.0
             rows.append(np.where(shared, 0.0, radii[outer]))
         self.travel, classes = np.unique(np.array(rows).reshape(-1, robot.n), axis=0, return_inverse=True)
         classes = classes.reshape(-1)
@@ -126,8 +130,9 @@ class Separation:
         self.owner = np.full(len(pairs), MACHINE, dtype=np.intp)
         self.classes = np.asarray(classes[len(self._moving) :], dtype=np.intp)
         self.piece = np.array([outer for outer, _ in pairs], dtype=np.intp)
-        self._room_of_piece = tracking_room(robot, range(len(robot.pieces)), radii)
-        self.clearance = tracking_room(robot, self.piece.tolist(), self.travel[self.classes])
+        self._room_of_piece = tracking_room(robot, robot.pieces, radii[: len(robot.pieces)])
+        own_rows = [own_pieces[row] for row in self.piece.tolist()]
+        self.clearance = tracking_room(robot, own_rows, self.travel[self.classes])
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
         self._body: list[_Stand | None] = [None] * len(pairs)
         self._stands_of: dict[int, list[_Stand]] = {}

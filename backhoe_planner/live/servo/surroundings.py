@@ -80,7 +80,7 @@ class Surroundings:
 
     def obstruction(self, pair: int, margin: float, now: float) -> Obstruction:
         """A pair's link and what it must not touch, for a `margin` [m] that was found at the time `now` [s]."""
-        separation, pieces = self._separation, self._robot.pieces
+        separation, pieces = self._separation, self._separation.own_pieces
         owner, distance = int(separation.owner[pair]), margin + float(separation.clearance[pair])
         link = pieces[separation.piece[pair]].link
         if owner == MACHINE:

@@ -168,6 +168,12 @@ def _polytope(points: Matrix, triangles: Array) -> coal.Convex:
     return coal.Convex(corners, faces)
 
 
+def surface_of(piece: Piece) -> Matrix | None:
+    """(m, 3, 3) the triangles of a mesh that a piece was made around, in its shape's frame; None of any other [m]."""
+    make = piece.make_inner
+    return make.args[0] if isinstance(make, partial) and make.func is _surface else None
+
+
 def _surface(triangles: Matrix) -> coal.CollisionGeometry | None:
     """Coal's shape of triangles (m, 3, 3) [m] with nothing inside; None of none."""
     if not len(triangles):
@@ -221,16 +227,16 @@ def flatness(extent: float) -> float:
     return _FLAT * max(1.0, extent)
 
 
-def thicken(points: Matrix) -> Matrix:
+def thicken(points: Matrix, *, thickness: float = _THICKNESS) -> Matrix:
     """(c, 3) corners of the flat prism, or of the thin box, around flat `points` (k, 3) [m].
 
-    In each direction in which the points are flat, it reaches half a millimetre beyond them to
-    either side, or 5e-6 of their largest extent, where that is more.
+    In each direction in which the points are flat, it has a `thickness` [m], one millimetre if none is given, or
+    1e-5 of their largest extent, where that is more.
     """
     axes = _axes(points)
     along = points @ axes.T
     low, high = along.min(axis=0), along.max(axis=0)
-    thickness = max(_THICKNESS, _THICKNESS_OF_SIZE * float(np.max(high - low)))
+    thickness = max(thickness, _THICKNESS_OF_SIZE * float(np.max(high - low)))
     thin = high - low < thickness
     low, high = np.where(thin, low - 0.5 * thickness, low), np.where(thin, high + 0.5 * thickness, high)
     outline = None if np.count_nonzero(thin) > 1 else _outline(along[:, ~thin])
