@@ -175,7 +175,7 @@ def _against_itself(attack: Attack, certificate: bp.Certificate, sweep: Sweep) -
 
     robot = machine.robot
     kept, pieces = self_pairs(robot), self_pieces(robot)
-    looked_at = {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in kept.kept}
+    looked_at = {frozenset((pieces[a].link, pieces[b].link)) for a, b in kept.kept}
     looked_at -= {frozenset((pair.link, pair.other)) for pair in kept.left_out}  # of which some parts are left out
     entry = next((entry for entry in certificate.clearances if entry.kind == "machine"), None)
     groups: dict[str, list[LinkPair]] = {}

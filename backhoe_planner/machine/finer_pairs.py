@@ -6,40 +6,36 @@ halved, its halves are held against the other in turn, and so on, until hulls ar
 in which the triangles are. Parts that are far from each other stay whole, so that few pairs come of it. They
 hold all triangles of both: where none of them touches, no triangle does.
 
-That a link is as a whole inside of another one, no triangle tells. So of each connected part of it one triangle is
-found that comes into none of the other's convex pieces while the triangles are apart, and counts against these as
-well: it would be in them if the part was inside. Where there is none, the pair of links stays as it is.
+That a link is as a whole inside of another one, no triangle tells: `marks_outside` finds what does. Where nothing
+does, the pair of links stays as it is.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine.collision_model import geometry_model
 from backhoe_planner.machine.description.link_shapes import LinkPiece
+from backhoe_planner.machine.marks_outside import marks_outside
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.machine.shape.shapes import Piece, convex, hull, is_flat, surface_of, thicken, transform
 
 _POSTURES = 200  # looked at; chosen: pairs that are free in a hundredth of them are free in two
-_OFTEN = 0.1  # of these postures in which two pieces overlap and their triangles do not, from which on they are divided
+_MOSTLY = 0.5  # of these postures in which two links overlap by their pieces; chosen: of fewer, motions keep clear
+_OFTEN = 0.1  # of them in which these links overlap by their pieces alone, from which on that is mended; chosen
+_SOMETIMES = 0.05  # of them, for each of their pairs of pieces; chosen
 _NEAR_PART = 0.3  # of how far the triangles are apart: hulls that are nearer to each other are divided too; chosen
 _NEAR = 1e-3  # m: or this, where that is less
 _MOST = 3000  # pairs that one pair is divided into; chosen, a PR2's palm in its forearm takes a thousand
 _THICKNESS = 4e-5  # m of a flat part of a surface: far below the play of links in use, far above what counts as flat
-_SAME_PLACE = 1e-7  # m: corners that are nearer to each other are one; the rounding of an STL file's numbers
-_JOINED = 1e-4  # m: parts of a link that are nearer to each other hang together
-_WITHIN = 0.9  # of a convex solid, which may be a little larger than what is written: this part of it is within
-_CLEAR = 1e-3  # m that a triangle stays away from the pieces of another link, so as to count for its part of a link
-_CANDIDATES = 300  # triangles of a connected part among which that one is sought; chosen
 
 Corners = tuple[tuple[float, float, float], ...]
 
@@ -94,10 +90,7 @@ def finer_pairs(robot: Robot, kept: Sequence[tuple[int, int]]) -> FinerPairs:
         return FinerPairs((), (), ())
     rng = np.random.default_rng(1)
     division = _Division(robot, [robot.random_q(rng) for _ in range(_POSTURES)])
-    by_links: defaultdict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
-    for pair in division.falsely_overlapping(larger):
-        by_links[robot.pieces[pair[0]].link, robot.pieces[pair[1]].link].append(pair)
-    for pairs in by_links.values():
+    for pairs in division.falsely_overlapping(larger):
         division.divide(pairs, kept)
     return division.result()
 
@@ -167,22 +160,39 @@ class _Division:
         )
         return FinerPairs(tuple(sorted(self._divided)), finer, tuple(self._pairs))
 
-    def falsely_overlapping(self, pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Those of some pairs that often overlap though their triangles do not."""
+    def falsely_overlapping(self, pairs: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
+        """For links that mostly overlap, often though their triangles do not, the pairs of pieces that do so."""
         robot = self._robot
         model = geometry_model(robot)
         for a, b in pairs:
             model.addCollisionPair(pin.CollisionPair(a, b))
         data, geometry = robot.model.createData(), model.createData()
-        count = np.zeros(len(pairs), dtype=int)
+        of_pairs: Counter[tuple[int, int]] = Counter()
+        of_links: Counter[tuple[str, str]] = Counter()
+        overlapping: Counter[tuple[str, str]] = Counter()
         for posture, q in enumerate(self._postures):
             pin.computeCollisions(robot.model, data, model, geometry, q, False)
-            for row, result in enumerate(geometry.collisionResults):
-                if result.isCollision():
-                    first, second = (robot.pieces[index].piece for index in pairs[row])
-                    T = self._relative(pairs[row], posture)
-                    count[row] += not shapes.within(first, T, second, pin.SE3.Identity(), 0.0)
-        return [pair for pair, times in zip(pairs, count.tolist(), strict=True) if times >= _OFTEN * len(self._postures)]
+            hit = [pair for pair, result in zip(pairs, geometry.collisionResults, strict=True) if result.isCollision()]
+            overlapping.update({self._links(pair) for pair in hit})
+            falsely = [pair for pair in hit if not self._touches(pair, posture)]
+            of_pairs.update(falsely)
+            of_links.update({self._links(pair) for pair in falsely})
+        count = len(self._postures)
+        found: defaultdict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
+        for pair in sorted(of_pairs):
+            links = self._links(pair)
+            is_mended = overlapping[links] >= _MOSTLY * count and of_links[links] >= _OFTEN * count
+            if is_mended and of_pairs[pair] >= _SOMETIMES * count:
+                found[links].append(pair)
+        return list(found.values())
+
+    def _links(self, pair: tuple[int, int]) -> tuple[str, str]:
+        return self._robot.pieces[pair[0]].link, self._robot.pieces[pair[1]].link
+
+    def _touches(self, pair: tuple[int, int], posture: int) -> bool:
+        """Whether two pieces touch as they are written."""
+        first, second = (self._robot.pieces[index].piece for index in pair)
+        return shapes.within(first, self._relative(pair, posture), second, pin.SE3.Identity(), 0.0)
 
     def divide(self, pairs: Sequence[tuple[int, int]], kept: Sequence[tuple[int, int]]) -> None:
         """Divide `pairs` of pieces of two links, if that no link is inside of the other can be told all the same."""
@@ -192,17 +202,20 @@ class _Division:
             free &= gap > 0.0
         divided = {pair: self._halved(pair, gap) for pair, gap in gaps.items()}
         pairs = [pair for pair in pairs if divided[pair] is not None]
-        still = set(kept).difference(pairs)
-        links = {self._robot.pieces[index].link for pair in pairs for index in pair}
-        marks = [] if not links else self._marks(pairs, np.flatnonzero(free), still)
+        marks = marks_outside(self._robot, pairs, [self._places[posture] for posture in np.flatnonzero(free)])
         if marks is None:
             return
+        anyway = set(kept).difference(pairs)
         self._divided += pairs
         for pair in pairs:
             for first, second in divided[pair] or ():
                 self._pairs.append((self._number(first), self._number(second)))
-        for first, second in marks:
-            self._pairs.append((self._number(first), self._number(second)))
+        for mark in marks:
+            part = _Part(mark.index, self._robot.pieces[mark.index].piece, mark.triangle[None], whole=False)
+            for other in mark.others:
+                if (mark.index, other) not in anyway and (other, mark.index) not in anyway:
+                    numbers = self._number(part), other
+                    self._pairs.append(numbers if mark.is_first else numbers[::-1])
 
     def _number(self, part: _Part) -> int:
         if part.whole:
@@ -264,125 +277,3 @@ class _Division:
             a.piece.shape, transform(there.rotation, there.translation),
             b.piece.shape, transform(here.rotation, here.translation),
         )[0]  # fmt: skip
-
-    # --- whether a link is inside of another ----------------------------------------------
-
-    def _marks(
-        self, pairs: Sequence[tuple[int, int]], postures: Indices, still: set[tuple[int, int]]
-    ) -> list[tuple[_Part, _Part]] | None:
-        """Pairs of a triangle of each connected part of two links and a piece of the other one; None if there are none.
-
-        postures: those in which the triangles are apart. still: pairs of pieces that count anyway.
-        """
-        found: list[tuple[_Part, _Part]] = []
-        for side in (0, 1):
-            own = self._robot.pieces[pairs[0][side]].link
-            other = self._robot.pieces[pairs[0][1 - side]].link
-            if all(surface_of(self._robot.pieces[pair[1 - side]].piece) is None for pair in pairs):
-                continue  # convex and solid: triangles are seen inside of them
-            others = [index for index, piece in enumerate(self._robot.pieces) if piece.link == other]
-            for part in self._connected_parts(own):
-                mark = self._outside(part, others, postures)
-                if mark is None:
-                    return None
-                for index in others:
-                    if ((mark.index, index) if side == 0 else (index, mark.index)) not in still:
-                        whole = self._whole(index)
-                        found.append((mark, whole) if side == 0 else (whole, mark))
-        return found
-
-    def _connected_parts(self, link: str) -> list[list[tuple[int, Matrix]]]:
-        """Of a link: for each part that hangs together the triangles of its pieces, by the indices of these."""
-        bodies: list[tuple[Piece, list[tuple[int, Matrix]]]] = []
-        meshes: list[tuple[int, Matrix]] = []
-        for index, own in enumerate(self._robot.pieces):
-            if own.link != link:
-                continue
-            triangles = surface_of(own.piece)
-            if triangles is None:
-                bodies.append((own.piece, [(index, _within_solid(own.piece))]))
-            elif len(triangles):
-                meshes.append((index, triangles))
-        if meshes:
-            placed = [_placed(triangles, self._robot.pieces[index].piece.placement) for index, triangles in meshes]
-            body = _joined_by_corners(np.concatenate(placed))
-            of_piece = np.split(body, np.cumsum([len(one) for one in placed])[:-1])
-            for number in range(int(body.max()) + 1):
-                rows = [(index, own[of == number]) for (index, own), of in zip(meshes, of_piece, strict=True)]
-                here = np.concatenate([at[of == number] for at, of in zip(placed, of_piece, strict=True)])
-                around = convex(here.reshape(-1, 3), pin.SE3.Identity(), surface=here)
-                bodies.append((around, [(index, own) for index, own in rows if len(own)]))
-        group = _joined_by_touch([piece for piece, _ in bodies])
-        return [[one for row in np.flatnonzero(group == number) for one in bodies[row][1]] for number in np.unique(group)]
-
-    def _outside(self, part: Sequence[tuple[int, Matrix]], others: Sequence[int], postures: Indices) -> _Part | None:
-        """That triangle of a part of a link that stays furthest out of `others`, pieces of another; None if all are in."""
-        best, furthest = None, _CLEAR
-        planes = [(other, _planes(self._robot.pieces[other].piece)) for other in others]
-        for index, triangles in part:
-            step = max(1, len(triangles) * len(part) // _CANDIDATES)
-            candidates = triangles[::step]
-            own = self._robot.pieces[index].piece
-            if own.radius > 0.0:
-                continue
-            least = np.full(len(candidates), np.inf)
-            for other, (normals, offsets) in planes:
-                for posture in postures.tolist():
-                    T = self._robot.pieces[other].piece.placement * self._relative((index, other), posture)
-                    height = (candidates @ T.rotation.T + T.translation) @ normals.T + offsets
-                    np.minimum(least, height.min(axis=1).max(axis=1), out=least)
-            row = int(np.argmax(least))
-            if least[row] > furthest:
-                furthest = float(least[row])
-                best = _Part(index, own, candidates[row : row + 1], whole=False)
-        return best
-
-
-def _planes(piece: Piece) -> tuple[Matrix, Vector]:
-    """Outward normals (f, 3) and offsets (f,) of the faces of a piece, in its body's frame; with its radius [m]."""
-    equations = np.unique(np.round(hull(piece.hull).equations, 12), axis=0)
-    return equations[:, :3], equations[:, 3] - piece.radius
-
-
-def _placed(triangles: Matrix, place: pin.SE3) -> Matrix:
-    return np.asarray(triangles @ place.rotation.T + place.translation)
-
-
-def _within_solid(piece: Piece) -> Matrix:
-    """(m, 3, 3) triangles within a convex solid, in the frame of its shape [m]."""
-    around = hull(piece.hull)
-    corners = _WITHIN * around.points[around.simplices] + (1.0 - _WITHIN) * around.points[around.vertices].mean(axis=0)
-    back = piece.placement.inverse()
-    return _placed(corners, back)
-
-
-def _joined_by_corners(triangles: Matrix) -> Array:
-    """(m,) the connected body of each of some triangles (m, 3, 3)."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    places = np.round(triangles.reshape(-1, 3) / _SAME_PLACE).astype(np.int64)
-    corner = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1, 3)
-    one, other = corner[:, [0, 1]].reshape(-1), corner[:, [1, 2]].reshape(-1)
-    count = int(corner.max()) + 1
-    graph = coo_array((np.ones(len(one), dtype=bool), (one, other)), shape=(count, count))
-    body = connected_components(graph, directed=False)[1][corner[:, 0]]
-    return np.asarray(np.unique(body, return_inverse=True)[1].reshape(-1))
-
-
-def _joined_by_touch(bodies: Sequence[Piece]) -> Array:
-    """(K,) the lowest number of those bodies that each hangs together with, by their inner shapes in one frame."""
-    group = np.arange(len(bodies))
-    low = np.array([body.hull.min(axis=0) - body.radius - _JOINED for body in bodies])
-    high = np.array([body.hull.max(axis=0) + body.radius for body in bodies])
-    for a, b in combinations(range(len(bodies)), 2):
-        if group[a] == group[b] or not _meet(low[a], high[a], low[b], high[b]):
-            continue
-        if shapes.within(bodies[a], bodies[a].placement, bodies[b], bodies[b].placement, _JOINED):
-            group[group == max(group[a], group[b])] = min(group[a], group[b])
-    return group
-
-
-def _meet(low: Vector, high: Vector, other_low: Vector, other_high: Vector) -> bool:
-    inside: Flags = (low <= other_high) & (other_low <= high)
-    return bool(inside.all())

@@ -12,23 +12,24 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine.collision_model import travel_bounds
+from backhoe_planner.machine.description.link_shapes import LinkPiece
 from backhoe_planner.machine.robot import Robot
 from backhoe_planner.machine.shape import shapes
 
 _LOOKS = 3000  # postures that are looked at, at most; chosen: below a second
 
 
-def proven_apart(robot: Robot, pair: tuple[int, int], lower: Vector, upper: Vector) -> bool:
+def proven_apart(robot: Robot, pair: tuple[LinkPiece, LinkPiece], lower: Vector, upper: Vector) -> bool:
     """Whether two pieces are proven never to meet, by shapes nowhere larger than what is written.
 
     Parameters
     ----------
-    pair: indices into `robot.pieces`, the one further out first.
+    pair: the one further out first.
     lower, upper: (n,) finite ends of the joints' positions; only those between the two count [rad or m].
     """
-    outer, inner = (robot.pieces[index] for index in pair)
+    outer, inner = pair
     between = slice(inner.joint, outer.joint)
-    travel = travel_bounds(robot, np.vstack((lower, upper)))[pair[0], between]
+    travel = travel_bounds(robot, np.vstack((lower, upper)), pieces=[outer])[0, between]
     data, q = robot.model.createData(), robot.middle.copy()
     parts = [(lower[between], upper[between])]
     looks = 0

@@ -206,7 +206,7 @@ class Robot:
     @cached_property
     def middle(self) -> Vector:
         """(n,) the middle of each joint's range, 0 where there is no range [rad or m]."""
-        lower, upper = self._finite_range
+        lower, upper = self.finite_range
         return 0.5 * (lower + upper)
 
     @cached_property
@@ -215,7 +215,7 @@ class Robot:
         return np.clip(np.zeros(self.n), self.limits.lower, self.limits.upper)
 
     @cached_property
-    def _finite_range(self) -> tuple[Vector, Vector]:
+    def finite_range(self) -> tuple[Vector, Vector]:
         """(n,), (n,) the limits of each joint; half a turn either way for continuous joints."""
         limits = self.limits
         return (
@@ -294,7 +294,7 @@ class Robot:
 
     def random_q(self, rng: np.random.Generator) -> Vector:
         """(n,) joint positions drawn evenly within the limits; for continuous joints, half a turn either way."""
-        return np.asarray(check_kind(rng, np.random.Generator, key="rng").uniform(*self._finite_range))
+        return np.asarray(check_kind(rng, np.random.Generator, key="rng").uniform(*self.finite_range))
 
     def with_tip(self, tip: str | None) -> Robot:
         """The same machine with another link as its tip; itself if `tip` is None or the same."""

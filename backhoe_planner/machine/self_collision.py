@@ -11,6 +11,8 @@ tool) counts as itself. Left out are pieces
                             other links one joint apart that touch over its whole range the same, or only
                             grazing; and what touches over nearly all of the range by itself
     that touch at the stop  of the joint's own two links, grazing at the ends of its range
+    that always overlap     of the joint's own two links, as they are written, away from the pin: one or another of
+                            such pairs does wherever the joint stands
     of links that touch     in nearly every posture, two or more joints apart, where the pieces often do
 
 A convex piece may be larger than the shape as it is written, as around a hollow mesh. How often two links
@@ -55,7 +57,7 @@ _BUT_OVERLAP = ", though their convex pieces overlap"  # which are larger than w
 _STOP = 2  # places at each end of the range: 5 % of it
 _TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each other at 0.2 mm
 _PLAY = 5e-3  # m: two links that are nowhere further apart run past each other, as a wheel in its housing at 4.5 mm
-_SOMETIMES = 0.25  # of the postures in which two pieces touch, of links that touch throughout; less is no pin
+_SOMETIMES = 0.25  # of postures or places where two pieces touch, of links that touch throughout; less is no pin
 _GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what folds into a link goes deeper
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
 
@@ -121,14 +123,10 @@ def _pairs_as_described(machine: _Described, posture: tuple[float, ...] | None) 
 
 def _worked_out(robot: Robot, posture: tuple[float, ...] | None) -> SelfPairs:
     kept, left_out = _of_pieces(robot, posture)
-    if posture is None:
-        found = finer_pairs(robot, kept)
-        divided, finer, parts = found.divided, found.finer, found.pairs
-    else:
-        within = self_pairs(robot)
-        divided, finer = within.divided, within.finer
-        parts = tuple(pair for pair in within.kept if max(pair) >= len(robot.pieces))
-    return SelfPairs((*sorted(set(kept).difference(divided)), *parts), left_out, divided, finer)
+    if posture is not None:  # finer pieces rest on what is proven over the ranges of the joints
+        return SelfPairs(tuple(kept), left_out)
+    found = finer_pairs(robot, kept)
+    return SelfPairs((*sorted(set(kept).difference(found.divided)), *found.pairs), left_out, found.divided, found.finer)
 
 
 def self_pieces(robot: Robot) -> tuple[LinkPiece, ...]:
@@ -141,9 +139,7 @@ def _pieces_of(shaped: _Shaped) -> tuple[LinkPiece, ...]:
     return pieces_with(shaped.robot, self_pairs(shaped.robot).finer)
 
 
-def _of_pieces(
-    robot: Robot, posture: tuple[float, ...] | None
-) -> tuple[list[tuple[int, int]], tuple[LeftOut, ...]]:
+def _of_pieces(robot: Robot, posture: tuple[float, ...] | None) -> tuple[list[tuple[int, int]], tuple[LeftOut, ...]]:
     """The pairs of `Robot.pieces` that must not touch, and why the others need not be looked at."""
     kept, reasons = _judged(robot, posture)
     if robot.as_described is not robot:
@@ -217,17 +213,16 @@ def _reasons_beyond(
     reasons, touching = _touch_in_postures(robot, list(by_pieces), _THROUGHOUT, inner=True)
     lower, upper = _range(robot, posture)
     for pair in by_pieces:
-        larger = any(robot.pieces[index].piece.make_inner for index in pair)
-        if larger and pair not in touching and proven_apart(robot, pair, lower, upper):
+        outer, inner = (robot.pieces[index] for index in pair)
+        larger = outer.piece.make_inner or inner.piece.make_inner
+        if larger and pair not in touching and proven_apart(robot, (outer, inner), lower, upper):
             reasons[pair] = False, f"cannot meet{_BUT_OVERLAP}"
     return reasons
 
 
 def _range(robot: Robot, posture: tuple[float, ...] | None) -> tuple[Vector, Vector]:
     """(n,), (n,) finite ends of the joints' positions, with those of a posture [rad or m]."""
-    lower, upper = robot.limits.lower, robot.limits.upper
-    unlimited = ~(np.isfinite(lower) & np.isfinite(upper))
-    lower, upper = np.where(unlimited, -np.pi, lower), np.where(unlimited, np.pi, upper)
+    lower, upper = robot.finite_range
     return (lower, upper) if posture is None else (np.minimum(lower, posture), np.maximum(upper, posture))
 
 
@@ -314,6 +309,9 @@ def _reasons_beside(
                 reasons[pairs[row]] = False, f"cannot meet over the range of {name}{_BUT_OVERLAP}"
             elif own and sweep.grazes_at_the_ends(row, graze):
                 reasons[pairs[row]] = True, f"touch at the stop of {name}"
+        if own and throughout:
+            always = sweep.overlap_always([row for row in rows if pairs[row] not in reasons])
+            reasons.update({pairs[row]: (True, f"overlap over the whole range of {name}") for row in always})
     return reasons
 
 
@@ -426,6 +424,12 @@ class _Sweep:
         unseen = _IN_TURN[overlap + len(apart) :]
         return all(self._any_within(rows, place, _PLAY) for place in (*apart, *unseen))
 
+    def overlap_always(self, rows: list[int]) -> list[int]:
+        """Those of some pairs that touch often as they are written, if one of these does at each place; none else."""
+        at = {row: [self._any_within([row], place, 0.0) for place in range(_PLACES)] for row in rows}
+        often = [row for row in rows if sum(at[row]) >= _SOMETIMES * _PLACES]
+        return often if all(any(at[row][place] for row in often) for place in range(_PLACES)) else []
+
     def _any_within(self, rows: list[int], place: int, margin: float) -> bool:
         """Whether any of some pairs is within `margin` [m] at a place, as it is written."""
         return any(self._within(row, place, margin) for row in rows if self.distance[place, row] <= margin)
@@ -536,7 +540,8 @@ class _Sweep:
             return False
         ends = np.tile(self._robot.middle, (2, 1))
         ends[:, self._joint] = self._places[[0, -1]]
-        return proven_apart(self._robot, self._pairs[row], ends[0], ends[1])
+        outer, inner = (self._robot.pieces[index] for index in self._pairs[row])
+        return proven_apart(self._robot, (outer, inner), ends[0], ends[1])
 
     def _keeps_apart_elsewhere(self, row: int) -> bool:
         """The same between all neighbouring places at neither of which it touches."""

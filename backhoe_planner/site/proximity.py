@@ -226,7 +226,9 @@ class Proximity:
 
     def _travel_of_pairs(self) -> Matrix:
         # joints that move both bodies do not change their distance
-        return np.where(self._mask_other > 0.0, 0.0, travel_bounds(self.robot, self._run_out, pieces=self._pieces)[self._first])
+        return np.where(
+            self._mask_other > 0.0, 0.0, travel_bounds(self.robot, self._run_out, pieces=self._pieces)[self._first]
+        )
 
     @property
     def geometry(self) -> tuple[pin.GeometryModel, pin.GeometryData]:

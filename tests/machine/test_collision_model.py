@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from backhoe_planner.machine import Robot, geometry_model, load_robot, self_pairs
+from backhoe_planner.machine import Robot, geometry_model, load_robot, self_pairs, self_pieces
 
 
 def links_of(robot: Robot) -> Counter[tuple[str, str]]:
-    return Counter((robot.pieces[a].link, robot.pieces[b].link) for b, a in self_pairs(robot).kept)
+    return Counter((self_pieces(robot)[a].link, self_pieces(robot)[b].link) for b, a in self_pairs(robot).kept)
 
 
 def test_planar_arm_keeps_every_pair_but_neighbours(planar4: Robot) -> None:

@@ -19,6 +19,7 @@ from backhoe_planner.machine import (
     held_overlaps,
     load_robot,
     self_pairs,
+    self_pieces,
     working_envelope,
 )
 
@@ -256,7 +257,7 @@ def test_links_that_touch_in_all_postures_that_are_left_are_no_pin(tmp_path: Pat
     """The ball of the third hinge is 0.14 m from that of the first one, where the second joint is folded to 3 rad."""
     robot = folding(tmp_path)
     held = robot.with_hold({"second": 3.0})
-    kept = {(held.pieces[a].link, held.pieces[b].link) for a, b in self_pairs(held).kept}
+    kept = {(self_pieces(held)[a].link, self_pieces(held)[b].link) for a, b in self_pairs(held).kept}
     assert ("c", "a") in kept
     assert ("c", "a") not in {(pair.link, pair.other) for pair in self_pairs(held).left_out if pair.touch}
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 import backhoe_planner as bp
-from backhoe_planner.machine import Robot, TrackingTube, load_robot, self_pairs
+from backhoe_planner.machine import Robot, TrackingTube, load_robot, self_pairs, self_pieces
 
 
 def link(name: str, *boxes: str) -> str:
@@ -49,7 +49,7 @@ def machine(folder: Path, *parts: str, tip: str) -> Robot:
 
 
 def kept_links(robot: Robot) -> set[frozenset[str]]:
-    return {frozenset((robot.pieces[a].link, robot.pieces[b].link)) for a, b in self_pairs(robot).kept}
+    return {frozenset((self_pieces(robot)[a].link, self_pieces(robot)[b].link)) for a, b in self_pairs(robot).kept}
 
 
 ARM = link("arm", "2 0.1 0.1 | 1 0 0")
@@ -148,7 +148,7 @@ def test_what_its_makers_joined_is_left_out(name: str, tip: str | None) -> None:
     """Machines in use move over their whole range without touching the neighbour of a link."""
     robot = load_robot(f"example:{name}", tip=tip or {"kinova": "j2s6s200_end_effector"}.get(name))
     for a, b in self_pairs(robot).kept:
-        assert robot.pieces[a].joint - robot.pieces[b].joint > 1
+        assert self_pieces(robot)[a].joint - self_pieces(robot)[b].joint > 1
 
 
 @pytest.mark.parametrize(("either_way", "left_out"), [(2.5, ["touch at elbow"]), (3.1, [])])
@@ -218,7 +218,7 @@ def test_a_post_on_a_hub_that_others_always_touch_counts(tmp_path: Path) -> None
         joint("upper_turn", "plate", "arm"),
         tip="arm",
     )
-    names = {(robot.pieces[a].name, robot.pieces[b].name) for a, b in self_pairs(robot).kept}
+    names = {(self_pieces(robot)[a].name, self_pieces(robot)[b].name) for a, b in self_pairs(robot).kept}
     assert ("arm/1", "base/1") in names
     assert ("arm/0", "base/0") not in names
 

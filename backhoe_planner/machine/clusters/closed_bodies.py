@@ -40,7 +40,7 @@ class ClosedBodies:
 
     def contain(self, points: Matrix) -> Flags:
         """(k,) whether they contain points (k, 3) [m] that are not on their surface."""
-        return np.array([abs(_winding(point, self.triangles)) > _WOUND for point in points], dtype=bool)
+        return np.array([abs(winding(point, self.triangles)) > _WOUND for point in points], dtype=bool)
 
     def _face_outwards(self, body: Indices) -> None:
         """Let all triangles face outwards, and those of hollows inwards; `body` (m,) says whose they are."""
@@ -59,7 +59,7 @@ class ClosedBodies:
         for one in turned.tolist():
             corners = self.triangles[body == one].reshape(-1, 3)
             ends = corners[np.concatenate((corners.argmin(axis=0), corners.argmax(axis=0)))]
-            hollow[one] = all(_winding(end, others) > _WOUND for end in ends)
+            hollow[one] = all(winding(end, others) > _WOUND for end in ends)
         self._turn(hollow[body])
 
     def _turn(self, those: Flags) -> None:
@@ -112,7 +112,7 @@ def _facing_alike(faces: Indices) -> tuple[Flags, Indices]:
     return np.asarray(flipped ^ most[body] if count else flipped), body
 
 
-def _winding(point: Vector, triangles: Array) -> float:
+def winding(point: Vector, triangles: Array) -> float:
     """How often `triangles` (m, 3, 3) that close wind around a point (3,) [m]."""
     away = triangles - point
     size = np.sqrt((away * away).sum(axis=2))
