@@ -29,7 +29,7 @@ from backhoe_planner.machine.shape import shapes
 from backhoe_planner.machine.shape.shapes import Piece, convex, hull, is_flat, surface_of, thicken, transform
 
 _POSTURES = 200  # looked at; chosen: pairs that are free in a hundredth of them are free in two
-_MOSTLY = 0.5  # of these postures in which two links overlap by their pieces; chosen: of fewer, motions keep clear
+_COMMONLY = 0.33  # of these postures in which two links overlap by their pieces; chosen: others leave room enough
 _OFTEN = 0.1  # of them in which these links overlap by their pieces alone, from which on that is mended; chosen
 _SOMETIMES = 0.05  # of them, for each of their pairs of pieces; chosen
 _NEAR_PART = 0.3  # of how far the triangles are apart: hulls that are nearer to each other are divided too; chosen
@@ -161,7 +161,7 @@ class _Division:
         return FinerPairs(tuple(sorted(self._divided)), finer, tuple(self._pairs))
 
     def falsely_overlapping(self, pairs: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-        """For links that mostly overlap, often though their triangles do not, the pairs of pieces that do so."""
+        """For links that commonly overlap, often though their triangles do not, the pairs of pieces that do so."""
         robot = self._robot
         model = geometry_model(robot)
         for a, b in pairs:
@@ -181,7 +181,7 @@ class _Division:
         found: defaultdict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
         for pair in sorted(of_pairs):
             links = self._links(pair)
-            is_mended = overlapping[links] >= _MOSTLY * count and of_links[links] >= _OFTEN * count
+            is_mended = overlapping[links] >= _COMMONLY * count and of_links[links] >= _OFTEN * count
             if is_mended and of_pairs[pair] >= _SOMETIMES * count:
                 found[links].append(pair)
         return list(found.values())

@@ -57,7 +57,7 @@ _BUT_OVERLAP = ", though their convex pieces overlap"  # which are larger than w
 _STOP = 2  # places at each end of the range: 5 % of it
 _TOUCH = 1e-3  # m: nearer is touching; links of machines in use run past each other at 0.2 mm
 _PLAY = 5e-3  # m: two links that are nowhere further apart run past each other, as a wheel in its housing at 4.5 mm
-_SOMETIMES = 0.25  # of postures or places where two pieces touch, of links that touch throughout; less is no pin
+_SOMETIMES = 0.25  # of the postures in which two pieces touch, of links that touch throughout; less is no pin
 _GRAZE = 5e-3  # m of overlap, of convex pieces that approximate two links; what folds into a link goes deeper
 _GRAZE_OF_LINK = 0.02  # or this part of the smaller link, where that is less
 
@@ -425,10 +425,16 @@ class _Sweep:
         return all(self._any_within(rows, place, _PLAY) for place in (*apart, *unseen))
 
     def overlap_always(self, rows: list[int]) -> list[int]:
-        """Those of some pairs that touch often as they are written, if one of these does at each place; none else."""
-        at = {row: [self._any_within([row], place, 0.0) for place in range(_PLACES)] for row in rows}
-        often = [row for row in rows if sum(at[row]) >= _SOMETIMES * _PLACES]
-        return often if all(any(at[row][place] for row in often) for place in range(_PLACES)) else []
+        """As few of some pairs as will do so that one of them touches at each place, as they are written; none else."""
+        at = {row: {place for place in range(_PLACES) if self._any_within([row], place, 0.0)} for row in rows}
+        without, found = set(range(_PLACES)), []
+        while without:
+            most = max(at, key=lambda row: len(at[row] & without), default=None)
+            if most is None or not at[most] & without:
+                return []
+            found.append(most)
+            without -= at.pop(most)
+        return found
 
     def _any_within(self, rows: list[int], place: int, margin: float) -> bool:
         """Whether any of some pairs is within `margin` [m] at a place, as it is written."""
