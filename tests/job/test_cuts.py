@@ -66,7 +66,7 @@ def test_a_box_by_hand(digger: Digger) -> None:
 
     A ramp at an angle a leaves d^2 / (2 tan a), a corner that turns by a leaves R^2 (tan(a/2) - a/2).
     """
-    found = cut(digger, start=4.2, end=3.2, depth=0.5, floor=floor(-0.2), leave=1.05)
+    found = cut(digger, start=4.2, end=3.2, depth=0.5, floor=floor(-0.2), entry=1.4, leave=1.05)
     area = 0.2 * 1.0
     for turn in (1.4, 1.05):
         area -= 0.2**2 / (2.0 * math.tan(turn)) + 0.1**2 * (math.tan(0.5 * turn) - 0.5 * turn)

@@ -15,6 +15,9 @@ from backhoe_planner.site import Soil, SoilReaction
 
 _MARGIN = 0.15  # part of what a cylinder can hold, kept for acceleration and for soil that is harder; chosen
 _SWELL = 1.25  # volume of loose soil over that of the bank: usual are 1.2 to 1.3
+# part of the accelerations, for the path's bend and for the speed each: durations of 60 random cuts were then estimated
+# to 0.5 % on the average, with a spread of 4.5 %
+_OF_ACCELERATION = 0.75
 _INTERVALS = 250  # of the timing: within 1 % of the duration with 1000
 
 
@@ -89,20 +92,31 @@ class Digger:
         return Holding(name, ratio, needed, float(available), float(at[0][row]), float(at[1][row]))
 
     def estimated_run(self, q: Matrix, torque: Matrix) -> tuple[float, float]:
-        """Duration [s] and work [J] of a run through joints q (K, n) under `torque` (K, n) [N m].
+        """Duration [s] and work [J] of a run from rest to rest through joints q (K, n) under `torque` (K, n) [N m].
 
-        From place to place at the speed that joints, valves, pump and engine allow, and from rest to
-        rest at the accelerations of the slowest joint. The torques are those without inertia.
+        At the places, as fast as joints, valves, pump and engine allow, with the torques that they have
+        without inertia; from place to place the joints' accelerations bound how the speed changes.
         """
         limits, hydraulics = self.limits, self.robot.hydraulics
-        step, middle = np.diff(q, axis=0), 0.5 * (q[1:] + q[:-1])
-        mean = 0.5 * (torque[1:] + torque[:-1])
-        span = np.max(np.abs(step) / limits.velocity, axis=1)
+        slope = np.gradient(q, axis=0)
+        span = np.max(np.abs(slope) / limits.velocity, axis=1)
         if hydraulics is not None:
-            rods = hydraulics.velocity_limits(middle)
-            span = np.maximum(span, np.max(np.abs(step) / np.where(step > 0.0, rods.positive, rods.negative), axis=1))
-            span = np.maximum(span, hydraulics.total_flow(middle, step) / hydraulics.pump_flow)
-            span = np.maximum(span, hydraulics.power(middle, step, mean) / hydraulics.power_limit)
-        rate = step / np.maximum(span, 1e-9)[:, None]
-        slowest = np.max(np.abs(rate) / limits.acceleration, axis=1)
-        return float(np.sum(span) + 0.5 * (slowest[0] + slowest[-1])), float(np.sum(np.maximum(mean * step, 0.0)))
+            rods = hydraulics.velocity_limits(q)
+            span = np.maximum(span, np.max(np.abs(slope) / np.where(slope > 0.0, rods.positive, rods.negative), axis=1))
+            span = np.maximum(span, hydraulics.total_flow(q, slope) / hydraulics.pump_flow)
+            span = np.maximum(span, hydraulics.power(q, slope, torque) / hydraulics.power_limit)
+        bend = np.gradient(slope, axis=0)
+        with np.errstate(divide="ignore"):
+            turning = np.min(_OF_ACCELERATION * limits.acceleration / np.abs(bend), axis=1)
+            gain = np.min(_OF_ACCELERATION * limits.acceleration / np.abs(slope), axis=1)
+        x = np.minimum(1.0 / np.maximum(span, 1e-9) ** 2, turning).tolist()
+        x[0] = x[-1] = 0.0
+        rise = (2.0 * np.minimum(gain[1:], gain[:-1])).tolist()
+        for i, more in enumerate(rise):
+            x[i + 1] = min(x[i + 1], x[i] + more)
+        for i in range(len(rise) - 1, -1, -1):
+            x[i] = min(x[i], x[i + 1] + rise[i])
+        speed = np.sqrt(np.array(x))
+        mean = 0.5 * (torque[1:] + torque[:-1])
+        work = np.sum(np.maximum(mean * np.diff(q, axis=0), 0.0))
+        return float(np.sum(2.0 / (speed[1:] + speed[:-1]))), float(work)

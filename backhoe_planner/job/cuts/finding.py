@@ -24,11 +24,13 @@ from backhoe_planner.job.cuts.edge_path import Descent, Underground, spaced
 from backhoe_planner.job.cuts.profile import Profile
 
 _THINNEST = 0.03  # m; chosen: a cut that is less deep scrapes
-_NOTHING = 0.01  # m between ground and floor that are not worth a cut; chosen, a fifth of the usual tolerance
+_NOTHING = 0.01  # m of depth that is not worth a cut; chosen, a fifth of the usual tolerance
+_IDLE = 2e-3  # m of depth at which the edge only touches the ground; chosen: such ends of a path are left out
 _ABOVE = 0.1  # m above the ground, where a cut begins; chosen
 _LIFT = 0.7  # m from the ground up to where it ends: the level bucket reaches 0.5 m below its teeth
-_ENTRIES = (1.4, 0.95, 0.6)  # rad, the steepest descents to be tried, in turn: 80, 54, 34 degrees; chosen
-_LEAVE = 1.05  # rad: 60 degrees; chosen
+_ENTRIES = (1.53, 0.95, 0.6)  # rad, the steepest descents to be tried, in turn: 88, 54, 34 degrees; chosen
+_LEAVES = (0.8, 1.53)  # rad: 46 degrees, quicker by a tenth; and 88 along a wall, 4 cm off it in a trench of 1.2 m
+_AT_END = 0.02  # m: a cut that comes this near to its end may be bounded by it; two steps of its line
 _HALVINGS = 7  # of the depth: to 1 % of it
 _FILLINGS = 9  # evaluations of the length that fills the bucket, at most
 _FILLED = 2e-3  # part of the wanted volume
@@ -46,7 +48,8 @@ class _Asked:
     under: Underground
     end: float
     wanted: float
-    leave: float
+    entries: tuple[float, ...]
+    leaves: tuple[float, ...]
 
 
 def find_cut(
@@ -59,7 +62,8 @@ def find_cut(
     depth: float,
     floor: tuple[Vector, Vector] | None = None,
     volume: float | None = None,
-    leave: float = _LEAVE,
+    entry: float | None = None,
+    leave: float | None = None,
 ) -> Cut | NoCut:
     """A cut that begins at radius `start`, and fills the bucket and no more.
 
@@ -73,17 +77,21 @@ def find_cut(
     depth: the most below the ground as it is [m].
     floor: (F,) increasing radii and (F,) heights [m], world, below which nothing is dug; none by default.
     volume: of loose soil to be taken [m^3]; the bucket's capacity by default.
-    leave: angle at which the edge rises out of the ground, at most [rad]; chosen, 60 degrees.
+    entry: angle at which the edge goes down into the ground, at most [rad]; by default 88 degrees where the
+        machine can, else 54 or 34.
+    leave: angle at which it rises out of the ground, at most [rad]; by default 46 degrees, or 88 where the cut
+        goes on to `end`.
 
     Returns
     -------
-    The cut. Its bucket is not full where `end` comes first. `NoCut` says why there is none.
+    The cut. Its bucket is not full where `end` comes first. It is shorter where the edge would only touch
+    the ground. `NoCut` says why there is none.
 
     Raises
     ------
     InputError: a number is out of its range, or `start` and `end` are not on the profile, `end` below `start`.
     """
-    asked = _checked(digger, profile, swing, (start, end), depth, floor, volume, leave)
+    asked = _checked(digger, profile, swing, (start, end), depth, floor, volume, (entry, leave))
     under = asked.under
     between = (under.r >= asked.end - 1e-9) & (under.r <= under.start + 1e-9)
     room = float(np.max(under.followed[between] - under.floor[between]))
@@ -92,13 +100,26 @@ def find_cut(
             f"there is nothing to dig between r {asked.end:.2f} and {under.start:.2f} m: the ground is at the floor"
         )
         return NoCut("nothing", reason)
-    deepest = min(depth, room)
-    first: Cut | NoCut = _deepest(asked, deepest, _ENTRIES[0])
-    for entry in _ENTRIES[1:]:
-        if isinstance(first, Cut) or first.kind == "cylinder":
+    found: Cut | NoCut | None = None
+    for leave in asked.leaves:
+        tried = _by_entries(asked, min(depth, room), leave)
+        found = tried if found is None or isinstance(tried, Cut) else found
+        if isinstance(tried, Cut) and float(tried.r[-1]) > asked.end + _AT_END:
             break
-        first = _deepest(asked, deepest, entry)
-    return first
+    assert found is not None
+    return found
+
+
+def _by_entries(asked: _Asked, depth: float, leave: float) -> Cut | NoCut:
+    """The cut with the steepest entry that can be; where none can, why the steepest cannot."""
+    found: Cut | NoCut | None = None
+    for entry in asked.entries:
+        tried = _deepest(asked, depth, Descent(entry, leave))
+        found = tried if found is None or isinstance(tried, Cut) else found
+        if isinstance(tried, Cut) or tried.kind == "cylinder":
+            break
+    assert found is not None
+    return found
 
 
 def _checked(
@@ -109,7 +130,7 @@ def _checked(
     depth: float,
     floor: tuple[Vector, Vector] | None,
     volume: float | None,
-    leave: float,
+    angles: tuple[float | None, float | None],
 ) -> _Asked:
     check_kind(digger, Digger, key="digger")
     check_kind(profile, Profile, key="profile")
@@ -122,22 +143,24 @@ def _checked(
             key="end", found=f"start {start}, end {end}", allowed=f"{low:.3g} to {high:.3g}, end below start",
         )  # fmt: skip
     as_number(depth, key="depth", above=0.0)
-    leave = as_number(leave, key="leave", above=0.0)
-    if leave >= 0.5 * np.pi:
-        raise InputError("is not below a right angle", key="leave", found=leave, allowed="0 to 1.57")
+    for key, angle in zip(("entry", "leave"), angles, strict=True):
+        if angle is not None and as_number(angle, key=key, above=0.0) >= 0.5 * np.pi:
+            raise InputError("is not below a right angle", key=key, found=angle, allowed="0 to 1.57")
+    entry, leave = angles
     wanted = digger.bucket.capacity if volume is None else as_number(volume, key="volume", above=0.0)
     own = (np.array([low, high]), np.full(2, -1e6)) if floor is None else floor
     under = Underground(profile, own, end=end, start=start)
-    return _Asked(digger, profile, swing, under, end, wanted, leave)
+    entries = _ENTRIES if entry is None else (entry,)
+    return _Asked(digger, profile, swing, under, end, wanted, entries, _LEAVES if leave is None else (leave,))
 
 
-def _deepest(asked: _Asked, depth: float, entry: float) -> Cut | NoCut:
+def _deepest(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
     """The deepest cut that the cylinders hold, at most `depth`."""
     allowed = 1.0 - asked.digger.margin
-    found = _cut(asked, depth, entry)
+    found = _cut(asked, depth, descent)
     if isinstance(found, NoCut) or found.holding.ratio <= allowed:
         return found
-    least = _cut(asked, min(_THINNEST, depth), entry)
+    least = _cut(asked, min(_THINNEST, depth), descent)
     if isinstance(least, NoCut):
         return least
     if least.holding.ratio > allowed:
@@ -148,7 +171,7 @@ def _deepest(asked: _Asked, depth: float, entry: float) -> Cut | NoCut:
     low, high, best = min(_THINNEST, depth), depth, least
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        tried = _cut(asked, middle, entry)
+        tried = _cut(asked, middle, descent)
         if isinstance(tried, Cut) and tried.holding.ratio <= allowed:
             low, best = middle, tried
         else:
@@ -156,11 +179,11 @@ def _deepest(asked: _Asked, depth: float, entry: float) -> Cut | NoCut:
     return best
 
 
-def _cut(asked: _Asked, depth: float, entry: float) -> Cut | NoCut:
+def _cut(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
     """The cut of a depth, whatever it asks of the cylinders."""
     end = asked.end
     for attempt in range(_SHORTENINGS + 1):
-        found = _cut_to(asked, depth, entry, end)
+        found = _cut_to(asked, depth, descent, end)
         if not isinstance(found, tuple):
             return found
         where, problem = found
@@ -171,12 +194,20 @@ def _cut(asked: _Asked, depth: float, entry: float) -> Cut | NoCut:
     raise AssertionError
 
 
-def _cut_to(asked: _Asked, depth: float, entry: float, end: float) -> Cut | NoCut | tuple[float, NoCut]:
+def _cut_to(asked: _Asked, depth: float, descent: Descent, end: float) -> Cut | NoCut | tuple[float, NoCut]:
     """The cut of a depth that ends at `end` at the latest; or where it cannot be, and why."""
     digger, under = asked.digger, asked.under
-    descent = Descent(entry, asked.leave)
     end = _filling_end(asked, depth, descent, end)
-    r, z = spaced(*under.path(depth, end, descent))
+    line_r, line_z = under.path(depth, end, descent)
+    deep = np.flatnonzero(asked.profile.depth(line_r, line_z) > _IDLE)
+    if not len(deep) or float(np.max(asked.profile.depth(line_r, line_z))) < _NOTHING:
+        angles = np.degrees([descent.entry, descent.leave])
+        reason = "there is nothing to dig that the edge could reach at {:.0f} degrees down and {:.0f} up".format(
+            *angles
+        )
+        return NoCut("nothing", reason)
+    used = slice(max(int(deep[0]) - 1, 0), int(deep[-1]) + 2)
+    r, z = spaced(line_r[used], line_z[used])
     top = float(np.max(z)) + _LIFT
     rise = np.linspace(z[-1], top, max(int((top - z[-1]) / 0.03), 2) + 1)[1:]
     down = np.linspace(z[0] + _ABOVE, z[0], 4)[:-1]

@@ -13,6 +13,7 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 
 _LANES = 7  # across the blade; chosen: a lane of a bucket of 0.6 m is then less than two cells of 5 cm wide
+_RIM = 1.71  # cells: half a diagonal, which the blade may cover in part, and one over which is interpolated
 _STEP = 0.025  # m along the radius: half of a cell of 5 cm
 _BESIDE = 0.15  # m to each side over which the ground's slope is taken; chosen, a wedge ahead of the blade is as long
 _STEEPEST = 0.7  # of the slope: 35 degrees; what is steeper slumps, or is a wall that no wedge leans on
@@ -92,7 +93,9 @@ class Profile:
         turn = plane.heading(swing)
         left = np.array([-np.sin(turn), np.cos(turn)])
         middle = plane.world(swing, r, np.zeros(len(r)))[:, :2]
-        lanes = width * ((np.arange(_LANES) + 0.5) / _LANES - 0.5)
+        # what a blade covers in part is known by its mean height alone: what is looked at is covered whole
+        half = max(0.5 * width - _RIM * terrain.cell, 0.0)
+        lanes = half * np.linspace(-1.0, 1.0, _LANES)
         points = (middle[:, None, :] + lanes[:, None] * left - terrain.low) / terrain.cell
         inside = np.all((points >= 0.0) & (points <= [columns - 1, rows - 1]), axis=(1, 2))
         if np.count_nonzero(inside) < 2:
