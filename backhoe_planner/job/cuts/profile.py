@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -14,7 +15,9 @@ from backhoe_planner.job.cuts.arm_plane import ArmPlane
 
 _LANES = 7  # across the blade; chosen: a lane of a bucket of 0.6 m is then less than two cells of 5 cm wide
 _RIM = 1.71  # cells: half a diagonal, which the blade may cover in part, and one over which is interpolated
-_STEP = 0.025  # m along the radius: half of a cell of 5 cm
+_STEP = 0.0125  # m along the radius: a quarter of a cell of 5 cm
+_WALL = 3.5  # cells over which interpolation may draw out a wall that stands askew to the grid
+_SLOPING = 1.2  # dz/dr, 50 degrees: what is steeper over so short a way counts as a wall; chosen
 _BESIDE = 0.15  # m to each side over which the ground's slope is taken; chosen, a wedge ahead of the blade is as long
 _STEEPEST = 0.7  # of the slope: 35 degrees; what is steeper slumps, or is a wall that no wedge leans on
 
@@ -89,7 +92,7 @@ class Profile:
         size = terrain.cell * np.array([columns - 1, rows - 1])
         corners = terrain.low + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]) * size
         farthest = float(np.max(np.linalg.norm(corners - plane.axis, axis=1)))
-        r = np.arange(0.0, farthest + width, min(_STEP, 0.5 * terrain.cell))
+        r = np.arange(0.0, farthest + width, min(_STEP, 0.25 * terrain.cell))
         turn = plane.heading(swing)
         left = np.array([-np.sin(turn), np.cos(turn)])
         middle = plane.world(swing, r, np.zeros(len(r)))[:, :2]
@@ -103,8 +106,11 @@ class Profile:
         first, last = int(np.argmax(inside)), len(inside) - int(np.argmax(inside[::-1]))
         if not inside[first:last].all():
             last = first + int(np.argmin(inside[first:]))
-        points = points[first:last]
-        return cls(r[first:last], _bilinear(terrain.bank, points), _bilinear(terrain.loose, points))
+        points, r = points[first:last], r[first:last]
+        bank = _bilinear(terrain.bank, points)
+        for lane in bank.T:
+            _stand_walls(r, lane, _WALL * terrain.cell)
+        return cls(r, bank, _bilinear(terrain.loose, points))
 
     @cached_property
     def surface(self) -> Matrix:
@@ -156,6 +162,27 @@ class Profile:
 def _inward(r: Vector, depth: Vector) -> Vector:
     """(M,) area [m^2] of `depth` (M,) over radii that do not increase, up to each, by the trapezium rule."""
     return np.concatenate(([0.0], np.cumsum(0.5 * (depth[1:] + depth[:-1]) * -np.diff(r))))
+
+
+def _stand_walls(r: Vector, z: Vector, longest: float) -> None:
+    """Make walls in the line z (K,) [m] upright that are no longer than `longest` [m]; the area under it stays.
+
+    A column on the edge of a trench has a mean height, and interpolation draws the wall out over its
+    neighbours, as if soil leaned on it that was long dug.
+    """
+    slope = np.diff(z) / np.diff(r)
+    steep = np.sign(slope) * (np.abs(slope) > _SLOPING)
+    ends = np.flatnonzero(np.diff(np.concatenate(([0.0], steep, [0.0]))))
+    for a, b in itertools.pairwise(ends.tolist()):
+        if steep[a] == 0.0 or r[b] - r[a] > longest:
+            continue
+        own = z[a : b + 1]
+        low, high = float(own[0]), float(own[-1])
+        area = float(np.sum(0.5 * (own[1:] + own[:-1]) * np.diff(r[a : b + 1])))
+        # low up to the wall, high from there on; the sample beside the wall takes what is left of the area
+        at = r[b] - (area - low * (r[b] - r[a])) / (high - low)
+        past = np.clip((r[a + 1 : b] - at) / (r[b] - r[a]) * (b - a) + 0.5, 0.0, 1.0)
+        own[1:-1] = low + (high - low) * past
 
 
 def _bilinear(grid: Matrix, points: Array) -> Array:

@@ -1,0 +1,113 @@
+"""The ground in the arm's plane, from a grid of heights; and cuts to choose from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.job import Cut, Digger, Profile, cut_candidates, find_cut, price
+from backhoe_planner.site import Soil
+
+
+@pytest.fixture(scope="module")
+def digger(backhoe: bp.Robot) -> Digger:
+    return Digger(backhoe, Soil())
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Heights from x = -1, y = -4 m on."""
+
+    bank: Matrix
+    loose: Matrix
+    low: Vector
+    cell: float = 0.05
+
+    @classmethod
+    def of(cls, bank: Array) -> Grid:
+        return cls(bank, np.zeros_like(bank), np.array([-1.0, -4.0]))
+
+
+X, Y = np.meshgrid(-1.0 + 0.05 * np.arange(141), -4.0 + 0.05 * np.arange(161))
+
+
+@pytest.mark.parametrize("swing", [0.0, 0.4, -0.7])
+def test_a_plane_is_seen_as_a_line(digger: Digger, swing: float) -> None:
+    profile = Profile.of_terrain(Grid.of(0.1 * X - 0.05 * Y + 0.2), digger.plane, swing, width=0.61)
+    expected = profile.r * (0.1 * np.cos(swing) - 0.05 * np.sin(swing)) + 0.2
+    np.testing.assert_allclose(profile.mean, expected, atol=1e-9)
+    slope = 0.1 * np.cos(swing) - 0.05 * np.sin(swing)
+    np.testing.assert_allclose(profile.slope, slope, atol=1e-9)
+
+
+@pytest.mark.parametrize("swing", [0.0, 0.35])
+def test_walls_stand_upright_and_keep_the_volume(digger: Digger, swing: float) -> None:
+    """A trench of 1.03 m depth and 2.013 m length in the plane, on a grid whose columns know mean heights only."""
+    along = np.array([np.cos(swing), np.sin(swing)])
+    fine = (np.arange(5) - 2.0) * 0.01
+    dug = np.zeros_like(X)
+    for dx in fine:
+        for dy in fine:
+            r = (X + dx) * along[0] + (Y + dy) * along[1]
+            across = (Y + dy) * along[0] - (X + dx) * along[1]
+            dug += ((r > 2.5) & (r < 4.513) & (np.abs(across) < 0.305)) / 25.0
+    profile = Profile.of_terrain(Grid.of(-1.03 * dug), digger.plane, swing, width=0.61)
+    area = float(np.sum(0.5 * (profile.mean[1:] + profile.mean[:-1]) * np.diff(profile.r)))
+    assert -area == pytest.approx(1.03 * 2.013, rel=0.01)
+    drawn_out = (profile.mean < -0.02) & (profile.mean > -1.01)
+    assert np.count_nonzero(drawn_out) * 0.0125 < 0.08  # by interpolation alone 0.2 m at both walls together
+
+
+def test_a_grid_that_the_plane_misses_is_said(digger: Digger) -> None:
+    with pytest.raises(bp.InputError, match=r"swing: .*no ground under the blade"):
+        Profile.of_terrain(Grid(X, 0.0 * X, np.array([2.0, 2.0])), digger.plane, -0.7, width=0.61)
+
+
+def test_profiles_are_checked() -> None:
+    r, flat = np.array([1.0, 2.0, 3.0]), np.zeros((3, 1))
+    for bad in (
+        (r[::-1], flat, flat), (r, flat[:2], flat), (r, flat, flat - 0.1), (r, flat * np.nan, flat), (r[:1], flat, flat)
+    ):  # fmt: skip
+        with pytest.raises(bp.InputError, match="profile"):
+            Profile(*bad)
+
+
+FLOOR = (np.array([0.0, 1.999, 2.0, 5.0, 5.001, 9.0]), np.array([0.0, 0.0, -0.6, -0.6, 0.0, 0.0]))
+
+
+def test_candidates_come_cheapest_first(digger: Digger) -> None:
+    ground = Profile.level(0.0, 1.0, 6.0)
+    found = cut_candidates(digger, ground, swing=0.0, start=5.0, end=2.0, floor=FLOOR)
+    assert len(found) > 4
+    prices = [price(cut) for cut in found]
+    assert prices == sorted(prices)
+    for start in (5.0, 3.0):
+        own = find_cut(digger, ground, swing=0.0, start=start, end=2.0, depth=0.1, floor=FLOOR)
+        assert isinstance(own, Cut)
+        assert prices[0] <= price(own)
+    by_work = cut_candidates(digger, ground, swing=0.0, start=5.0, end=2.0, floor=FLOOR, by="work", besides=0.0)
+    works = [cut.work / cut.bank_volume for cut in by_work]
+    np.testing.assert_allclose([price(cut, by="work", besides=0.0) for cut in by_work], works, rtol=1e-9)
+    assert works == sorted(works)
+
+
+def test_where_the_design_is_met_there_are_no_candidates(digger: Digger) -> None:
+    done = Profile.level(-0.6, 1.0, 6.0)
+    assert cut_candidates(digger, done, swing=0.0, start=5.0, end=2.0, floor=FLOOR) == ()
+
+
+def test_the_estimated_duration_is_near_the_timed_one(digger: Digger) -> None:
+    rng = np.random.default_rng(11)
+    ratios = []
+    for _ in range(6):
+        ground = Profile.level(float(rng.uniform(-1.0, 0.0)), 1.0, 6.0)
+        depth, start = float(rng.uniform(0.1, 0.3)), float(rng.uniform(3.5, 5.0))
+        cut = find_cut(digger, ground, swing=0.3, start=start, end=1.8, depth=depth)
+        assert isinstance(cut, Cut)
+        ratios.append(digger.motion(cut).duration / cut.time)
+    assert min(ratios) > 0.9
+    assert max(ratios) < 1.2
