@@ -6,3 +6,12 @@ from .cuts.cut import NoCut as NoCut
 from .cuts.digger import Digger as Digger
 from .cuts.finding import find_cut as find_cut
 from .cuts.profile import Profile as Profile
+from .ground.heaps import Refusal as Refusal
+from .ground.heaps import deposited as deposited
+from .ground.heaps import heap_room as heap_room
+from .ground.obstacle import terrain_obstacle as terrain_obstacle
+from .ground.slumping import slumped as slumped
+from .ground.sweep import BladeSweep as BladeSweep
+from .ground.sweep import Sweep as Sweep
+from .ground.sweep import swept as swept
+from .ground.terrain import Terrain as Terrain

@@ -53,6 +53,10 @@ class Cluster:
         """The same, `by` (3,) from where it stands [m]."""
         return Cluster(self.solid, pin.SE3(self._R, self._t + by))
 
+    def with_solid(self, solid: Solid) -> Cluster:
+        """Another solid at the same place."""
+        return Cluster(solid, self.placement)
+
     @property
     def bounds(self) -> Matrix:
         """(2, 3) lowest and highest corner of a box around it [m], world."""

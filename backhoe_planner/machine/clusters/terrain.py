@@ -20,6 +20,8 @@ from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, s
 
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
 _MOST_TREES = 256  # that are kept; chosen: some 330 MB
+_LOWERED = 0.5  # of the depth by which the lowest point may come nearer to the floor before that is lowered; chosen
+_RAISED = 0.5  # m by which the box around it grows at a time, so that what rests on it lasts; chosen
 _SKIRT = (-1, -1)  # the tile of the walls and the floor
 
 
@@ -48,7 +50,7 @@ class TerrainSolid:
                 "is too fine to plan with", found=f"{(rows - 1) * (columns - 1)} cells", allowed=f"up to {most}",
                 hint="use a coarser resolution",
             )  # fmt: skip
-        self._heights = heights
+        self._heights, self._size, self._depth, self._most = heights, size, depth, most
         self._low = np.array([-0.5 * size[0], -0.5 * size[1]])
         self._cell = np.array([size[0] / (columns - 1), size[1] / (rows - 1)])
         self._x = self._low[0] + self._cell[0] * np.arange(columns)
@@ -61,6 +63,34 @@ class TerrainSolid:
 
     def __len__(self) -> int:
         return (len(self._y) - 1) * (len(self._x) - 1)
+
+    def is_over(self, heights: Matrix, size: tuple[float, float]) -> bool:
+        """Whether `heights` (rows, columns) over a rectangle of `size` [m] are heights at the same places."""
+        return self._heights.shape == heights.shape and self._size == size
+
+    def with_heights(self, heights: Matrix) -> TerrainSolid:
+        """The ground with other heights (rows, columns) [m] at the same places.
+
+        Trees of tiles in which no height is another are taken over; the box around it does not become smaller.
+        """
+        found = TerrainSolid(heights, self._size, depth=self._depth, most=self._most)
+        found._floor = min(self._floor, found._floor + _LOWERED * self._depth)
+        top = float(self.bounds[1, 2])
+        if found.bounds[1, 2] > top:
+            top += _RAISED * np.ceil((found.bounds[1, 2] - top) / _RAISED)
+        found.bounds = np.array([[*found._low, found._floor], [*-found._low, top]])
+        same = heights == self._heights
+        for tile, tree in self._trees.items():
+            if tile == _SKIRT:
+                is_same = found._floor == self._floor and all(
+                    line.all() for line in (same[0], same[-1], same[:, 0], same[:, -1])
+                )
+            else:
+                r0, r1, c0, c1 = self._span(tile)
+                is_same = bool(same[r0 : r1 + 1, c0 : c1 + 1].all())
+            if is_same:
+                found._trees[tile] = tree
+        return found
 
     def prepare(self) -> None:
         """Nothing: trees of its tiles are built when something comes near."""

@@ -231,7 +231,7 @@ class HeightMap(PlacedRecord):
 
     shape: Literal["heightmap"]
     file: str
-    """CSV of heights [m] without header; rows along y, columns along x, both ascending."""
+    """CSV of heights [m] without header; rows along y, columns along x, both ascending; or a GeoTIFF."""
     size: tuple[Length, Length]
     """Extent in x and y [m], centred on `position`."""
 
@@ -244,7 +244,7 @@ class HeightMap(PlacedRecord):
         heights = read_heights(folder / self.file)
         if (heights.shape[0] - 1) * (heights.shape[1] - 1) <= _FEW_CELLS or any(self.velocity):
             return self._columns(heights)
-        return Cluster(TerrainSolid(heights, self.size, depth=_TERRAIN_DEPTH, most=_MOST_CELLS), self.placement)
+        return terrain_body(heights, self.size, self.placement)
 
     def _columns(self, heights: Matrix) -> list[shapes.Piece]:
         columns = terrain_columns(
@@ -274,6 +274,16 @@ class PointCloud(PlacedRecord):
     def _boxes(self, points: Matrix) -> list[shapes.Piece]:
         boxes = voxel_boxes(points, self.resolution, most=_MOST_PIECES)
         return [shapes.box(size, self.placement * pin.SE3(np.eye(3), centre)) for centre, size in boxes]
+
+
+def terrain_body(heights: Matrix, size: tuple[float, float], placement: pin.SE3) -> Cluster:
+    """The ground under `heights` (rows, columns) [m] over a rectangle of `size` [m] around `placement`.
+
+    Raises
+    ------
+    InputError: there are too many.
+    """
+    return Cluster(TerrainSolid(heights, size, depth=_TERRAIN_DEPTH, most=_MOST_CELLS), placement)
 
 
 def scan_body(points: Matrix, resolution: float, placement: pin.SE3) -> list[shapes.Piece] | Cluster:

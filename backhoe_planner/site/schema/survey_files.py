@@ -9,40 +9,64 @@ import numpy as np
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
 from backhoe_planner.files.text_file import read_text
+from backhoe_planner.site.schema.geotiff import HeightTable, read_geotiff
 from backhoe_planner.site.schema.quantities import LARGEST
 
 
 def read_heights(path: Path) -> Matrix:
-    """(rows, columns) heights [m] from a CSV without header.
+    """(rows, columns) heights [m] from a CSV without header, or from a GeoTIFF.
 
     Raises
     ------
-    InputError: missing, empty, ragged, fewer than 2 x 2, or with a height that is not finite or beyond `LARGEST`.
+    InputError: missing, empty, ragged, fewer than 2 x 2, or with a height that is missing, not finite or beyond
+        `LARGEST`.
     """
+    return _read_heights(path, holes=False).heights
+
+
+def read_height_grid(path: Path) -> HeightTable:
+    """The same, with where they lie if the file says so, and NaN where a height is missing.
+
+    Raises
+    ------
+    InputError: as of `read_heights`, but not for a height that is missing.
+    """
+    return _read_heights(path, holes=True)
+
+
+def _read_heights(path: Path, *, holes: bool) -> HeightTable:
+    is_tiff = path.suffix.lower() in (".tif", ".tiff")
+    found = read_geotiff(path) if is_tiff else HeightTable(_heights_from_text(path, holes=holes))
+    if min(found.heights.shape) < 2:
+        raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(found.heights.shape))
+    _check_size(found.heights, "a height", path, ("row", "column"), holes=holes)
+    return found
+
+
+def _heights_from_text(path: Path, *, holes: bool) -> Matrix:
     text = read_text(path, what="height map")
     heights = _plain_table(text)
     if heights is not None and min(heights.shape) >= 2:
-        _check_size(heights, "a height", path, ("row", "column"))
         return heights
     rows = [line.replace(";", ",").split(",") for line in text.splitlines() if line.strip()]
+    # a comma at the end of every line ends the last cell; one at the end of some lines has a hole behind it
+    ended = not holes or not any(row[-1].strip() for row in rows)
     values = [
         [
-            _height(cell, path, number, column)
-            for column, cell in enumerate(row if row[-1].strip() else row[:-1], start=1)
+            _height(cell, path, number, column, holes=holes)
+            for column, cell in enumerate(row[:-1] if ended and not row[-1].strip() else row, start=1)
         ]
         for number, row in enumerate(rows, start=1)
     ]
     widths = {len(row) for row in values}
     if len(widths) != 1:
         raise InputError("the rows have different lengths", file=path, found=sorted(widths))
-    heights = np.array(values)
-    if min(heights.shape) < 2:
-        raise InputError("a height map needs at least 2 x 2 heights", file=path, found=str(heights.shape))
-    _check_size(heights, "a height", path, ("row", "column"))
-    return heights
+    return np.array(values)
 
 
-def _height(cell: str, path: Path, row: int, column: int) -> float:
+def _height(cell: str, path: Path, row: int, column: int, *, holes: bool) -> float:
+    if holes and not cell.strip():
+        return np.nan
     try:
         return float(cell)
     except ValueError:
@@ -76,9 +100,11 @@ def read_points(path: Path) -> Matrix:
     return points
 
 
-def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str]) -> None:
+def _check_size(values: Matrix, what: str, path: Path, axes: tuple[str, str], *, holes: bool = False) -> None:
     """InputError that names the first of `values` (rows, columns) that is no number of metres on a site."""
     wrong = ~(np.abs(values) <= LARGEST)
+    if holes:
+        wrong &= ~np.isnan(values)
     if wrong.any():
         row, column = np.argwhere(wrong)[0].tolist()
         found = float(values[row, column])

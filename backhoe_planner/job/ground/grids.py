@@ -1,0 +1,117 @@
+"""Heights on a grid that may have holes: filled, taken at points and on other grids, made from points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.errors import InputError
+
+_NO_FURTHER = 1e-6  # cells: a point on the border of a grid lies in it, whatever rounding says
+
+
+@dataclass(frozen=True, eq=False)
+class HeightGrid:
+    """Heights, NaN where nothing is known.
+
+    Attributes
+    ----------
+    low: (2,) x, y of the first node [m].
+    cell: between nodes [m].
+    z: (rows, columns) [m]; rows run along y, columns along x, both ascending.
+    """
+
+    low: Vector
+    cell: float
+    z: Matrix
+
+    @property
+    def high(self) -> Vector:
+        """(2,) x, y of the last node [m]."""
+        return self.low + self.cell * (np.array(self.z.shape[::-1]) - 1)
+
+    def nodes(self) -> Array:
+        """(rows, columns, 2) x, y of the nodes [m]."""
+        rows, columns = self.z.shape
+        x, y = np.meshgrid(self.low[0] + self.cell * np.arange(columns), self.low[1] + self.cell * np.arange(rows))
+        return np.stack((x, y), axis=-1)
+
+    def at(self, points: Array) -> Array:
+        """(...) bilinear height at points (..., 2) [m]; NaN beyond the grid and beside a hole."""
+        last = np.array(self.z.shape[::-1]) - 1
+        place = (points - self.low) / self.cell
+        off = ((place < -_NO_FURTHER) | (place > last + _NO_FURTHER)).any(axis=-1)
+        place = np.clip(np.nan_to_num(place), 0.0, last)
+        first = np.minimum(place.astype(int), last - 1)
+        u, v = np.moveaxis(place - first, -1, 0)
+        c, r = np.moveaxis(first, -1, 0)
+        found = np.zeros(u.shape)
+        for dr, dc, weight in ((0, 0, (1 - v) * (1 - u)), (0, 1, (1 - v) * u), (1, 0, v * (1 - u)), (1, 1, v * u)):
+            # a corner without weight may be a hole
+            found += np.where(weight > _NO_FURTHER, weight * self.z[r + dr, c + dc], 0.0)
+        return np.where(off, np.nan, found)
+
+
+def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:
+    """The mean height of the points (n, 3) [m] in each column of a grid; NaN in a column without."""
+    rows, columns = grid.z.shape
+    at = np.round((points[:, :2] - grid.low) / grid.cell).astype(np.int64)
+    inside = ((at >= 0) & (at < [columns, rows])).all(axis=1)
+    index = at[inside, 1] * columns + at[inside, 0]
+    count = np.bincount(index, minlength=rows * columns)
+    total = np.bincount(index, weights=points[inside, 2], minlength=rows * columns)
+    with np.errstate(invalid="ignore"):
+        return replace(grid, z=(total / count).reshape(rows, columns))
+
+
+def resampled(grid: HeightGrid, onto: HeightGrid) -> HeightGrid:
+    """The heights of a grid at the nodes of another; NaN where they are unknown.
+
+    Where the other is coarser, each of its columns has the mean of the heights within it.
+    """
+    if onto.cell >= 2.0 * grid.cell:
+        points = np.concatenate((grid.nodes(), grid.z[..., None]), axis=-1).reshape(-1, 3)
+        return column_means(points[np.isfinite(points[:, 2])], onto)
+    return replace(onto, z=grid.at(onto.nodes()))
+
+
+def filled(grid: HeightGrid, reach: float) -> HeightGrid:
+    """Holes filled up to `reach` [m] from a known column: linear between the columns at their rims."""
+    holes = np.isnan(grid.z)
+    if reach <= 0.0 or not holes.any() or holes.all():
+        return grid
+    from scipy.interpolate import griddata
+    from scipy.ndimage import binary_dilation, distance_transform_edt
+
+    away, nearest = distance_transform_edt(holes, return_indices=True)
+    wanted = holes & (away * grid.cell <= reach + _NO_FURTHER)
+    rim = binary_dilation(holes, np.ones((3, 3), dtype=bool)) & ~holes
+    z = grid.z.copy()
+    z[wanted] = z[tuple(nearest)][wanted]  # beyond the hull of the rim
+    corners = np.argwhere(rim)
+    if np.linalg.matrix_rank(corners - corners[0]) == 2:
+        between = griddata(corners, grid.z[rim], np.argwhere(wanted), method="linear")
+        places = tuple(np.argwhere(wanted)[np.isfinite(between)].T)
+        z[places] = between[np.isfinite(between)]
+    return replace(grid, z=z)
+
+
+def refuse_holes(grid: HeightGrid, file: Path | None) -> None:
+    """Every column of a grid must have a height.
+
+    Raises
+    ------
+    InputError: one has none; names the first, where it is, and how many there are.
+    """
+    holes: Flags = np.isnan(grid.z)
+    if holes.any():
+        row, column = np.argwhere(holes)[0].tolist()
+        x, y = (grid.low + grid.cell * np.array([column, row])).tolist()
+        raise InputError(
+            "a height is missing", file=file, key=f"row {row + 1}, column {column + 1} (x {x:.2f} m, y {y:.2f} m)",
+            found=f"{int(holes.sum())} of {holes.size} columns without a height",
+            hint="give a rectangle without holes, or fill: how far they may be filled from known columns [m]",
+        )  # fmt: skip

@@ -1,0 +1,220 @@
+"""Heaps of loose soil: what is poured at a place comes to rest at the angle of repose.
+
+The heap is the highest surface through an apex above the place that falls at the angle of repose
+to all sides, as far as it lies above the ground (the growing pile of Prigozhin, Variational model
+of sandpile growth, 1996). The height of the apex follows from the volume. Where soil would then
+stand on an edge, it slumps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_number, as_vector
+from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.job.ground.slumping import slumped
+from backhoe_planner.job.ground.terrain import Terrain
+
+_LAID = 1e-6  # m of soil on a column that counts as none: what rounding leaves
+_HALVINGS_OF_APEX = 40  # of its height: from metres to rounding
+_CLIFF = 2.5  # times the drop at the angle of repose; chosen: loose soil never stands so, a trench's wall does
+_HALVINGS = 12  # of a volume, to find what fits where soil slumps: to 1 in 4,000
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Loose soil cannot be laid down there.
+
+    Attributes
+    ----------
+    reason: why, in one sentence.
+    room: the greatest volume that can [m^3].
+    """
+
+    reason: str
+    room: float
+
+
+def deposited(
+    terrain: Terrain, at: Sequence[float] | Vector, volume: float, *, clear_of: Flags | None = None
+) -> Terrain | Refusal:
+    """The ground after loose soil was poured at a place.
+
+    Parameters
+    ----------
+    at: (2,) x, y [m].
+    volume: loose [m^3].
+    clear_of: (rows, columns) columns on which none of it may come to lie, such as those of a trench with the
+        distance to its edge; what lies at the border of the grid never may.
+
+    Returns
+    -------
+    The ground, with `volume` more loose soil to rounding; or why not, where it would lie where it may not.
+
+    Raises
+    ------
+    InputError: an argument is no such thing, or the place is not on the grid.
+    """
+    check_kind(terrain, Terrain, key="terrain")
+    place = _place(terrain, at)
+    volume = as_number(volume, key="volume", least=0.0)
+    forbidden = _forbidden(terrain, clear_of)
+    after = poured(terrain, place, volume)
+    laid = (after.loose - terrain.loose > _LAID) & forbidden
+    if not laid.any():
+        return after
+    room = heap_room(terrain, at, clear_of=clear_of)
+    row, column = np.argwhere(laid)[0].tolist()
+    where = f"x {terrain.x[column]:.2f} m, y {terrain.y[row]:.2f} m"
+    border = laid[[0, -1]].any() or laid[:, [0, -1]].any()
+    why = "beyond the ground that is known" if border else "where none may lie"
+    return Refusal(
+        f"a heap of {volume:.2f} m^3 at x {place[0]:.2f} m, y {place[1]:.2f} m reaches {why} ({where}); "
+        f"there is room for {room:.2f} m^3",
+        room,
+    )
+
+
+def heap_room(terrain: Terrain, at: Sequence[float] | Vector, *, clear_of: Flags | None = None) -> float:
+    """How much loose soil can be poured at a place [m^3].
+
+    Parameters
+    ----------
+    terrain, at, clear_of: as of `deposited`.
+
+    Raises
+    ------
+    InputError: as of `deposited`.
+    """
+    check_kind(terrain, Terrain, key="terrain")
+    place = _place(terrain, at)
+    forbidden = _forbidden(terrain, clear_of)
+
+    def fits(volume: float) -> bool:
+        laid = poured(terrain, place, volume).loose - terrain.loose > _LAID
+        return not (laid & forbidden).any()
+
+    # a cone whose slope ends where the nearest of these columns begins
+    start = _first_height(terrain, place)
+    room = float(np.maximum(start[forbidden].min() - start, 0.0).sum()) * terrain.cell**2
+    if room > 0.0 and fits(room):
+        return room
+    low, high = 0.0, room
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low
+
+
+def poured(terrain: Terrain, place: Vector, volume: float) -> Terrain:
+    """`deposited` wherever it comes to lie; nothing passes the border of the grid."""
+    if volume <= 0.0:
+        return terrain
+    raised = _cone(terrain, place, volume / terrain.cell**2)
+    laid = np.argwhere(raised > 0.0)
+    low = terrain.low + terrain.cell * laid.min(axis=0)[::-1]
+    high = terrain.low + terrain.cell * laid.max(axis=0)[::-1]
+    return slumped(terrain.with_layers(terrain.bank, terrain.loose + raised), low, high)
+
+
+def level_for(start: Array, most: Array, total: float) -> float:
+    """The level at which what rises from `start`, each by at most `most`, has risen by `total` in all.
+
+    Each begins to rise when the level passes its start. The total is piecewise linear in the level, so that the
+    answer is exact.
+
+    Parameters
+    ----------
+    start: where each begins [m].
+    most: by how much each can rise [m], infinite for any.
+    total: [m]; at most the sum of `most`.
+    """
+    ends = (start + most)[np.isfinite(most)].ravel()
+    levels = np.concatenate((start.ravel(), ends))
+    rises = np.concatenate((np.ones(start.size), -np.ones(ends.size)))
+    order = np.argsort(levels, kind="stable")
+    levels, slope = levels[order], np.cumsum(rises[order])
+    reached = np.concatenate(([0.0], np.cumsum(slope[:-1] * np.diff(levels))))
+    last = int(np.searchsorted(reached, total, side="right")) - 1
+    if slope[last] <= 0.0:
+        return float(levels[last])
+    return float(levels[last] + (total - reached[last]) / slope[last])
+
+
+def _first_height(terrain: Terrain, place: Vector) -> Matrix:
+    """(rows, columns) height of the apex at which a heap begins to cover a column [m]."""
+    away = np.hypot(terrain.x[None, :] - place[0], terrain.y[:, None] - place[1])
+    return np.asarray(terrain.surface + math.tan(terrain.repose) * away)
+
+
+def _cone(terrain: Terrain, place: Vector, total: float) -> Matrix:
+    """(rows, columns) what a heap lays on each column [m], `total` [m] in all, before any of it slumps.
+
+    It is connected, and ends where the ground breaks off: what flows over the edge there slumps later.
+    """
+    start = _first_height(terrain, place)
+    top = np.unravel_index(int(np.argmin(start)), start.shape)
+    own = np.unravel_index(int(np.argmin(start - terrain.surface)), start.shape)
+    open_to = ~_foots(terrain)
+    open_to[own] = True
+
+    def part(apex: float) -> Flags:
+        from scipy.ndimage import label
+
+        numbers, _ = label((start < apex) & open_to, np.ones((3, 3), dtype=int))
+        return np.asarray(numbers == numbers[own]) if numbers[own] else np.zeros(start.shape, dtype=bool)
+
+    low = _level(start[open_to], total)
+    covered = part(low)
+    if top == own and covered.sum() == ((start < low) & open_to).sum():
+        return np.where(covered, low - start, 0.0)
+    low, high = float(start[own]), float(start[own]) + total
+    for _ in range(_HALVINGS_OF_APEX):
+        middle = 0.5 * (low + high)
+        covered = part(middle)
+        if float((middle - start[covered]).sum()) < total:
+            low = middle
+        else:
+            high = middle
+    covered = part(high)
+    return np.where(covered, np.maximum(_level(start[covered], total) - start, 0.0), 0.0)
+
+
+def _level(start: Array, total: float) -> float:
+    return level_for(start, np.full(start.shape, np.inf), total)
+
+
+def _foots(terrain: Terrain) -> Flags:
+    """(rows, columns) which columns lie at the foot of a step that is steeper than loose soil by far."""
+    surface, found = terrain.surface, np.zeros(terrain.shape, dtype=bool)
+    step = _CLIFF * math.tan(terrain.repose) * terrain.cell
+    for axis in (0, 1):
+        rise = np.diff(surface, axis=axis)
+        ahead, behind = [(slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None))]
+        found[ahead] |= rise > step
+        found[behind] |= rise < -step
+    return found
+
+
+def _place(terrain: Terrain, at: Sequence[float] | Vector) -> Vector:
+    place = as_vector(at, 2, key="at")
+    if (place < terrain.low).any() or (place > terrain.high).any():
+        (x0, y0), (x1, y1) = terrain.low.tolist(), terrain.high.tolist()
+        raise InputError(
+            "is not on the grid", key="at", found=place.tolist(),
+            allowed=f"x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m",
+        )  # fmt: skip
+    return place
+
+
+def _forbidden(terrain: Terrain, clear_of: Flags | None) -> Flags:
+    found = np.zeros(terrain.shape, dtype=bool) if clear_of is None else np.array(clear_of, dtype=bool)
+    if found.shape != terrain.shape:
+        raise InputError("has the wrong shape", key="clear_of", found=str(found.shape), allowed=str(terrain.shape))
+    found[[0, -1]] = True
+    found[:, [0, -1]] = True
+    return found

@@ -1,0 +1,111 @@
+"""Heights from a GeoTIFF, with where they lie.
+
+What is read: one band of numbers; ModelPixelScale and ModelTiepoint, or a ModelTransformation
+without turn; GDAL's tag for missing heights; and of the keys whether a number stands for a point
+or for an area, and the unit (OGC 19-008r4, GeoTIFF Standard 1.1).
+"""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.errors import InputError
+
+# numbers of tags and keys in the standard
+_SCALE, _TIEPOINT, _TRANSFORMATION, _KEYS, _NO_DATA = 33550, 33922, 34264, 34735, 42113
+_MODEL, _RASTER, _UNIT = 1024, 1025, 3076
+_GEOGRAPHIC, _POINT, _METRE = 2, 2, 9001
+_SQUARE_WITHIN = 1e-6  # of the cell: the two scales of square cells differ by rounding only
+_FORMATS = ("F", "I", "L", "I;16", "I;16B", "I;16L", "I;16N")  # Pillow's names of one band of numbers
+
+
+class HeightTable(NamedTuple):
+    """Heights of a file.
+
+    Attributes
+    ----------
+    heights: (rows, columns) [m]; rows run along y, columns along x, both ascending; NaN where there is none.
+    low: (2,) x, y of the first [m]; None where the file does not say.
+    cell: between heights [m]; 0 where the file does not say.
+    """
+
+    heights: Matrix
+    low: Vector | None = None
+    cell: float = 0.0
+
+
+def read_geotiff(path: Path) -> HeightTable:
+    """The heights in a GeoTIFF; one without a place is taken as heights alone, its last row the one of least y.
+
+    Raises
+    ------
+    InputError: missing, no TIFF of one band of numbers, in degrees or feet, turned, or with oblong cells.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    if not path.is_file():
+        raise InputError("no such height map file", file=path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        try:
+            with Image.open(path, formats=("TIFF",)) as image:
+                tags: dict[int, Any] = dict(getattr(image, "tag_v2", {}))
+                if image.mode not in _FORMATS:
+                    raise InputError(
+                        "is no map of heights", file=path, found=f"an image of mode {image.mode}",
+                        allowed="one band of numbers",
+                    )  # fmt: skip
+                heights = np.array(image, dtype=float)[::-1]
+        except InputError:
+            raise
+        except UnidentifiedImageError:
+            raise InputError("is not a TIFF that can be read", file=path) from None
+        except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+            raise InputError("is too large", file=path, hint="cut out the site") from error
+        except Exception as error:  # Pillow raises whatever its decoders run into
+            raise InputError(f"is not a TIFF that can be read: {error}", file=path) from error
+    missing = _number(tags.get(_NO_DATA))
+    if missing is not None:
+        # the tag is decimal text, heights are often floats of 32 bits
+        heights[np.isclose(heights, missing, rtol=1e-6, atol=0.0)] = np.nan
+    return HeightTable(heights, *_place(tags, heights.shape[0], path))
+
+
+def _number(text: object) -> float | None:
+    try:
+        return float(str(text).strip("\0 \n"))
+    except ValueError:
+        return None
+
+
+def _place(tags: dict[int, Any], rows: int, path: Path) -> tuple[Vector | None, float]:
+    """(2,) x, y of the height in the south-west [m], and the distance between heights [m]."""
+    keys = [int(value) for value in tags.get(_KEYS, ())]
+    values = {keys[at]: keys[at + 3] for at in range(4, len(keys) - 3, 4) if keys[at + 1] == 0}
+    if values.get(_MODEL) == _GEOGRAPHIC:
+        raise InputError("is in degrees", file=path, allowed="metres", hint="project it, such as to UTM")
+    if values.get(_UNIT, _METRE) != _METRE:
+        found = f"unit {values[_UNIT]} of the EPSG registry"
+        raise InputError("is not in metres", file=path, found=found, allowed="metres (9001)")
+    if _TRANSFORMATION in tags:
+        m = np.array(tags[_TRANSFORMATION], dtype=float).reshape(4, 4)
+        if abs(m[0, 1]) + abs(m[1, 0]) > _SQUARE_WITHIN * abs(m[0, 0]):
+            raise InputError("is turned against north", file=path, hint="resample it along x and y")
+        corner, scale = m[:2, 3], np.array([m[0, 0], -m[1, 1]])
+    elif _SCALE in tags and _TIEPOINT in tags:
+        scale = np.array(tags[_SCALE][:2], dtype=float)
+        i, j, _, x, y, _ = (float(value) for value in tags[_TIEPOINT][:6])
+        corner = np.array([x - i * scale[0], y + j * scale[1]])
+    else:
+        return None, 0.0
+    if not (scale > 0.0).all() or abs(scale[0] - scale[1]) > _SQUARE_WITHIN * scale[0]:
+        found = f"{scale[0]:g} x {scale[1]:g} m"
+        raise InputError("its cells are no squares", file=path, found=found, hint="resample it")
+    cell = float(scale[0])
+    middle = 0.0 if values.get(_RASTER) == _POINT else 0.5  # of a cell, from what the tags place to its height
+    return np.array([corner[0] + middle * cell, corner[1] - (rows - 1 + middle) * cell]), cell

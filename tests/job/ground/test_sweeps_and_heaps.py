@@ -1,0 +1,188 @@
+"""What a blade takes and where loose soil comes to rest: by hand, and volumes that are neither lost nor won."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from backhoe_planner.arrays import Flags
+from backhoe_planner.errors import InputError
+from backhoe_planner.job import BladeSweep, Refusal, Sweep, Terrain, deposited, heap_room, slumped, swept
+
+WIDTH, LENGTH = 0.6, 1.2
+
+
+def flat(z: float = 0.0, repose: float = 0.6, swell: float = 1.25) -> Terrain:
+    return Terrain.level(z, (0.0, -3.0), (6.0, 3.0), 0.05, repose=repose, swell=swell)
+
+
+def heap(terrain: Terrain, at: tuple[float, float], volume: float, clear_of: Flags | None = None) -> Terrain:
+    found = deposited(terrain, at, volume, clear_of=clear_of)
+    assert isinstance(found, Terrain)
+    return found
+
+
+def box_cut(terrain: Terrain, degrees: float, depth: float, *, start: tuple[float, float] = (2.5, 0.013)) -> Sweep:
+    """Straight down, level over 1.2 m, straight up."""
+    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+    run = np.concatenate(([0.0], np.linspace(0.0, LENGTH, 25), [LENGTH]))
+    z = np.concatenate(([0.2], np.full(25, -depth), [0.2]))
+    edge = np.column_stack((start[0] + c * run, start[1] + s * run, z))
+    return swept(terrain, BladeSweep(edge, (-s, c, 0.0), WIDTH))  # type: ignore[arg-type]
+
+
+# --- by hand -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degrees", [0.0, 17.0, 45.0, 90.0])
+def test_a_box_is_cut_in_layers(degrees: float) -> None:
+    terrain, taken = flat(), 0.0
+    for layer in range(1, 9):
+        found = box_cut(terrain, degrees, 0.1 * layer)
+        taken += float(found.bank[-1])
+        assert found.loose[-1] == 0.0
+        assert found.volume[-1] == pytest.approx(1.25 * found.bank[-1])
+        assert taken == pytest.approx(WIDTH * LENGTH * 0.1 * layer, rel=0.01)
+        assert found.terrain.bank.min() == pytest.approx(-0.1 * layer, rel=0.01)
+        # what the blade takes grows evenly on its way
+        middle = float(found.bank[13] / found.bank[-1])
+        assert middle == pytest.approx(0.5, abs=0.03)
+        assert (np.diff(found.bank) >= 0.0).all()
+        terrain = found.terrain
+    assert terrain.bank_volume_below(flat()) == pytest.approx(taken, rel=1e-9)
+    # walls stand upright: between the floor and the ground is nothing but columns the blade covers in part
+    between = (terrain.bank > -0.79) & (terrain.bank < -0.01)
+    assert between.sum() * terrain.cell**2 < 2.2 * (WIDTH + LENGTH) * terrain.cell * math.sqrt(2.0)
+
+
+def test_passes_side_by_side_leave_no_ridge() -> None:
+    terrain = flat()
+    for y in (0.013, 0.613):
+        terrain = box_cut(terrain, 0.0, 0.3, start=(2.5, y)).terrain
+    rows, columns = terrain.columns_within(np.array([2.6, -0.2]), np.array([3.6, 0.85]))
+    np.testing.assert_allclose(terrain.bank[rows, columns], -0.3, atol=1e-9)
+
+
+def test_tilted_blade_leaves_a_tilted_floor() -> None:
+    tilt = 0.1
+    edge = np.array([[2.0, 0.0, -0.2], [4.0, 0.0, -0.2]])
+    found = swept(flat(), BladeSweep(edge, np.array([0.0, math.cos(tilt), math.sin(tilt)]), 1.0))
+    row = np.searchsorted(found.terrain.y, [-0.2001, -0.0001, 0.1999])
+    np.testing.assert_allclose(
+        found.terrain.bank[row, 60], -0.2 + math.tan(tilt) * np.array([-0.2, 0.0, 0.2]), atol=1e-9
+    )
+    assert found.bank[-1] == pytest.approx(2.0 * math.cos(tilt) * 0.2, rel=0.01)
+
+
+def test_turning_blade_cuts_a_sector() -> None:
+    # a quarter ring with the radii 1.2 and 1.8 m, 0.1 m deep
+    angle = np.linspace(0.0, 0.5 * math.pi, 80)
+    out = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(80)))
+    edge = 1.5 * out + np.array([2.0, -1.0, -0.1])
+    found = swept(flat(), BladeSweep(edge, out, 0.6))
+    assert found.bank[-1] == pytest.approx(0.25 * math.pi * (1.8**2 - 1.2**2) * 0.1, rel=0.01)
+
+
+def test_loose_soil_goes_first() -> None:
+    terrain = flat()
+    terrain = terrain.with_layers(terrain.bank, np.full(terrain.shape, 0.06))
+    found = box_cut(terrain, 0.0, 0.1)
+    assert found.loose[-1] == pytest.approx(WIDTH * LENGTH * 0.06, rel=0.01)
+    assert found.bank[-1] == pytest.approx(WIDTH * LENGTH * 0.1, rel=0.01)
+    assert found.volume[-1] == pytest.approx(WIDTH * LENGTH * (0.06 + 0.125), rel=0.01)
+
+
+def test_a_blade_above_the_ground_takes_nothing() -> None:
+    found = box_cut(flat(-0.5), 0.0, 0.4)
+    assert found.bank[-1] == found.loose[-1] == 0.0
+    beyond = swept(flat(), BladeSweep([[20.0, 0.0, -1.0], [21.0, 0.0, -1.0]], (0.0, 1.0, 0.0), 0.6))  # type: ignore[arg-type]
+    assert (beyond.terrain.bank == 0.0).all()
+
+
+@pytest.mark.parametrize("repose", [0.45, 0.6, 0.75])
+def test_a_heap_is_a_cone(repose: float) -> None:
+    found = heap(flat(repose=repose), (3.0, 0.0), 0.8)
+    # V = pi/3 h^3 / tan^2
+    height = (3.0 * 0.8 * math.tan(repose) ** 2 / math.pi) ** (1.0 / 3.0)
+    assert found.loose_volume == pytest.approx(0.8, rel=1e-9)
+    assert found.loose.max() == pytest.approx(height, rel=0.01)
+    slope = np.hypot(*np.gradient(found.loose, 0.05))
+    flank = (found.loose > 0.15 * height) & (found.loose < 0.85 * height)
+    np.testing.assert_allclose(np.arctan(slope[flank]), repose, atol=0.02)
+
+
+def test_a_tower_slumps_to_the_angle_of_repose() -> None:
+    terrain = flat(repose=0.6)
+    loose = np.zeros(terrain.shape)
+    loose[60, 60] = 0.3 / 0.05**2
+    found = slumped(terrain.with_layers(terrain.bank, loose))
+    assert found.loose_volume == pytest.approx(0.3, rel=1e-9)
+    for axis in (0, 1):
+        drop = np.abs(np.diff(found.surface, axis=axis))
+        assert math.atan(drop.max() / 0.05) < 0.6 + math.radians(1.0)
+    assert found.loose.max() == pytest.approx((0.9 * math.tan(0.6) ** 2 / math.pi) ** (1.0 / 3.0), rel=0.1)
+
+
+def test_a_heap_beside_a_trench_reaches_the_trench_over_its_edge_alone() -> None:
+    trench = box_cut(flat(), 0.0, 1.0).terrain  # y from -0.287 to 0.313
+    floor = trench.bank < -0.9
+    away = heap(trench, (3.1, 1.4), 0.3)  # its foot is 0.75 m from its middle
+    assert (away.loose[floor] == 0.0).all()
+    near = heap(trench, (3.1, 0.8), 0.3)
+    assert near.loose[floor].sum() > 0.0
+    assert near.loose_volume == pytest.approx(0.3, rel=1e-9)
+    # no column is fuller than soil at rest allows
+    drop = np.diff(near.surface, axis=0)
+    lies = near.loose > 1e-9
+    steep = ((drop > 0.05 * math.tan(0.6) * 1.05) & lies[1:]) | ((drop < -0.05 * math.tan(0.6) * 1.05) & lies[:-1])
+    assert not steep.any()
+
+
+# --- what is refused ------------------------------------------------------------------------
+
+
+def test_room_for_a_heap() -> None:
+    terrain = flat(repose=0.6)
+    clear_of = np.broadcast_to(np.abs(terrain.y)[:, None] < 1.0, terrain.shape)
+    # a cone whose foot ends 0.8 m from its middle
+    room = heap_room(terrain, (3.0, 1.8), clear_of=clear_of)
+    assert room == pytest.approx(math.pi / 3.0 * 0.85**3 * math.tan(0.6), rel=0.05)
+    assert heap(terrain, (3.0, 1.8), 0.99 * room, clear_of=clear_of).loose[clear_of].sum() < 1e-6
+    found = deposited(terrain, (3.0, 1.8), 1.02 * room, clear_of=clear_of)
+    assert isinstance(found, Refusal)
+    assert found.room == pytest.approx(room)
+    assert "where none may lie" in found.reason
+    border = deposited(terrain, (0.3, 0.0), 1.0)
+    assert isinstance(border, Refusal)
+    assert "beyond the ground that is known" in border.reason
+    with pytest.raises(InputError, match="is not on the grid"):
+        deposited(terrain, (9.0, 0.0), 1.0)
+
+
+# --- what is kept ---------------------------------------------------------------------------
+
+places = st.tuples(st.floats(1.5, 4.5), st.floats(-1.5, 1.5))
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(st.lists(st.tuples(st.booleans(), places, st.floats(0.0, 180.0), st.floats(0.05, 0.5)), max_size=6))
+def test_volume_is_kept(steps: list[tuple[bool, tuple[float, float], float, float]]) -> None:
+    first = terrain = flat(swell=1.2)
+    carried = 0.0
+    for digs, place, degrees, amount in steps:
+        if digs:
+            found = box_cut(terrain, degrees, amount, start=(3.0, 0.0))
+            assert found.terrain.bank_volume_below(terrain) == pytest.approx(found.bank[-1], rel=1e-9, abs=1e-12)
+            carried += float(found.volume[-1])
+            terrain = found.terrain
+        else:
+            after = deposited(terrain, place, 0.3 * amount)
+            if isinstance(after, Terrain):
+                terrain, carried = after, carried - 0.3 * amount
+        assert (terrain.loose >= 0.0).all()
+    dug = terrain.bank_volume_below(first)
+    assert terrain.loose_volume + carried == pytest.approx(1.2 * dug, rel=1e-9, abs=1e-12)

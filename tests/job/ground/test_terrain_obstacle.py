@@ -1,0 +1,77 @@
+"""Ground from memory is measured as the same heights from a file, also after it was dug."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.errors import InputError
+from backhoe_planner.job import BladeSweep, Terrain, deposited, swept, terrain_obstacle
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site import Obstacle, build_obstacle, obstacle_from_dict
+
+
+def from_file(terrain: Terrain, folder: Path) -> Obstacle:
+    np.savetxt(folder / "ground.csv", terrain.surface, delimiter=",", fmt="%.17g")
+    middle = 0.5 * (terrain.low + terrain.high)
+    record = {
+        "name": "ground", "shape": "heightmap", "file": "ground.csv",
+        "size": (terrain.high - terrain.low).tolist(), "position": [*middle.tolist(), 0.0],
+    }  # fmt: skip
+    return build_obstacle(obstacle_from_dict(record), folder=folder, clearance=0.1)
+
+
+def distances(obstacle: Obstacle, rng: np.random.Generator) -> Vector:
+    assert obstacle.cluster is not None
+    body = shapes.capsule(0.1, 0.5, pin.SE3.Identity())
+    found = []
+    for _ in range(60):
+        place = pin.SE3(pin.rpy.rpyToMatrix(*rng.uniform(-2.0, 2.0, 3)), rng.uniform([0, -3, -1], [6, 3, 1]))
+        reading = obstacle.cluster.measure(body, place)
+        assert reading is not None
+        found.append(reading.distance)
+    return np.array(found)
+
+
+def test_distances_are_those_of_the_file_after_every_step(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    terrain = Terrain.level(0.0, (0.0, -3.0), (6.0, 3.0))
+    terrain = terrain.with_layers(0.05 * rng.uniform(size=terrain.shape), terrain.loose)
+    obstacle = terrain_obstacle(terrain, "ground", 0.1)
+    shared = 0
+    for step in range(4):
+        found = distances(obstacle, np.random.default_rng(step))
+        expected = distances(from_file(terrain, tmp_path), np.random.default_rng(step))
+        apart = expected > 0.0
+        assert 10 < apart.sum() < 50
+        np.testing.assert_allclose(found[apart], expected[apart], atol=1e-9)
+        np.testing.assert_allclose(found, expected, atol=1e-5)  # depths come from an iteration
+        if step % 2 == 0:
+            edge = np.array([[2.0, 0.2, -0.2 - 0.1 * step], [4.0, 0.2, -0.2 - 0.1 * step]])
+            terrain = swept(terrain, BladeSweep(edge, np.array([0.0, 1.0, 0.0]), 0.6)).terrain
+        else:
+            after = deposited(terrain, (3.0, -1.5), 1.0)
+            assert isinstance(after, Terrain)
+            terrain = after
+        before, obstacle = obstacle, terrain_obstacle(terrain, "ground", 0.1, before=obstacle)
+        trees = [one.cluster.solid._trees for one in (before, obstacle)]  # type: ignore[union-attr]
+        shared += sum(trees[1].get(tile) is tree for tile, tree in trees[0].items())
+        assert 0 < len(trees[1]) < len(trees[0])  # those where the ground is another are not
+    assert shared > 20
+
+
+def test_other_ground_is_built_anew() -> None:
+    first = terrain_obstacle(Terrain.level(0.0, (0.0, 0.0), (3.0, 3.0)), "ground", 0.1)
+    found = terrain_obstacle(Terrain.level(0.0, (1.0, 0.0), (4.0, 4.0)), "ground", 0.2, ("boom",), before=first)
+    assert found.cluster is not None
+    assert found.links == ("boom",)
+    np.testing.assert_allclose(found.cluster.bounds[:, :2], [[1.0, 0.0], [4.0, 4.0]], atol=1e-12)
+    moved = terrain_obstacle(Terrain.level(0.0, (1.0, 0.0), (4.0, 3.0)), "ground", 0.2, before=first)
+    assert moved.cluster is not None
+    np.testing.assert_allclose(moved.cluster.bounds[:, :2], [[1.0, 0.0], [4.0, 3.0]], atol=1e-12)
+    with pytest.raises(InputError, match="clearance"):
+        terrain_obstacle(Terrain.level(0.0, (0.0, 0.0), (3.0, 3.0)), "ground", -0.1)
