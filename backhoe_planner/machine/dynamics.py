@@ -8,6 +8,7 @@ body: its weight and its inertia are in M, C and g.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,13 +28,17 @@ class Dynamics:
     Parameters
     ----------
     payload: mass that the tip carries [kg], as a point.
+    payload_at: (3,) where that point is from the tip, in the tip's axes [m]; at the tip by default.
     """
 
-    def __init__(self, robot: Robot, *, payload: float = 0.0) -> None:
+    def __init__(
+        self, robot: Robot, *, payload: float = 0.0, payload_at: Sequence[float] | Vector | None = None
+    ) -> None:
         self._model = robot.model.copy()
         if payload > 0.0:
             frame = self._model.frames[robot.tip_frame]
-            load = pin.Inertia(payload, np.zeros(3), np.zeros((3, 3)))
+            centre = np.zeros(3) if payload_at is None else np.array(payload_at, dtype=float)
+            load = pin.Inertia(payload, centre, np.zeros((3, 3)))
             self._model.appendBodyToJoint(frame.parentJoint, load, frame.placement)
         self._data = self._model.createData()
         self._tip = robot.tip_frame
@@ -114,6 +119,7 @@ def motion_energy(
     v: Matrix,
     a: Matrix,
     payload: float = 0.0,
+    payload_at: Sequence[float] | Vector | None = None,
     tip_force: Matrix | None = None,
     outside: Matrix | None = None,
 ) -> MotionEnergy:
@@ -122,11 +128,11 @@ def motion_energy(
     Parameters
     ----------
     time: (T,) [s]; q, v, a: (T, n) positions, velocities and accelerations of the joints.
-    payload: mass at the tip [kg].
+    payload, payload_at: as of `Dynamics`.
     tip_force: (T, 3) force on the tip from outside [N], world.
     outside: (T, n) torques on the joints from outside [N m or N], such as the soil's.
     """
-    dynamics = Dynamics(robot, payload=payload)
+    dynamics = Dynamics(robot, payload=payload, payload_at=payload_at)
     forces = [None] * len(time) if tip_force is None else list(tip_force)
     torque = np.array(
         [dynamics.torques(*row, tip_force=force) for *row, force in zip(q, v, a, forces, strict=True)]

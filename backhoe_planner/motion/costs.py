@@ -85,7 +85,7 @@ class PathCost:
         robot, scene = problem.robot, problem.scene
         self.objective = problem.objective if name is None else find_objective(name, robot)
         self._machine = LoadedMachine(
-            Dynamics(robot, payload=scene.payload),
+            Dynamics(robot, payload=scene.payload, payload_at=scene.payload_at),
             None if scene.soil is None else SoilReaction(robot, scene.soil, problem.ground),
             robot.hydraulics,
         )
@@ -383,9 +383,11 @@ def _costs(problem: Problem, motion: Trajectory, objectives: Sequence[Objective[
 
 
 def _energy(problem: Problem, time: Array, q: Array, v: Array, a: Array) -> MotionEnergy:
-    robot, soil = problem.robot, problem.scene.soil
+    robot, scene, soil = problem.robot, problem.scene, problem.scene.soil
     outside = None if soil is None else SoilReaction(robot, soil, problem.ground).torques(q, v)
-    return motion_energy(robot, time, q=q, v=v, a=a, payload=problem.scene.payload, outside=outside)
+    return motion_energy(
+        robot, time, q=q, v=v, a=a, payload=scene.payload, payload_at=scene.payload_at, outside=outside
+    )
 
 
 def trajectory_costs(problem: Problem, trajectory: Trajectory) -> dict[str, float]:

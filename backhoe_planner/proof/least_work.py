@@ -64,7 +64,7 @@ class _PotentialEnergy:
         robot = problem.robot
         self._kinematics = BatchKinematics(robot)
         self._hinge = np.where(robot.prismatic, 0.0, 1.0)
-        self._dynamics = Dynamics(robot, payload=problem.scene.payload)
+        self._dynamics = Dynamics(robot, payload=problem.scene.payload, payload_at=problem.scene.payload_at)
         self._mass, self._centre = self._dynamics.bodies()
 
     def at(self, q: Vector) -> float:

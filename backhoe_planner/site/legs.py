@@ -35,7 +35,7 @@ def leg_scene(scene: Scene, index: int) -> Scene:
         "task": scene.task.model_copy(update={"sequence": None} | {k: v for k, v in task.items() if v is not None}),
         "obstacles": tuple(one for one in scene.obstacles if one.legs is None or leg.name in one.legs),
     }
-    for key in ("payload", "soil", "objective"):
+    for key in ("payload", "payload_at", "soil", "objective"):
         if getattr(leg, key) is not None:
             update[key] = getattr(leg, key)
     if index > 0:

@@ -22,7 +22,7 @@ from backhoe_planner.site.schema.joint_limits import Limits
 from backhoe_planner.site.schema.names import check_name
 from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
 from backhoe_planner.site.schema.path_file import read_path_file
-from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive
+from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Vector3
 from backhoe_planner.site.schema.sequence import ObjectiveName, Task
 from backhoe_planner.site.schema.tasks import PathTask, Start, Waypoint
 from backhoe_planner.site.schema.zone_kinds import ZoneSpec
@@ -74,6 +74,8 @@ class Scene(Record):
     """What a plan is to make small; left out: the time to a goal, the work along a path."""
     payload: NonNegative = 0.0
     """Mass in the bucket [kg]."""
+    payload_at: Vector3 | None = None
+    """Centre of that mass from the tip, in the tip's axes [m]; left out, at the tip."""
     soil: Soil | None = None
     """What the bucket digs in; left out, nothing resists it. Keys of it that are left out have their defaults."""
 

@@ -12,7 +12,7 @@ import pytest
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array
 from backhoe_planner.job import Bucket, Cut, Digger, NoCut, Profile, find_cut
-from backhoe_planner.motion import build_problem, limit_usage
+from backhoe_planner.motion import Drive, build_problem, limit_usage
 from backhoe_planner.site import Soil
 
 LEVEL = Profile.level(0.0, 1.0, 6.2)
@@ -179,6 +179,14 @@ def test_the_certificate_sees_the_same_forces_along_the_motion(digger: Digger) -
     assert float(np.max(torque)) == pytest.approx(found.holding.ratio, abs=0.12)
     assert float(np.max(torque)) > 0.5
     np.testing.assert_allclose(motion.q[[0, -1]], found.q[[0, -1]], atol=1e-9)
+
+
+def test_after_the_cut_the_load_is_a_payload_at_its_centre(digger: Digger) -> None:
+    """What holds the full bucket at the end of the cut is what a drive with that payload says."""
+    found = cut(digger)
+    still = np.zeros_like(found.q[-1:])
+    carries = Drive(digger.robot, payload=float(found.held[-1]), payload_at=found.bucket.payload_at)
+    np.testing.assert_allclose(found.torque[-1:], carries.rigid_torques(found.q[-1:], still, still), rtol=1e-9)
 
 
 # --- back, reach, nothing ---------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import (
     GRAVITY,
     Dynamics,
@@ -79,6 +80,20 @@ def test_a_payload_adds_its_weight_at_the_tip(backhoe: Robot) -> None:
     loaded = Dynamics(backhoe, payload=250.0).torques(q, still, still)
     J = Kinematics(backhoe).at(q).jacobian[:3]
     np.testing.assert_allclose(loaded - empty, J.T @ np.array([0.0, 0.0, 250.0 * GRAVITY]), rtol=1e-9, atol=1e-6)
+
+
+def test_a_payload_beside_the_tip_weighs_there(backhoe: Robot) -> None:
+    """Its torque is the slope of m g z of that point, by differences."""
+    q, still, at = np.array([0.3, 0.2, -0.9, -0.6]), np.zeros(4), np.array([-0.5, 0.1, 0.16])
+
+    def height(q: Vector) -> float:
+        pose = Kinematics(backhoe).at(q)
+        return float(pose.tip_position[2] + pose.tip_rotation[2] @ at)
+
+    empty = Dynamics(backhoe).torques(q, still, still)
+    loaded = Dynamics(backhoe, payload=250.0, payload_at=at.tolist()).torques(q, still, still)
+    slope = [(height(q + e) - height(q - e)) / 2e-6 for e in 1e-6 * np.eye(4)]
+    np.testing.assert_allclose(loaded - empty, 250.0 * GRAVITY * np.array(slope), atol=1e-4)
 
 
 def test_a_payload_leaves_the_robot_as_it_was(backhoe: Robot) -> None:

@@ -11,7 +11,12 @@ from backhoe_planner.errors import SceneError
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 REACH: dict[str, Any] = {"name": "reach", "goal": {"position": [4.0, 0.0, 0.5]}}
-SWING: dict[str, Any] = {"name": "swing", "goal": {"position": [0.5, 3.5, 1.0]}, "payload": 200.0}
+SWING: dict[str, Any] = {
+    "name": "swing",
+    "goal": {"position": [0.5, 3.5, 1.0]},
+    "payload": 200.0,
+    "payload_at": [-0.5, 0.0, 0.2],
+}
 PATH = {"waypoints": [{"position": [4.0, 0.0, 0.5]}, {"position": [3.5, 0.0, 0.5]}]}
 
 
@@ -99,6 +104,7 @@ def test_each_leg_has_its_own_load_and_obstacles(robot: Robot) -> None:
     reach, swing, rest = problem.legs
     assert [leg.name for leg in problem.legs] == ["reach", "swing", "rest"]
     assert [leg.scene.payload for leg in problem.legs] == [50.0, 200.0, 50.0]
+    assert [leg.scene.payload_at for leg in problem.legs] == [None, (-0.5, 0.0, 0.2), None]
     assert [leg.objective.name for leg in problem.legs] == ["work", "time", "time"]
     assert [[one.name for one in leg.obstacles] for leg in problem.legs] == [["rock"], ["rock", "spoil"], ["rock"]]
     assert (reach.tip_speed, swing.tip_speed, rest.wait) == (None, 0.5, 2.0)

@@ -41,6 +41,7 @@ class Bucket:
     back: (k, 2) corners of what may press into the ground behind the teeth [m], from the teeth, in the bucket's plane.
     level_pitch: at which the opening lies level and holds a heap [rad].
     held_at: (3,) centre of what it holds, in the frame of the last joint [m].
+    payload_at: the same from the teeth, in the axes of the tip, as a scene has it.
     """
 
     width: float
@@ -51,6 +52,7 @@ class Bucket:
     back: Matrix
     level_pitch: float
     held_at: Vector
+    payload_at: tuple[float, float, float]
 
     @classmethod
     def of(cls, robot: Robot, *, width: float | None = None, capacity: float | None = None) -> Bucket:
@@ -77,6 +79,8 @@ class Bucket:
             capacity = as_number(capacity, key="bucket.capacity", above=0.0)
         else:
             capacity = struck + heap(section.mouth, section.inner_width)
+        tip = robot.model.frames[robot.tip_frame].placement
+        x, y, z = (tip.rotation.T @ (centre - tip.translation)).tolist()
         return cls(
             width=width,
             capacity=capacity,
@@ -86,6 +90,7 @@ class Bucket:
             back=section.back(),
             level_pitch=section.level_pitch,
             held_at=centre,
+            payload_at=(x, y, z),
         )
 
 

@@ -7,6 +7,7 @@ valves, the shared pump and the engine.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -56,7 +57,7 @@ class Drive:
     ----------
     effort: (n,) greatest torque of each joint either way [N m or N], the machine's own by
         default; infinite for no limit.
-    payload: at the tip [kg].
+    payload, payload_at: as of `Dynamics`.
     soil: in which the tip moves.
     ground: where the soil is; by default level at the soil's `surface`.
 
@@ -71,13 +72,14 @@ class Drive:
         *,
         effort: Array | None = None,
         payload: float = 0.0,
+        payload_at: Sequence[float] | None = None,
         soil: Soil | None = None,
         ground: Ground | None = None,
     ) -> None:
         self.joint_names = robot.joint_names
         self.hydraulics: Hydraulics | None = robot.hydraulics
         self._effort = robot.limits.effort if effort is None else effort
-        self._dynamics = Dynamics(robot, payload=payload)
+        self._dynamics = Dynamics(robot, payload=payload, payload_at=payload_at)
         self._soil = None if soil is None else SoilReaction(robot, soil, ground)
 
     @property
@@ -188,7 +190,12 @@ def drive_of(problem: Problem) -> Drive:
     """The drive of a problem's machine with the scene's payload and soil."""
     scene = problem.scene
     return Drive(
-        problem.robot, effort=problem.limits.effort, payload=scene.payload, soil=scene.soil, ground=problem.ground
+        problem.robot,
+        effort=problem.limits.effort,
+        payload=scene.payload,
+        payload_at=scene.payload_at,
+        soil=scene.soil,
+        ground=problem.ground,
     )
 
 

@@ -10,7 +10,7 @@ from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.site.schema.digging import Soil
 from backhoe_planner.site.schema.names import Name, check_name
 from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
-from backhoe_planner.site.schema.quantities import NonNegative, Positive
+from backhoe_planner.site.schema.quantities import NonNegative, Positive, Vector3
 from backhoe_planner.site.schema.tasks import SLOWEST, Goal, Goals, JointsGoal, Keep, PathTask
 
 ObjectiveName = Literal["velocity_norm", "kinetic", "effort", "work", "hydraulic", "time"]
@@ -46,6 +46,8 @@ class Leg(Record):
     """What holds along the whole leg."""
     payload: NonNegative | None = None
     """Mass in the bucket during the leg [kg]; the scene's by default."""
+    payload_at: Vector3 | None = None
+    """Centre of that mass from the tip, in the tip's axes [m]; where the scene has it by default."""
     soil: Soil | None = None
     """What the bucket digs in during the leg; the scene's by default."""
     objective: ObjectiveName | None = None
