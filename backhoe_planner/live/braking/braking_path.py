@@ -101,6 +101,11 @@ class Placements:
         T, J = self._rows[sample]
         T[...], J[...] = self._poses, self._jacobian
 
+    def spread(self, count: int) -> None:
+        """Let rows 1 to `count` become 2, 4, ... to twice that."""
+        for sample in range(count, 0, -1):
+            self.T[2 * sample], self.J[2 * sample] = self.T[sample], self.J[sample]
+
 
 def _one_behind_the_other(poses: list[tuple[Array, Array]]) -> Array:
     """One view (P, 3, 4) of the poses R, t of the items of one C++ vector, which are equally far apart in memory.
@@ -156,6 +161,18 @@ class BrakingPath:
             most = float(self._bend @ self._furthest)  # no point of any pair bends more than this
             self._parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
         return self._parts
+
+    def refine(self, placements: Placements) -> bool:
+        """Halve the parts, and fill the placements, which hold the path, anew; False where they are short enough."""
+        parts = self.parts
+        if 2 * parts > MOST_PARTS:
+            return False
+        self._parts = 2 * parts
+        placements.spread(parts)
+        ways = _PARTS[2 * parts]
+        for part in range(1, 2 * parts, 2):
+            placements.place(part, self.q + ways[part - 1] * self.delta)
+        return True
 
     def off_chord(self, travel: Matrix) -> Vector:
         """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""

@@ -142,6 +142,10 @@ class PathCheck:
         if left[left.argmin()] >= BUFFER:
             return PathClearance(True, True, True, bound, gaps, closely)
         short = (left < -TOLERANCE).nonzero()[0]
+        if len(short) and self._may_be_bent(pairs, short, left, path) and path.refine(at):
+            bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
+            left = bound - required
+            short = (left < -TOLERANCE).nonzero()[0]
         if len(short):
             # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes
             # longest
@@ -154,6 +158,14 @@ class PathCheck:
         stands_clear = len(short) == 0 or not np.count_nonzero(stands[pairs[short]])
         free = len(short) == 0 and bool(left[left.argmin()] >= BUFFER)
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
+
+    def _may_be_bent(self, pairs: Indices, short: Indices, left: Vector, path: BrakingPath) -> bool:
+        """Whether what stands falls short by no more than what points may be off the chords of the path's parts."""
+        standing = short[self.bounds.stands.take(pairs.take(short))]
+        if len(standing) == 0:
+            return False
+        off = path.off_chord(self.separation.travel).take(self.separation.classes.take(pairs.take(standing)))
+        return not np.count_nonzero(off < -left.take(standing))
 
     def _clearance_of_standing(
         self, awake: Awake, stands: Flags, path: BrakingPath, before: BrakingPath, found: PathClearance
