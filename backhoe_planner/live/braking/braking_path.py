@@ -24,8 +24,9 @@ from backhoe_planner.live.braking.gaps import Gaps
 from backhoe_planner.machine import Robot, bend_weights
 
 MOST_PARTS = 8  # of a braking path; chosen, so that the work of a step is bounded
+FINEST_PARTS = 2 * MOST_PARTS  # of one that is looked at in halves of its parts
 BUFFER = 0.002  # m kept on top of every clearance, for what the linear rows leave out; chosen, far below any clearance
-_PARTS = [np.arange(1, parts + 1)[:, None] / max(parts, 1) for parts in range(MOST_PARTS + 1)]
+_PARTS = [np.arange(1, parts + 1)[:, None] / max(parts, 1) for parts in range(FINEST_PARTS + 1)]
 _BEND = BUFFER  # m that a point may deviate from the chord of a part: the chords miss no more than the rows do
 
 
@@ -162,17 +163,14 @@ class BrakingPath:
             self._parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
         return self._parts
 
-    def refine(self, placements: Placements) -> bool:
-        """Halve the parts, and fill the placements, which hold the path, anew; False where they are short enough."""
+    def halve(self, placements: Placements | None = None) -> None:
+        """Look at halves of its parts from now on; placements that hold the path are filled anew."""
         parts = self.parts
-        if 2 * parts > MOST_PARTS:
-            return False
         self._parts = 2 * parts
-        placements.spread(parts)
-        ways = _PARTS[2 * parts]
-        for part in range(1, 2 * parts, 2):
-            placements.place(part, self.q + ways[part - 1] * self.delta)
-        return True
+        if placements is not None:
+            placements.spread(parts)
+            for part, q in enumerate(self.q + _PARTS[2 * parts][::2] * self.delta):
+                placements.place(2 * part + 1, q)
 
     def off_chord(self, travel: Matrix) -> Vector:
         """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""

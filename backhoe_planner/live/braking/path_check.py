@@ -33,6 +33,7 @@ _OF_STANDING = 16  # of these for what stands, where both stand and move; chosen
 _LOOKS = 12  # pairs that are measured anew per path at most; chosen
 _MOVING_LOOKS = 3  # the same where only what moves is too near: it does not decide whether a path may be taken
 _RESERVED = CLOSER_LOOK + 1  # distances for the end of a step: of a pair that is clear again, and the oldest plane
+_WHOLE = 3.0  # by so many times more points may be off the chord of a whole part than off that of its halves
 _SHARE = 3  # a path may take this part of the distances that a step still has, so that some are left for the next
 
 
@@ -52,6 +53,7 @@ class PathCheck:
     def __init__(self, separation: Separation, bounds: PairBounds, joints: JointBounds, at: Placements) -> None:
         self.separation, self.bounds, self.joints, self.at = separation, bounds, joints, at
         self._before = 0
+        self._in_halves = False
         self._memory = Memory()
         self._last: tuple[Awake, BrakingPath, PathClearance] | None = None
         self._paths = self._rows = self._problems = self._iterations = self._pairs = 0
@@ -126,23 +128,25 @@ class PathCheck:
         if len(pairs) == 0:
             found = _NOTHING_AWAKE
         else:
+            if self._in_halves:
+                path.halve()
             path.place(self.at)
-            found = self._look_along(pairs, path, by_rows=by_rows)
+            found = self._look_along(pairs, path, by_rows=by_rows, in_halves=self._in_halves)
         self._last = awake, path, found
         return found
 
-    def _look_along(self, pairs: Indices, path: BrakingPath, *, by_rows: bool) -> PathClearance:
-        """The same for pairs (K,) of all kinds, where the placements hold the path."""
+    def _look_along(self, pairs: Indices, path: BrakingPath, *, by_rows: bool, in_halves: bool) -> PathClearance:
+        """The same for pairs (K,) of all kinds, where the placements hold the path, with its parts or their halves."""
         separation, at = self.separation, self.at
         required, stands = self.bounds.required.take(pairs), self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
         bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
         closely = np.zeros(len(pairs), dtype=bool)
         left = bound - required
-        if left[left.argmin()] >= BUFFER:
-            return PathClearance(True, True, True, bound, gaps, closely)
         short = (left < -TOLERANCE).nonzero()[0]
-        if len(short) and self._may_be_bent(pairs, short, left, path) and path.refine(at):
+        if not in_halves and len(short) and self._may_be_bent(pairs, short, left, path):
+            path.halve(at)
+            in_halves = True
             bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
             left = bound - required
             short = (left < -TOLERANCE).nonzero()[0]
@@ -155,6 +159,7 @@ class PathCheck:
                 self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
                 left = bound - required
                 short = (left < -TOLERANCE).nonzero()[0]
+        self._in_halves = in_halves and self._needs_halves(pairs, left, path)
         stands_clear = len(short) == 0 or not np.count_nonzero(stands[pairs[short]])
         free = len(short) == 0 and bool(left[left.argmin()] >= BUFFER)
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
@@ -166,6 +171,11 @@ class PathCheck:
             return False
         off = path.off_chord(self.separation.travel).take(self.separation.classes.take(pairs.take(standing)))
         return not np.count_nonzero(off < -left.take(standing))
+
+    def _needs_halves(self, pairs: Indices, left: Vector, path: BrakingPath) -> bool:
+        """Whether what stands, with room `left` (K,) [m] by halves of the parts, would fall short by whole ones."""
+        off = path.off_chord(self.separation.travel).take(self.separation.classes.take(pairs))
+        return bool(np.count_nonzero((left < _WHOLE * off) & self.bounds.stands.take(pairs)))
 
     def _clearance_of_standing(
         self, awake: Awake, stands: Flags, path: BrakingPath, before: BrakingPath, found: PathClearance

@@ -45,7 +45,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.law import Rows
-from backhoe_planner.live.braking.braking_path import MOST_PARTS, BrakingPath, JointState, PathClearance
+from backhoe_planner.live.braking.braking_path import FINEST_PARTS, BrakingPath, JointState, PathClearance
 from backhoe_planner.live.braking.joint_bounds import FASTEST_RECOVERY, RECOVERY, SLOWEST_RECOVERY
 from backhoe_planner.live.braking.pair_bounds import Awake
 from backhoe_planner.live.braking.path_check import PathCheck
@@ -72,7 +72,7 @@ _AT_NODE = 0.01  # rad or m within which a node of a way counts as reached; chos
 _AHEAD = 0.06  # rad or m: how far ahead a falling way is aimed at; chosen, twice the longest step of a descent
 _BETWEEN, _MOST_SPANS = 0.01, 8  # m between two looks at a braking path, and how many at most; chosen
 _SLOWEST_RETURN = 1e-5  # rad/s or m/s of a joint beyond its limit; chosen, so that it never stands still
-_STEP_END = MOST_PARTS + 1  # row of the placements, behind those of a braking path
+_STEP_END = FINEST_PARTS + 1  # row of the placements, behind those of a braking path
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Indices, Vector, as_number
 from backhoe_planner.errors import InputError, check_flag, check_kind
-from backhoe_planner.live.braking.braking_path import MOST_PARTS, JointState, Placements
+from backhoe_planner.live.braking.braking_path import FINEST_PARTS, JointState, Placements
 from backhoe_planner.live.braking.cluster_pairs import ClusterPairs
 from backhoe_planner.live.braking.joint_bounds import BRAKING, JointBounds, Load
 from backhoe_planner.live.braking.pair_bounds import CLOSE, Near, PairBounds
@@ -129,7 +129,7 @@ class Servo:
         self._refusal = Refusal(dt, self._joints.changes)
         self._feedback = Feedback(dt) if feedback is None else feedback
         self._commands = Commands(robot, dt=dt, watchdog=watchdog)
-        self._at = Placements(robot, MOST_PARTS + 2)
+        self._at = Placements(robot, FINEST_PARTS + 2)
         self._separation = Separation(robot, q, self_collision=self_collision)
         self._influence = min(scene.influence, _INFLUENCE)
         self._bounds = PairBounds(self._separation, influence=self._influence)
