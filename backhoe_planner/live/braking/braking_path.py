@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.lib.stride_tricks import as_strided
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.live.braking.gaps import Gaps
 from backhoe_planner.machine import Robot, bend_weights
 
@@ -55,7 +55,8 @@ class PathClearance(NamedTuple):
     bound: (K,) proven distance over the whole path [m].
     gaps: from every corner of the links to the planes, at the samples of the path; working memory of the
         path that was checked last.
-    closely: (K,) which pairs were measured at several places of the path.
+    closely: (K,) for pairs that were measured at several places of the path, the sample at which they were
+        tightest, from 1 on; 0 for the others.
 
     Of a path that is not the first of its step, `gaps` and `closely` are of the pairs whose obstacle stands still.
     """
@@ -65,7 +66,7 @@ class PathClearance(NamedTuple):
     stands_clear: bool
     bound: Vector
     gaps: Gaps
-    closely: Flags
+    closely: Indices
 
 
 class Placements:

@@ -141,10 +141,10 @@ class PathCheck:
         required, stands = self.bounds.required.take(pairs), self.bounds.stands
         drift_time = path.time if self.bounds.anything_moves else 0.0
         bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
-        closely = np.zeros(len(pairs), dtype=bool)
+        closely = np.zeros(len(pairs), dtype=np.intp)
         left = bound - required
         short = (left < -TOLERANCE).nonzero()[0]
-        if not in_halves and len(short) and self._may_be_bent(pairs, short, left, path):
+        if not in_halves and len(short) and (self._may_be_bent(pairs, short, left, path) or (by_rows and np.count_nonzero(stands[pairs[short]]))):
             path.halve(at)
             in_halves = True
             bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
@@ -206,7 +206,7 @@ class PathCheck:
         drift_time: float,
         bound: Vector,
         gaps: Gaps,
-        closely: Flags,
+        closely: Indices,
     ) -> None:
         """Measure pairs whose bound falls short with one plane each, then what stands with several.
 
@@ -230,10 +230,11 @@ class PathCheck:
         for row in again[(better < required[again] - TOLERANCE) & stands[again]].tolist():
             if separation.measured + CLOSER_LOOK > until:
                 break
-            bound[row] = max(bound[row], separation.closer_look(int(pairs[row]), path, at, 0.0))
-            closely[row] = True
-        if closely.any():
-            gaps.put(closely.nonzero()[0], separation.gaps(pairs[closely], at, path.parts + 1))
+            closer, tightest = separation.look_closely(int(pairs[row]), path, at, 0.0)
+            bound[row], closely[row] = max(bound[row], closer), max(tightest, 1)
+        looked = closely.nonzero()[0]
+        if len(looked):
+            gaps.put(looked, separation.gaps(pairs[looked], at, path.parts + 1))
         self.bounds.renew_soon(pairs[again])
 
     def keep(self, path: BrakingPath) -> None:
@@ -286,11 +287,11 @@ class PathCheck:
         gaps = all_gaps.reshape(len(pairs), -1)[:, corners_each:]
         tight = least[:, 1:].argmin(axis=1)
         if np.count_nonzero(found.closely):
-            within[found.closely & (found.bound >= within - needed + wanted)] = -np.inf
-            # a pair that was measured closely keeps one plane, which is right where the pair is tightest
+            within[(found.closely > 0) & (found.bound >= within - needed + wanted)] = -np.inf
+            # a pair that was measured closely keeps one plane, which is right where it was measured
             gaps = gaps.copy()
             for row in found.closely.nonzero()[0].tolist():
-                tight[row] = least[row, 1:].argmax()
+                tight[row] = found.closely[row] - 1
                 gaps[row].reshape(path.parts, -1)[np.arange(path.parts) != tight[row]] = np.inf
         column = np.arange(1, least.size, least.shape[1]) + tight
         least = least.reshape(-1).take(column)
@@ -392,4 +393,4 @@ class Candidates(NamedTuple):
         return pairs[real], columns[real]
 
 
-_NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), NO_GAPS, np.zeros(0, dtype=np.bool_))
+_NOTHING_AWAKE = PathClearance(True, True, True, np.zeros(0), NO_GAPS, np.zeros(0, dtype=np.intp))

@@ -374,6 +374,10 @@ class Separation:
 
         Up to `_PLANES` planes are measured along the path. The tightest is kept.
         """
+        return self.look_closely(pair, path, at, drift_time)[0]
+
+    def look_closely(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> tuple[float, int]:
+        """The same bound, and the sample at which the plane that is kept was measured."""
         joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
         count = path.parts + 1
         measured = sorted({round(k * path.parts / (_PLANES - 1)) for k in range(_PLANES)})
@@ -392,7 +396,7 @@ class Separation:
         least = max(float(parts.min()) - off, self._from_link(pair, normals[0], found[0][3], path, at))
         if drift_time > 0.0:
             least -= float(np.linalg.norm(self.velocity[pair])) * drift_time
-        return least
+        return least, measured[tight]
 
     def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
         """The same bound with the plane `n` (3,) through `point` (3,) at the path's start, moving with the link."""
