@@ -193,6 +193,13 @@ class PairBounds:
         self._distance[pairs] = distance
         self._distance_at[pairs] = self._start_odometer[self._separation.classes[pairs]]
 
+    def room_of_braking(self, pairs: Indices) -> Vector:
+        """(K,) what is proven of the present braking path beyond what is required [m]."""
+        separation = self._separation
+        proven = self._proven.take(pairs) + self._proven_at.take(pairs)
+        proven -= self._path_odometer.take(separation.classes.take(pairs))
+        return np.asarray(proven - self.required.take(pairs))
+
     def set_proven(self, pairs: Indices, bound: Vector) -> None:
         """Note the distances (K,) that are proven over the present braking path [m]."""
         self._proven[pairs] = bound

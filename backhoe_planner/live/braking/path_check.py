@@ -144,7 +144,7 @@ class PathCheck:
         closely = np.zeros(len(pairs), dtype=np.intp)
         left = bound - required
         short = (left < -TOLERANCE).nonzero()[0]
-        if not in_halves and len(short) and (self._may_be_bent(pairs, short, left, path) or (by_rows and np.count_nonzero(stands[pairs[short]]))):
+        if not in_halves and len(short) and self._may_be_bent(pairs, short, left, path, by_rows=by_rows):
             path.halve(at)
             in_halves = True
             bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
@@ -164,11 +164,14 @@ class PathCheck:
         free = len(short) == 0 and bool(left[left.argmin()] >= BUFFER)
         return PathClearance(free, len(short) == 0, stands_clear, bound, gaps, closely)
 
-    def _may_be_bent(self, pairs: Indices, short: Indices, left: Vector, path: BrakingPath) -> bool:
-        """Whether what stands falls short by no more than what points may be off the chords of the path's parts."""
+    def _may_be_bent(self, pairs: Indices, short: Indices, left: Vector, path: BrakingPath, *, by_rows: bool) -> bool:
+        """Whether what stands may fall `short` only because points may be off the chords of the path's parts.
+
+        left: (K,) of each pair's bound beyond what is required [m].
+        """
         standing = short[self.bounds.stands.take(pairs.take(short))]
-        if len(standing) == 0:
-            return False
+        if len(standing) == 0 or by_rows:
+            return len(standing) > 0
         off = path.off_chord(self.separation.travel).take(self.separation.classes.take(pairs.take(standing)))
         return not np.count_nonzero(off < -left.take(standing))
 
@@ -221,7 +224,7 @@ class PathCheck:
         again = order[: min(max(standing, _MOVING_LOOKS), _LOOKS, left)]
         if len(again) == 0:
             return
-        until = separation.measured + left
+        until, enough = separation.measured + left, (required + BUFFER).tolist()
         for row in again.tolist():
             separation.renew(int(pairs[row]), at, int(gaps.least[row].argmin()))
         better, anew = separation.least_on(pairs[again], path, at, drift_time)
@@ -230,7 +233,7 @@ class PathCheck:
         for row in again[(better < required[again] - TOLERANCE) & stands[again]].tolist():
             if separation.measured + CLOSER_LOOK > until:
                 break
-            closer, tightest = separation.look_closely(int(pairs[row]), path, at, 0.0)
+            closer, tightest = separation.look_closely(int(pairs[row]), path, at, 0.0, enough=enough[row])
             bound[row], closely[row] = max(bound[row], closer), max(tightest, 1)
         looked = closely.nonzero()[0]
         if len(looked):

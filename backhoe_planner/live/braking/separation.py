@@ -14,6 +14,7 @@ for a plane that moves with the link, and the corners of the obstacle.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -372,31 +373,47 @@ class Separation:
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
         """Lower bound of one pair's distance over the path, with the best of several planes for each part [m].
 
-        Up to `_PLANES` planes are measured along the path. The tightest is kept.
+        Up to `_PLANES` planes are measured along the path, each where those before leave the least. The tightest is
+        kept.
         """
         return self.look_closely(pair, path, at, drift_time)[0]
 
-    def look_closely(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> tuple[float, int]:
-        """The same bound, and the sample at which the plane that is kept was measured."""
+    def look_closely(
+        self, pair: int, path: BrakingPath, at: Placements, drift_time: float, *, enough: float = math.inf
+    ) -> tuple[float, int]:
+        """The same bound, and the sample at which the plane that is kept was measured.
+
+        enough: the bound with which no more planes are measured [m].
+        """
         joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
         count = path.parts + 1
-        measured = sorted({round(k * path.parts / (_PLANES - 1)) for k in range(_PLANES)})
-        found = [self.measure(pair, at, sample) for sample in measured]
-        distance = [entry[0] for entry in found]
-        normals, offsets = np.array([entry[1] for entry in found]), np.array([entry[2] for entry in found])
         corners = self._corners4[piece] @ at.T[:count, joint, :3].transpose(0, 2, 1)  # (S, V, 3)
         if other:
             corners = np.matmul(corners - at.t[:count, None, other], at.R[:count, other])
-        gaps = (offsets - self._fat[piece] - corners @ normals.T).min(axis=1)  # (S, planes)
-        # a part is clear if any one plane clears both its ends
-        parts = np.minimum(gaps[:-1], gaps[1:]).max(axis=1)
         off = float(path.off_chord(self.travel[self.classes[pair]][None])[0])
-        tight = distance.index(min(distance))
-        self._keep_plane(pair, normals[tight], float(offsets[tight]))
-        least = max(float(parts.min()) - off, self._from_link(pair, normals[0], found[0][3], path, at))
-        if drift_time > 0.0:
-            least -= float(np.linalg.norm(self.velocity[pair])) * drift_time
-        return least, measured[tight]
+        drift = float(np.linalg.norm(self.velocity[pair])) * drift_time if drift_time > 0.0 else 0.0
+        tight, kept, sample, least = math.inf, 0, 0, -FAR
+        parts = np.full(path.parts, -FAR)
+        measured = np.zeros(count, dtype=bool)
+        for number in range(min(_PLANES, count)):
+            distance, n, offset, point = self.measure(pair, at, sample)
+            if distance < tight:
+                tight, kept = distance, sample
+                self._keep_plane(pair, n, offset)
+            gaps = (offset - self._fat[piece] - corners @ n).min(axis=1)  # (S,)
+            # a part is clear if any one plane clears both its ends
+            np.maximum(parts, np.minimum(gaps[:-1], gaps[1:]), out=parts)
+            if number == 0:
+                least = self._from_link(pair, n, point, path, at) - drift
+            least = max(least, float(parts.min()) - off - drift)
+            if least >= enough:
+                break
+            measured[sample] = True
+            left = np.append(parts, math.inf)
+            np.minimum(left[1:], parts, out=left[1:])
+            left[measured] = math.inf
+            sample = int(left.argmin())
+        return least, kept
 
     def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
         """The same bound with the plane `n` (3,) through `point` (3,) at the path's start, moving with the link."""

@@ -28,12 +28,14 @@ from backhoe_planner.live.braking.joint_bounds import (
 )
 from backhoe_planner.live.braking.pair_bounds import Awake, Near
 from backhoe_planner.live.braking.path_check import MOST_CANDIDATES, Candidates, PathCheck
-from backhoe_planner.live.recovery.recovery import ATTEMPTS, BLENDS, Recovery, RecoveryStep
+from backhoe_planner.live.recovery.recovery import ATTEMPTS, Recovery, RecoveryStep
 
 _BINDING = 1e-5  # rad/s or m/s: a row that is kept by more does not bind; the solver's tolerance is 1e-6
 _UNCHANGED = 1e-12  # rad/s or m/s: a solution that differs by less is the same; rounding
 _ATTEMPTS_IF_TORN = 2  # as `ATTEMPTS`, where something moves: chosen, the next step corrects again
 _FREE = 0.005  # m^2: weight of the null space beside the tip; chosen, small beside the square of an arm's length
+_SURE, _SURER = 0.9, 0.5  # parts of the way on which a path is just clear; chosen, gaps are not quite linear
+_LEAST_BLEND = 0.01  # of the way: less is braking
 _SLOW = 1e-3  # m/s: what comes no faster is as far away in time as at this speed; chosen
 _VIOLATED = 1e-7  # m: a distance that is too short by less does not count; rounding
 _AS_NEAR = 0.02  # m: chosen, corners within this of the nearest one get a row each
@@ -188,12 +190,24 @@ class VelocityFilter:
             return self._accept(straight[0], awake, straight[1], evading=evading)
         brake = self._braking(state.v)
         brakes = torn and np.abs(v - brake).max() < _UNCHANGED  # that path was checked last
-        for part in () if brakes else BLENDS:
+        blend = 0.0 if brakes else self._part_of_the_way(awake, found)
+        for part in (_SURE * blend, _SURER * blend) if blend > _LEAST_BLEND else ():
             path = check.path(state.q, np.minimum(np.maximum(brake + part * (v - brake), low), high))
             found = check.clearance(awake, path, first=first)
             if found.stands_clear:
                 return self._accept(path, awake, found, evading=evading)
         return SafeVelocity(self._joints.brake(state.v), True, evading, None)
+
+    def _part_of_the_way(self, awake: Awake, found: PathClearance) -> float:
+        """The part of the way from braking to a velocity at which what stands is just clear, if all gaps are linear.
+
+        found: of the velocity's path.
+        """
+        bounds, pairs = self._bounds, awake.pairs
+        short = (found.bound < bounds.required.take(pairs)) & bounds.stands.take(pairs)
+        missing = (bounds.required.take(pairs) - found.bound)[short]
+        room = np.maximum(bounds.room_of_braking(pairs[short]), 0.0)
+        return float((room / (room + missing)).min(initial=1.0))
 
     def _accept(
         self, path: BrakingPath, awake: Awake, found: PathClearance, *, held_back: bool = True, evading: bool = False
