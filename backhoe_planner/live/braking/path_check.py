@@ -149,7 +149,8 @@ class PathCheck:
             in_halves = True
             bound, gaps = separation.least_on(pairs, path, at, drift_time, memory=self._memory)
             left = bound - required
-            short = (left < -TOLERANCE).nonzero()[0]
+            # a plane that was kept until it fell short is old: it would hold the machine back without need
+            short = (left < BUFFER).nonzero()[0]
         if len(short):
             # what comes so near that it touches is measured in its turn, at the beginning of a step: inside takes
             # longest
@@ -158,7 +159,7 @@ class PathCheck:
             if len(again):
                 self._look_again(pairs, again, path, drift_time, bound, gaps, closely)
                 left = bound - required
-                short = (left < -TOLERANCE).nonzero()[0]
+            short = (left < -TOLERANCE).nonzero()[0]
         self._in_halves = in_halves and self._needs_halves(pairs, left, path)
         stands_clear = len(short) == 0 or not np.count_nonzero(stands[pairs[short]])
         free = len(short) == 0 and bool(left[left.argmin()] >= BUFFER)
