@@ -23,6 +23,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.cluster_pairs import SLOTS, ClusterPairs
 from backhoe_planner.live.braking.gaps import Gaps, Memory
+from backhoe_planner.live.braking.plane_sets import PlaneSets
 from backhoe_planner.machine import (
     Cluster,
     Robot,
@@ -142,6 +143,7 @@ class Separation:
         self.drift = np.zeros(len(pairs))
         self.clusters: list[ClusterPairs] = []
         self._shifts: dict[int, Vector] = {}
+        self._planes_of = PlaneSets()
         self._ball = reach_ball(robot, q)
         self._refresh()
 
@@ -373,47 +375,54 @@ class Separation:
     def closer_look(self, pair: int, path: BrakingPath, at: Placements, drift_time: float) -> float:
         """Lower bound of one pair's distance over the path, with the best of several planes for each part [m].
 
-        Up to `_PLANES` planes are measured along the path, each where those before leave the least. The tightest is
-        kept.
+        With the planes of the last look, and up to `_PLANES` that are measured along the path, each where those
+        before leave the least. The plane of the tightest sample is kept.
         """
         return self.look_closely(pair, path, at, drift_time)[0]
 
     def look_closely(
         self, pair: int, path: BrakingPath, at: Placements, drift_time: float, *, enough: float = math.inf
     ) -> tuple[float, int]:
-        """The same bound, and the sample at which the plane that is kept was measured.
+        """The same bound, and the sample at which all planes together leave the least.
 
         enough: the bound with which no more planes are measured [m].
         """
         joint, other, piece = int(self.joint[pair]), int(self.other[pair]), int(self.piece[pair])
+        stand = self._body[pair]
+        shift = None if stand is None else stand.shift.tolist()
         count = path.parts + 1
         corners = self._corners4[piece] @ at.T[:count, joint, :3].transpose(0, 2, 1)  # (S, V, 3)
         if other:
             corners = np.matmul(corners - at.t[:count, None, other], at.R[:count, other])
         off = float(path.off_chord(self.travel[self.classes[pair]][None])[0])
         drift = float(np.linalg.norm(self.velocity[pair])) * drift_time if drift_time > 0.0 else 0.0
-        tight, kept, sample, least = math.inf, 0, 0, -FAR
-        parts = np.full(path.parts, -FAR)
-        measured = np.zeros(count, dtype=bool)
-        for number in range(min(_PLANES, count)):
-            distance, n, offset, point = self.measure(pair, at, sample)
-            if distance < tight:
-                tight, kept = distance, sample
-                self._keep_plane(pair, n, offset)
-            gaps = (offset - self._fat[piece] - corners @ n).min(axis=1)  # (S,)
+        normals, offsets = self._planes_of.of(pair, piece, stand, shift)
+        gaps = (offsets - self._fat[piece] - corners @ normals.T).min(axis=1)  # (S, planes)
+        least, measured = -FAR, np.zeros(count, dtype=bool)
+        for number in range(min(_PLANES, count) + 1):
             # a part is clear if any one plane clears both its ends
-            np.maximum(parts, np.minimum(gaps[:-1], gaps[1:]), out=parts)
-            if number == 0:
-                least = self._from_link(pair, n, point, path, at) - drift
+            parts = np.minimum(gaps[:-1], gaps[1:]).max(axis=1, initial=-FAR)
             least = max(least, float(parts.min()) - off - drift)
-            if least >= enough:
+            if least >= enough or number == min(_PLANES, count):
                 break
+            sample = 0
+            if number > 0:
+                ends = np.append(parts, math.inf)
+                np.minimum(ends[1:], parts, out=ends[1:])
+                ends[measured] = math.inf
+                sample = int(ends.argmin())
             measured[sample] = True
-            left = np.append(parts, math.inf)
-            np.minimum(left[1:], parts, out=left[1:])
-            left[measured] = math.inf
-            sample = int(left.argmin())
-        return least, kept
+            _, n, offset, point = self.measure(pair, at, sample)
+            if number == 0:
+                least = max(least, self._from_link(pair, n, point, path, at) - drift)
+            normals, offsets = np.vstack((n, normals)), np.append(offset, offsets)
+            gaps = np.column_stack(((offset - self._fat[piece] - corners @ n).min(axis=1), gaps))
+        best = gaps.max(axis=1)
+        tight = int(best.argmin())
+        kept = int(gaps[tight].argmax())
+        self._keep_plane(pair, normals[kept], float(offsets[kept]))
+        self._planes_of.keep(pair, piece, stand, shift, normals, offsets)
+        return least, tight
 
     def _from_link(self, pair: int, n: Vector, point: Vector, path: BrakingPath, at: Placements) -> float:
         """The same bound with the plane `n` (3,) through `point` (3,) at the path's start, moving with the link."""
