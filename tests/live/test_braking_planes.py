@@ -1,0 +1,76 @@
+"""Parts of a braking path that are halved, and planes that are kept from one look to the next."""
+
+import math
+
+import numpy as np
+
+import backhoe_planner as bp
+from backhoe_planner import Proximity, Robot, build_obstacles
+from backhoe_planner.arrays import Vector
+from backhoe_planner.live import BrakingPath, Placements, Separation
+
+ROUND = {"name": "round", "shape": "sphere", "radius": 0.4, "position": [4.5, 1.0, 0.8]}
+
+
+def braking(robot: Robot, separation: Separation, q: Vector, v: Vector) -> BrakingPath:
+    return BrakingPath(
+        q, v, 0.001,
+        acceleration=robot.limits.acceleration.tolist(), furthest=separation.furthest, turning=separation.turning,
+    )  # fmt: skip
+
+
+def test_halved_parts_are_placed_on_the_same_line(backhoe: Robot) -> None:
+    """Rows 0 .. 2p hold q + k / (2 p) delta; what points may be off a chord falls with the square of its length."""
+    separation, at = Separation(backhoe, self_collision=False), Placements(backhoe, 18)
+    q = np.array([0.1, 0.3, -0.9, -0.5])
+    path = braking(backhoe, separation, q, 0.6 * backhoe.limits.velocity)
+    at.place(0, q)
+    path.place(at)
+    parts, off = path.parts, path.off_chord(separation.travel)
+    path.halve(at)
+    assert path.parts == 2 * parts
+    np.testing.assert_allclose(path.off_chord(separation.travel), off / 4.0, rtol=1e-12)
+    other = Placements(backhoe, 1)
+    for sample in range(2 * parts + 1):
+        other.place(0, q + sample / (2 * parts) * path.delta)
+        np.testing.assert_allclose(at.T[sample], other.T[0], atol=1e-12)
+        np.testing.assert_allclose(at.J[sample], other.J[0], atol=1e-12)
+
+
+def test_planes_that_were_kept_bound_other_paths_until_the_obstacle_moves(backhoe: Robot) -> None:
+    """Against 60 configurations along each path, measured one by one. The second look needs no measurement."""
+    joints = dict(zip(backhoe.joint_names, [0.0, 0.3, -0.9, -0.5], strict=True))
+    scene = bp.scene_from_dict(
+        {
+            "version": 1,
+            "start": {"joints": joints},
+            "task": {"goal": {"position": [4.0, 2.0, 0.5]}},
+            "obstacles": [ROUND],
+        }
+    )
+    built = build_obstacles(scene, backhoe)
+    separation, at = Separation(backhoe, self_collision=False), Placements(backhoe, 18)
+    pairs = separation.add(0, built[0])
+    shift = np.zeros(3)
+    separation.place_at(0, shift)
+    proximity = Proximity(backhoe, built, self_collision=False)
+    rng = np.random.default_rng(11)
+    tightest = np.inf
+    q, v = np.array([-0.3, 0.1, -0.9, -0.5]), np.array([0.5, -0.1, 0.2, 0.1])
+    for turn in range(8):
+        path = braking(backhoe, separation, q, v + 0.02 * rng.normal(size=4))
+        at.place(0, q)
+        path.place(at)
+        true = np.min([proximity.distances(q + s * path.delta) for s in np.linspace(0.0, 1.0, 60)], axis=0)
+        for pair, least in zip(pairs.tolist(), true.tolist(), strict=True):
+            enough = least - 0.03 if turn else math.inf
+            before = separation.measured
+            bound, _ = separation.look_closely(pair, path, at, 0.0, enough=enough)
+            assert bound <= least + 2e-6
+            if turn and bound >= enough and separation.measured == before:
+                tightest = min(tightest, least - bound)
+    assert tightest < 0.03  # planes that were kept did prove paths
+    shift[:] = 0.0, 0.0, 0.3
+    before = separation.measured
+    separation.look_closely(int(pairs[0]), path, at, 0.0, enough=-1.0)
+    assert separation.measured > before
