@@ -1,9 +1,9 @@
 """One obstacle course of the backhoe on which the steps of the law and of the servo are timed.
 
-All times are in microseconds. Measured beside them, on the same configurations, are the
-Pinocchio and coal calls alone over all pairs, and a step of Pink with its collision
-barrier on the same model and pairs, where Pink is installed (pip install pin-pink
-"qpsolvers[daqp]").
+All times are in microseconds on the processor, which other processes do not lengthen.
+Measured beside them, on the same configurations, are the Pinocchio and coal calls alone over
+all pairs, and a step of Pink with its collision barrier on the same model and pairs, where
+Pink is installed (pip install pin-pink "qpsolvers[daqp]").
 """
 
 from __future__ import annotations
@@ -67,15 +67,16 @@ def time_law(problem: Problem, steps: int, rng: np.random.Generator) -> StepTime
     for count in range(steps):
         if count % 200 == 0:
             goal = kinematics.at(robot.random_q(rng)).tip_position
-        begun = time.perf_counter()
+        begun = time.thread_time()
         at, nearby = stepper.look()
-        looked = time.perf_counter()
+        looked = time.thread_time()
         error = goal - at.tip_position
         size = float(np.linalg.norm(error))
-        wish = law.wish(at, at.jacobian[:3], error * min(1.0, 0.6 / max(size, 1e-9)), nearby)
-        wished = time.perf_counter()
-        stepper.advance(wish.v, nearby, at.jacobian[:3])
-        done = time.perf_counter()
+        J = at.jacobian[:3]
+        primary, null = law.terms_unchecked(at, J, error * min(1.0, 0.6 / max(size, 1e-9)), nearby)
+        wished = time.thread_time()
+        stepper.advance(primary + null, nearby, J)
+        done = time.thread_time()
         times[count] = looked - begun, wished - looked, done - wished, done - begun
         configurations.append(stepper.q)
         rows += len(nearby)
@@ -117,11 +118,11 @@ def time_libraries(problem: Problem, configurations: list[Vector]) -> Times:
     geometry_model, geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
     found = []
     for q in configurations:
-        begun = time.perf_counter()
+        begun = time.thread_time()
         pin.computeJointJacobians(model, data, q)
         pin.updateGeometryPlacements(model, data, geometry_model, geometry)
         pin.computeDistances(geometry_model, geometry)
-        found.append(1e6 * (time.perf_counter() - begun))
+        found.append(1e6 * (time.thread_time() - begun))
     return np.array(found)
 
 
@@ -143,13 +144,13 @@ def time_pink(problem: Problem, configurations: list[Vector], pairs: int) -> Tim
     task.set_target(configuration.get_transform_frame_to_world(tip))
     found = []
     for q in configurations:
-        begun = time.perf_counter()
+        begun = time.thread_time()
         configuration.update(q)
         try:
             pink.solve_ik(configuration, [task], 0.02, solver="daqp", barriers=[barrier])
         except Exception:  # noqa: BLE001  Pink raises where its problem has no solution
             continue
-        found.append(1e6 * (time.perf_counter() - begun))
+        found.append(1e6 * (time.thread_time() - begun))
     return np.array(found)
 
 

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
+from functools import lru_cache
 from typing import NamedTuple
 
 import daqp
@@ -104,7 +105,7 @@ class StackedRows(NamedTuple):
         """The conditions on x (n,)."""
         blocks = [block for block in rows if len(block.h)]
         if not blocks:
-            return cls(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(n, dtype=np.int32), 0)
+            return _no_rows(n)
         G, h = blocks[0].G, blocks[0].h
         if len(blocks) > 1:
             G, h = np.concatenate([block.G for block in blocks]), np.concatenate([block.h for block in blocks])
@@ -121,6 +122,11 @@ class StackedRows(NamedTuple):
                 low[first:after] = block.h
             first = after
         return cls(G, low, h, senses, soft)
+
+
+@lru_cache(maxsize=32)
+def _no_rows(n: int) -> StackedRows:
+    return StackedRows(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(n, dtype=np.int32), 0)
 
 
 class Solution(NamedTuple):
@@ -177,8 +183,9 @@ def solve_program(
     """
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
-    upper = np.concatenate((program.high, stacked.high))
-    lower = np.concatenate((program.low, stacked.low))
+    upper, lower = program.high, program.low
+    if len(stacked.high):
+        upper, lower = np.concatenate((upper, stacked.high)), np.concatenate((lower, stacked.low))
     x, _, flag, more = daqp.solve(
         program.H, program.f, stacked.G, upper, lower, stacked.senses, iter_limit=most_iterations
     )

@@ -32,6 +32,7 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Nearby
 
 _ACROSS, _ALONG, _FREE = 10.0, 1.0, 0.05  # weights in W; chosen
+_ACROSS_ROOT = math.sqrt(_ACROSS)
 _STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, this stops within 80 % of each margin
 _RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
@@ -78,7 +79,8 @@ class Shield:
     def __init__(self, limits: JointLimits) -> None:
         self.limits = check_kind(limits, JointLimits, key="limits")
         self._n = n = len(limits.velocity)
-        self._eye = _FREE * np.eye(n)
+        self._eye, self._ones = _FREE * np.eye(n), np.ones(n)
+        self._no_clearance = Rows.none("clearance", n), np.zeros(0, dtype=np.intp)
         self._per_acceleration = (1.0 / limits.acceleration).tolist()
         columns = limits.lower, limits.upper, limits.velocity, limits.acceleration
         self._joints = list(zip(*(column.tolist() for column in columns), strict=True))
@@ -124,6 +126,10 @@ class Shield:
     def stopping_time(self, v: Vector) -> float:
         """1 / gamma [s]: the margin that a rate of approach needs, divided by that rate."""
         return self.braking_time(v) / _STOPPING_PART
+
+    def stopping_time_unchecked(self, v: Vector) -> float:
+        """The same for callers in a loop, whose arguments are right as they are made."""
+        return self._braking_time(v) / _STOPPING_PART
 
     def filter(
         self,
@@ -187,14 +193,16 @@ class Shield:
         """
         low, high = self._bounds(q, v_before, dt)
         time = max(self._braking_time(v_before), self._braking_time(wish))
-        clearance, pairs = self._clearance_rows(nearby, time, dt, extra_margin)
-        keep = Rows.none("keep", self._n) if kept is None else self._keep_rows(kept, time, dt)
-        if (wish >= low).all() and (wish <= high).all() and clearance.are_kept_by(wish) and keep.are_kept_by(wish):
+        clearance, pairs = self._clearance_rows(nearby, time, dt, extra_margin, low, high)
+        rows = (clearance,) if kept is None else (clearance, self._keep_rows(kept, time, dt))
+        if _is_within(wish, low, high) and all(block.are_kept_by(wish) for block in rows):
             return Shielded(v=wish, slack=0.0, binding=pairs[:0])
         H = self._weight(wish, J_tip)
-        solution = solve_program(QuadraticProgram(H, -H @ wish, low, high, (clearance, keep)))
+        solution = solve_program(QuadraticProgram(H, -(H @ wish), low, high, rows))
         x = self._braked(v_before, dt) if solution is None else solution.x
         v = np.minimum(np.maximum(x, low), high)
+        if len(pairs) == 0:
+            return Shielded(v=v, slack=0.0, binding=pairs)
         over = clearance.G @ v - clearance.h
         slack = float(over.max(initial=0.0))
         return Shielded(v=v, slack=slack if slack > _MET else 0.0, binding=pairs[over > -_MET])
@@ -205,12 +213,15 @@ class Shield:
 
     def _weight(self, wish: Vector, J_tip: Matrix) -> Matrix:
         """(n, n) W."""
+        across = _ACROSS_ROOT * J_tip
         tip = J_tip @ wish
         speed2 = float(tip @ tip)
-        H = self._eye + _ACROSS * (J_tip.T @ J_tip)
+        H = across.T @ across
+        H += self._eye
         if speed2 > 1e-12:
             along = tip @ J_tip
-            H -= (_ACROSS - _ALONG) / speed2 * np.outer(along, along)
+            along *= math.sqrt((_ACROSS - _ALONG) / speed2)
+            H -= along[:, None] * along
         return np.asarray(H)
 
     def _keep_rows(self, kept: Kept, braking_time: float, dt: float) -> Rows:
@@ -218,22 +229,29 @@ class Shield:
         return Rows("keep", -kept.gradient, _approach_rates(kept.margin, braking_time, dt))
 
     def _clearance_rows(
-        self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float
+        self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float, low: Vector, high: Vector
     ) -> tuple[Rows, Indices]:
-        """The rows -g v <= gamma margin + drift that can bind at all, and the nearby pairs that they are of."""
+        """The rows -g v <= gamma margin + drift that can bind within the bounds, and the nearby pairs they are of."""
         if len(nearby) == 0:
-            return Rows.none("clearance", len(self.limits.velocity)), np.zeros(0, dtype=np.intp)
+            return self._no_clearance
         bound = _approach_rates(nearby.margin - extra_margin, braking_time, dt)
         bound += nearby.drift
-        reachable = np.abs(nearby.gradient) @ self.limits.velocity
-        pairs = np.flatnonzero(bound < reachable)
-        return Rows("clearance", -nearby.gradient[pairs], bound[pairs]), pairs
+        G = -nearby.gradient
+        fastest = np.maximum(G * low, G * high) @ self._ones
+        pairs = (bound < fastest).nonzero()[0]
+        return (Rows("clearance", G[pairs], bound[pairs]), pairs) if len(pairs) else self._no_clearance
+
+
+def _is_within(v: Vector, low: Vector, high: Vector) -> bool:
+    """Whether v (n,) is within its bounds (n,)."""
+    # for a handful of joints plain numbers cost a fraction of what arrays would
+    return all(least <= rate <= most for rate, least, most in zip(v.tolist(), low.tolist(), high.tolist(), strict=True))
 
 
 def _approach_rates(margin: Vector, braking_time: float, dt: float) -> Vector:
     """(K,) gamma margin: how fast margins (K,) may shrink; negative where one is lost, the speed of the way back."""
     bound = margin * (_STOPPING_PART / max(braking_time, _STOPPING_PART * 2.0 * dt))
-    if margin.min(initial=0.0) < 0.0:
+    if np.count_nonzero(margin < 0.0):
         bound = np.where(margin >= 0.0, bound, -np.minimum(-_RECOVERY * margin, _FASTEST_RECOVERY))
     return bound
 

@@ -101,8 +101,11 @@ class Kinematics:
     def __init__(self, robot: Robot) -> None:
         self.robot = check_kind(robot, Robot, key="robot")
         self._n = robot.n
-        self._data = robot.model.createData()
-        self._joints = range(1, robot.model.njoints)
+        self._data = data = robot.model.createData()
+        # views of Pinocchio's own memory: they show what it computed last, and are copied where they are handed out
+        self._origins = [data.oMi[joint].translation for joint in range(1, robot.model.njoints)]
+        self._tip = data.oMf[robot.tip_frame]
+        self._J = data.J.reshape(6, self._n)  # of one joint alone it is 1-D
 
     def at(self, q: Vector) -> Configuration:
         """The configuration at `q` (n,).
@@ -114,14 +117,13 @@ class Kinematics:
         robot, data = self.robot, self._data
         q = as_vector(q, self._n, key="q", names=robot.joint_names)
         pin.computeJointJacobians(robot.model, data, q)
-        T_world_tip = pin.updateFramePlacement(robot.model, data, robot.tip_frame).copy()
+        pin.updateFramePlacement(robot.model, data, robot.tip_frame)
         jacobian = pin.getFrameJacobian(robot.model, data, robot.tip_frame, pin.LOCAL_WORLD_ALIGNED)
-        jacobian = jacobian.reshape(6, self._n)  # of one joint alone it is 1-D
-        points = [data.oMi[joint].translation for joint in self._joints]
-        points.append(T_world_tip.translation)
+        T_world_tip = self._tip.copy()
         own_q = q.copy()
         own_q.setflags(write=False)
-        return Configuration(robot, own_q, T_world_tip, jacobian, data.J.reshape(6, self._n).copy(), np.array(points))
+        points = np.array([*self._origins, T_world_tip.translation])
+        return Configuration(robot, own_q, T_world_tip, jacobian.reshape(6, self._n), self._J.copy(), points)
 
 
 @dataclass(frozen=True, eq=False)

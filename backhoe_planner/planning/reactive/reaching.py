@@ -134,9 +134,9 @@ def _drive_tip(stepper: Stepper, goal: Goal, sense: Sense | None, way: str, work
         wished = turning.direction(error, at, nearby, stepper, left)
         dq = J.T @ np.linalg.solve(J @ J.T + 1e-4 * np.eye(len(J)), wished)
         xdot = wished * _pace(problem.limits, dq)
-        wish = law.wish_unchecked(at, J, xdot, nearby)
+        primary, null = law.terms_unchecked(at, J, xdot, nearby)
         fade = min(1.0, left / 0.05) if null_space else 0.0
-        if not stepper.advance(_within_rates(wish.primary + fade * wish.null, problem.limits), nearby, at.jacobian[:3]):
+        if not stepper.advance(_within_rates(primary + fade * null, problem.limits), nearby, at.jacobian[:3]):
             break
         if turning.active:
             if turning.stuck(at.tip_position, stepper.time):
