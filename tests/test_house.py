@@ -74,7 +74,7 @@ def test_imports_run_one_way(file: Path) -> None:
 SUITES = {
     # rooms within a room; "" is what stands in the room itself
     "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
-    "site": ["schema", ""],
+    "site": ["schema", "pairs", ""],
     "motion": ["", "timing"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "", "sequence"],
     "live": ["braking", "recovery", "servo", ""],

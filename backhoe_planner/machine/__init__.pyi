@@ -21,6 +21,7 @@ from .collision_model import tip_travel_bound as tip_travel_bound
 from .collision_model import tracking_room as tracking_room
 from .collision_model import travel_bounds as travel_bounds
 from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
+from .description.link_shapes import LinkPiece as LinkPiece
 from .description.link_shapes import Visual as Visual
 from .description.urdf import example_names as example_names
 from .description.urdf import read_urdf as read_urdf

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.site import Obstruction, Proximity
 
@@ -167,30 +167,45 @@ def segment_is_clear(
     depth: how often it may be halved.
     spare: distance to be kept in addition to every clearance [m]; negative to allow less.
     """
-    if (
-        spare <= 0.0
-        and proximity.is_at_unchecked(q_a, time=time)
-        and proximity.stays_clear_unchecked(q_b, time=time + dt)
-    ):
+    if not proximity.is_at_unchecked(q_a, time=time):
+        proximity.cover_unchecked(np.array([q_a, q_b]))
+        reach = proximity.clearance + spare + proximity.travel @ np.abs(q_b - q_a) + dt * proximity.speed
+        proximity.lower_bounds(q_a, time=time, floor=reach)
+    pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare)
+    if not len(pairs):
         return True
-    proximity.cover_unchecked(np.array([q_a, q_b]))
-    travel = np.abs(q_b - q_a) @ proximity.travel.T + dt * proximity.speed
-    least = proximity.clearance + spare
-    floor = least + travel
-    present = proximity.appears_at <= time + dt
-    d_a, _ = proximity.lower_bounds(q_a, time=time, floor=floor)
-    d_b, _ = proximity.lower_bounds(q_b, time=time + dt, floor=floor)
-    bound = 0.5 * (d_a + d_b - travel)
-    undecided = present & (bound < least)
-    if not np.any(undecided):
+    ends = [
+        proximity.distances_below_unchecked(pairs, _floor(proximity, pairs, q_b - q_a, dt, spare), q, time=moment)
+        for q, moment in ((q_a, time), (q_b, time + dt))
+    ]
+    return _keep(proximity, pairs, q_a, q_b, *ends, time=time, dt=dt, depth=depth, spare=spare)
+
+
+def _floor(proximity: Proximity, pairs: Indices, delta: Vector, dt: float, spare: float) -> Vector:
+    """(K,) distances [m] from which a motion `delta` (n,) in dt [s] does not lead below the clearances of `pairs`."""
+    travel = proximity.travel[pairs] @ np.abs(delta) + dt * proximity.speed[pairs]
+    return np.asarray(proximity.clearance[pairs] + spare + travel)
+
+
+def _keep(
+    proximity: Proximity, pairs: Indices, q_a: Vector, q_b: Vector, d_a: Vector, d_b: Vector,
+    *, time: float, dt: float, depth: int, spare: float,
+) -> bool:  # fmt: skip
+    """`segment_is_clear` of some pairs (K,), with distances d_a, d_b (K,) at the ends [m]."""
+    least = proximity.clearance[pairs] + spare
+    floor = _floor(proximity, pairs, q_b - q_a, dt, spare)
+    undecided = (d_a + d_b < least + floor) & (proximity.appears_at[pairs] <= time + dt)
+    if not np.count_nonzero(undecided):
         return True
-    if np.any(present & ((d_a < least) | (d_b < least))) or depth == 0:
+    pairs, d_a, d_b, least, floor = pairs[undecided], d_a[undecided], d_b[undecided], least[undecided], floor[undecided]
+    if depth == 0 or np.count_nonzero(np.minimum(d_a, d_b) < least):
         return False
-    middle = 0.5 * (q_a + q_b)
-    return segment_is_clear(
-        proximity, q_a, middle, time=time, dt=0.5 * dt, depth=depth - 1, spare=spare
-    ) and segment_is_clear(
-        proximity, middle, q_b, time=time + 0.5 * dt, dt=0.5 * dt, depth=depth - 1, spare=spare
+    half, middle = 0.5 * dt, 0.5 * (q_a + q_b)
+    d_m = proximity.distances_below_unchecked(pairs, floor, middle, time=time + half)
+    return _keep(
+        proximity, pairs, q_a, middle, d_a, d_m, time=time, dt=half, depth=depth - 1, spare=spare
+    ) and _keep(
+        proximity, pairs, middle, q_b, d_m, d_b, time=time + half, dt=half, depth=depth - 1, spare=spare
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from .obstacles import check_links as check_links
 from .obstacles import offset_at as offset_at
 from .obstacles import sweep as sweep
 from .obstruction import Obstruction as Obstruction
-from .proximity import Nearby as Nearby
+from .pairs.nearby import Nearby as Nearby
 from .proximity import Proximity as Proximity
 from .scene_file import Gains as Gains
 from .scene_file import Scene as Scene

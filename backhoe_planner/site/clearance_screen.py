@@ -10,12 +10,37 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.cluster_distances import ClusterDistances
 from backhoe_planner.site.proximity import Proximity
 
 _ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other, beyond which they are sorted first
+
+
+class _Part:
+    """A broad phase for some of the pairs, with those left out that are not asked for."""
+
+    def __init__(
+        self, proximity: Proximity, model: pin.GeometryModel, pairs: Indices, asked: Flags, least: Vector, time: float
+    ) -> None:
+        every, here = model.collisionPairs, asked[pairs]
+        self._model = model.copy()
+        for slot in np.flatnonzero(~here).tolist():
+            self._model.removeCollisionPair(every[slot])
+        for slot in np.flatnonzero(here & (proximity.speed[pairs] > 0.0)).tolist():
+            index, obstacle = int(pairs[slot]), int(proximity.owner[pairs[slot]])
+            placement = proximity.obstacles[obstacle].pieces[proximity.second[index]].placement
+            moved = placement.translation + proximity.obstacle_offset(obstacle, time)
+            self._model.geometryObjects[every[slot].second].placement = pin.SE3(placement.rotation, moved)
+        self._geometry = self._model.createData()
+        for request, margin in zip(self._geometry.collisionRequests, least[pairs[here]].tolist(), strict=True):
+            shapes.prepare(request)
+            request.security_margin = margin
+        # the trees that pinocchio offers as well miss contacts with half-spaces
+        few = self._model.ngeoms <= _ALL_AGAINST_ALL
+        broad_phase = pin.BroadPhaseManager_NaiveCollisionManager if few else pin.BroadPhaseManager_SSaPCollisionManager
+        self.manager = broad_phase(proximity.robot.model, self._model, self._geometry)
 
 
 class ClearanceScreen:
@@ -32,30 +57,15 @@ class ClearanceScreen:
     def __init__(self, proximity: Proximity, *, time: float = 0.0, spare: float | Vector = 0.0) -> None:
         self._robot = proximity.robot.model
         self._data = self._robot.createData()
-        every = proximity.geometry[0].collisionPairs
-        self._model = proximity.geometry[0].copy()
-        margin = proximity.clearance + spare
-        present = proximity.appears_at <= time
         self._clusters, self._time = ClusterDistances(proximity.robot, proximity.obstacles), time
-        self._least = np.where(present, margin, -np.inf)[proximity.plain :]
-        here = present[: proximity.plain]
-        margins = margin[: proximity.plain][here].tolist()
-        for index in np.flatnonzero(~here).tolist():
-            self._model.removeCollisionPair(every[index])
-        for index in np.flatnonzero(here & (proximity.speed[: proximity.plain] > 0.0)).tolist():
-            obstacle = int(proximity.owner[index])
-            placement = proximity.obstacles[obstacle].pieces[proximity.second[index]].placement
-            moved = placement.translation + proximity.obstacle_offset(obstacle, time)
-            self._model.geometryObjects[every[index].second].placement = pin.SE3(placement.rotation, moved)
-        self._geometry = self._model.createData()
-        for request, margin in zip(self._geometry.collisionRequests, margins, strict=True):
-            shapes.prepare(request)
-            request.security_margin = margin
-        # the trees that pinocchio offers as well miss contacts with half-spaces
-        few = self._model.ngeoms <= _ALL_AGAINST_ALL
-        broad_phase = pin.BroadPhaseManager_NaiveCollisionManager if few else pin.BroadPhaseManager_SSaPCollisionManager
-        self._manager = broad_phase(self._robot, self._model, self._geometry)
-        self._pairs = len(margins)
+        present = proximity.appears_at <= time
+        least = np.where(present, proximity.clearance + spare, -np.inf)
+        self._least = least[proximity.plain :]
+        # what no posture brings near enough needs no look
+        asked = least[: proximity.plain] > proximity.floor[: proximity.plain]
+        self._parts: list[_Part] = []
+        for pairs, model in proximity.geometry_parts_unchecked(asked):
+            self._parts.append(_Part(proximity, model, pairs, asked, least, time))
 
     def keeps(self, q: Matrix) -> Flags:
         """(N,) whether each of `q` (N, n) keeps every clearance and its spare."""
@@ -63,8 +73,9 @@ class ClearanceScreen:
 
     def keeps_unchecked(self, q: Vector) -> bool:
         """The same of one configuration (n,), for callers in a loop, whose arguments are right as they are made."""
-        if self._pairs and pin.computeCollisions(self._robot, self._data, self._manager, q, True):
-            return False
+        for part in self._parts:
+            if pin.computeCollisions(self._robot, self._data, part.manager, q, True):
+                return False
         if not len(self._clusters):
             return True
         pin.forwardKinematics(self._robot, self._data, q)

@@ -62,3 +62,30 @@ class Obstruction:
             return f"{self.link} is {-self.distance:.3f} m inside {self.name}"
         than = "closer than allowed" if self.margin < 0.0 else "more than the least allowed"
         return f"{self.link} is {self.distance:.3f} m from {self.name}, {abs(self.margin):.3f} m {than}"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two convex pieces that must keep apart.
+
+    Attributes
+    ----------
+    link: name of the link.
+    kind: ``obstacle``, or ``machine`` where the machine must not touch itself.
+    obstacle: name of the obstacle, or of the machine's other link.
+    piece: index into the robot's pieces, of ``machine`` into its `self_pieces`.
+    clearance: signed distance to be kept [m], with `tracking`.
+    tracking: what of it is for the machine's tracking error [m].
+    """
+
+    link: str
+    kind: ObstructionKind
+    obstacle: str
+    piece: int
+    clearance: float
+    tracking: float = 0.0
+
+    def at(self, distance: float, *, time: float = 0.0) -> Obstruction:
+        """The pair where it is `distance` apart [m], at `time` [s]."""
+        margin = distance - self.clearance
+        return Obstruction(self.kind, self.obstacle, self.link, distance, margin, time, tracking=self.tracking)

@@ -20,8 +20,9 @@ moved by dq, so pairs that are provably still out of reach are not measured agai
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -32,81 +33,21 @@ from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.machine import (
     Reading,
     Robot,
-    geometry_model,
+    reach_ball,
     self_pairs,
     self_pieces,
     tracking_room,
     travel_bounds,
 )
-from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
-from backhoe_planner.site.obstruction import Obstruction, ObstructionKind
+from backhoe_planner.site.obstruction import Obstruction, Pair
+from backhoe_planner.site.pairs.approach import ApproachBounds, Lead
+from backhoe_planner.site.pairs.nearby import Nearby, read_results
+from backhoe_planner.site.pairs.pair_geometry import PairGeometry
+from backhoe_planner.site.pairs.reachable import PairSelection, distances_from_ball
 
-
-@dataclass(frozen=True)
-class Pair:
-    """Two convex pieces that must keep apart.
-
-    Attributes
-    ----------
-    link: name of the link.
-    kind: ``obstacle``, or ``machine`` where the machine must not touch itself.
-    obstacle: name of the obstacle, or of the machine's other link.
-    piece: index into the robot's pieces, of ``machine`` into its `self_pieces`.
-    clearance: signed distance to be kept [m], with `tracking`.
-    tracking: what of it is for the machine's tracking error [m].
-    """
-
-    link: str
-    kind: ObstructionKind
-    obstacle: str
-    piece: int
-    clearance: float
-    tracking: float = 0.0
-
-    def at(self, distance: float, *, time: float = 0.0) -> Obstruction:
-        """The pair where it is `distance` apart [m], at `time` [s]."""
-        margin = distance - self.clearance
-        return Obstruction(self.kind, self.obstacle, self.link, distance, margin, time, tracking=self.tracking)
-
-
-@dataclass(frozen=True)
-class Nearby:
-    """The pairs within a distance, one row each, in the order of `Proximity.pairs`.
-
-    Attributes
-    ----------
-    pair: (K,) indices into `Proximity.pairs`.
-    distance: (K,) signed distance [m], negative inside.
-    margin: (K,) distance minus the clearance to be kept [m].
-    normal: (K, 3) unit normal from the link to the obstacle, world.
-    point_link, point_obstacle: (K, 3) critical point and its witness [m], world.
-    gradient: (K, n) derivative of the distance [m/rad].
-    drift: (K,) rate at which the obstacle's own motion changes the distance [m/s].
-    moves: (K, n) which joints move the link.
-    """
-
-    pair: Indices
-    distance: Vector
-    margin: Vector
-    normal: Matrix
-    point_link: Matrix
-    point_obstacle: Matrix
-    gradient: Matrix
-    drift: Vector
-    moves: Flags
-
-    def __len__(self) -> int:
-        return len(self.pair)
-
-    def only(self, rows: Flags) -> Nearby:
-        """The rows for which `rows` (K,) is true."""
-        if np.shape(rows) != (len(self),) or np.asarray(rows).dtype != bool:
-            allowed = f"{len(self)} times True or False"
-            raise InputError("is not true or false of every row", key="rows", found=reprlib.repr(rows), allowed=allowed)
-        rows = np.asarray(rows)
-        return Nearby(*(getattr(self, field.name)[rows] for field in fields(self)))
+_FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
 
 
 class Proximity:
@@ -133,6 +74,7 @@ class Proximity:
     owner: (P,) index of the obstacle, -1 for the machine itself.
     second: (P,) index of the other body's piece, in the obstacle's pieces or in the machine's.
     appears_at: (P,) when the obstacle appears [s]; minus infinity for the machine itself.
+    floor: (P,) no posture brings a pair nearer than that [m], as `travel`; minus infinity where that is not known.
     plain: the first so many pairs are of two convex pieces; the others of a piece and a cluster.
     measured: how many distances `at` has measured so far.
     """
@@ -144,25 +86,18 @@ class Proximity:
         self_collision = check_flag(self_collision, key="self_collision")
         self._n = robot.n
         self._pieces = self_pieces(robot) if self_collision else robot.pieces
-        self._model = geometry_model(robot, pieces=self._pieces)
         self._data = robot.model.createData()
         pairs: list[Pair] = []
         owner: list[int] = []
         second: list[int] = []
-        self._first_geometry: list[int] = []  # of each obstacle
         for index, obstacle in enumerate(self.obstacles):
-            self._first_geometry.append(int(self._model.ngeoms))
-            for part, piece in enumerate(obstacle.pieces):
-                geometry = self._model.addGeometryObject(
-                    pin.GeometryObject(f"obstacle {index}/{part}", 0, 0, piece.placement, piece.shape)
-                )
-                for row in robot.pieces_of(obstacle.links):
-                    self._model.addCollisionPair(pin.CollisionPair(row, geometry))
-                    pairs.append(Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance))
-                    owner.append(index)
-                    second.append(part)
+            rows = robot.pieces_of(obstacle.links)
+            own = [Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance) for row in rows]
+            for part in range(len(obstacle.pieces)):
+                pairs += own
+                owner += [index] * len(rows)
+                second += [part] * len(rows)
         for outer, inner in self_pairs(robot).kept if self_collision else ():
-            self._model.addCollisionPair(pin.CollisionPair(outer, inner))
             pairs.append(Pair(self._pieces[outer].link, "machine", self._pieces[inner].link, outer, 0.0))
             owner.append(-1)
             second.append(inner)
@@ -175,20 +110,26 @@ class Proximity:
             second.append(0)
         self.second = tuple(second)
         self.owner = np.array(owner, dtype=int)
+        self._bodies = [piece for obstacle in self.obstacles for piece in obstacle.pieces]
+        # the machine's pieces are numbered first, then those of the obstacles
+        firsts = np.cumsum([len(self._pieces), *(len(obstacle.pieces) for obstacle in self.obstacles)])
+        self._first_body = firsts[:-1] - len(self._pieces)
+        self._body = np.where(self.owner >= 0, firsts[self.owner], 0) + np.array(second, dtype=int)
         first = np.array([pair.piece for pair in pairs], dtype=int)
         joint_of = np.array([own.joint for own in self._pieces], dtype=int)
-        self._other_joint = np.array(
-            [0 if index >= 0 else joint_of[inner] for index, inner in zip(owner, second, strict=True)], dtype=int
-        )
+        joints = np.concatenate((joint_of, np.zeros(len(self._bodies) + 1, dtype=int)))
+        self._other_joint = np.where(self.owner < 0, joints[np.minimum(self._body, len(joints) - 1)], 0)
         self._moves = robot.support[joint_of[first]] > 0.0
-        self._minus_mask_link = -robot.support[joint_of[first]]
-        self._mask_other = robot.support[self._other_joint]
+        # +1 for joints that move the other body alone, -1 for those that move the link alone
+        self._sense = robot.support[self._other_joint] - robot.support[joint_of[first]]
         self._first, self._slides = first, bool(robot.prismatic.any())
         # how far slides were run out at most; hinges do not count
         limits = robot.limits
         self._run_out = np.where(robot.prismatic, np.maximum(np.abs(limits.lower), np.abs(limits.upper)), np.inf)
-        self.travel = self._travel_of_pairs()
-        room = tracking_room(robot, [self._pieces[row] for row in first.tolist()], self.travel)
+        self._take_travel()
+        room = np.zeros(len(pairs))
+        if robot.tube is not None:
+            room = tracking_room(robot, [self._pieces[row] for row in first.tolist()], self.travel)
         self.pairs = tuple(
             replace(pair, clearance=pair.clearance + more, tracking=more) if more else pair
             for pair, more in zip(pairs, room.tolist(), strict=True)
@@ -197,16 +138,20 @@ class Proximity:
         velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
         self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
         self.speed = np.linalg.norm(self._velocity, axis=1)
+        self._fastest = float(self.speed.max(initial=0.0))
         appears = np.array([obstacle.appears_at for obstacle in self.obstacles] + [-np.inf])
         self.appears_at = appears[self.owner]
         self._some_appear = bool(np.any(self.appears_at > 0.0))
         self._moving = [index for index, obstacle in enumerate(self.obstacles) if obstacle.moves]
-        self._geometry = self._model.createData()
-        for request in self._geometry.distanceRequests:
-            shapes.prepare(request)
+        self._take_ball()
+        plain = slice(self.plain)
+        self._geometry = PairGeometry(
+            robot, self._pieces, self._bodies, self._away, data=self._data, first=first[plain], second=self._body[plain]
+        )
         self._time = 0.0  # for which obstacles are placed
-        # from the last measurement: lower bounds of all distances, and where and when they were found
-        self._bound, self._q_bound, self._bound_time = np.full(len(pairs), -np.inf), np.zeros(robot.n), 0.0
+        # from the last measurement: lower bounds of the distances of some pairs, and where and when they were found
+        self._known, self._bound = self._every, np.full(len(pairs), -np.inf)
+        self._q_bound, self._bound_time = np.zeros(robot.n), 0.0
         self.measured = 0
 
     def cover(self, q: Matrix) -> None:
@@ -221,19 +166,56 @@ class Proximity:
         if self._slides:
             run_out = np.abs(np.reshape(q, (-1, self.robot.n))).max(axis=0)
             if np.count_nonzero(run_out > self._run_out):
+                every = self._lower_of_every(self._q_bound, self._bound_time)
                 self._run_out = np.maximum(self._run_out, run_out)
-                self.travel = self._travel_of_pairs()
+                self._take_travel()
+                self._take_ball()
+                self._known, self._bound = self._every, every
 
-    def _travel_of_pairs(self) -> Matrix:
+    def _take_travel(self) -> None:
         # joints that move both bodies do not change their distance
-        return np.where(
-            self._mask_other > 0.0, 0.0, travel_bounds(self.robot, self._run_out, pieces=self._pieces)[self._first]
-        )
+        shared, ever = self.robot.support[self._other_joint] > 0.0, self._run_out
+        self.travel = np.where(shared, 0.0, travel_bounds(self.robot, ever, pieces=self._pieces)[self._first])
+        self._furthest: Vector = self.travel.max(axis=0, initial=0.0)
+
+    def _take_ball(self) -> None:
+        """Find out which pairs the machine can bring near, by the ball that it never leaves."""
+        self._away = distances_from_ball(self._bodies, *reach_ball(self.robot, self._run_out))
+        for index in self._moving:
+            first = self._first_body[index]
+            self._away[first : first + len(self.obstacles[index].pieces)] = -np.inf
+        around = (self.owner >= 0) & (np.arange(len(self.owner)) < self.plain)
+        self.floor = np.full(len(self.owner), -np.inf)
+        self.floor[around] = self._away[self._body[around] - len(self._pieces)]
+        self._some_far = bool((self.floor > -np.inf).any())
+        everything = np.arange(len(self.owner))
+        self._every = PairSelection(np.inf, everything, self.clearance, self.travel, self.speed, self.appears_at)
+        self._selected = self._every
+
+    def _within(self, margin: float) -> PairSelection:
+        """The pairs that some posture brings within `margin` [m] beyond their clearance."""
+        if self._selected.margin != margin:
+            pairs = (self.floor - self.clearance <= margin).nonzero()[0]
+            travel, speed = self.travel[pairs], self.speed[pairs]
+            self._selected = PairSelection(margin, pairs, self.clearance[pairs], travel, speed, self.appears_at[pairs])
+        return self._selected
+
+    @cached_property
+    def _approach(self) -> ApproachBounds:
+        return ApproachBounds(self._pieces, self._bodies)
 
     @property
     def geometry(self) -> tuple[pin.GeometryModel, pin.GeometryData]:
         """Pinocchio's geometry model with all pairs, and its data; to be read only."""
-        return self._model, self._geometry
+        return self._geometry.whole()
+
+    def geometry_parts_unchecked(self, asked: Flags) -> Iterator[tuple[Indices, pin.GeometryModel]]:
+        """Pinocchio's geometry models that together have all plain pairs for which `asked` is true, some others too.
+
+        Each with the indices of its pairs; to be read only.
+        """
+        for part in self._geometry.parts_with(asked):
+            yield part.pairs, part.model
 
     def at(self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf) -> Nearby:
         """The pairs that are near at configuration `q` (n,) and `time` [s].
@@ -250,36 +232,102 @@ class Proximity:
             margin = as_array(margin, *np.shape(margin) and (len(self.pairs),), key="margin", finite=False)
         if not (isinstance(within, float) and within == within):
             within = as_number(within, key="within", finite=False)
-        self._place(q, time)
-        lower = self._lower(q, time)
         reach = self.clearance + margin
         if within < np.inf:
             reach = np.minimum(reach, within)
-        self._raise_by_grids(lower, reach)
-        found: list[int] = []
-        results: list[Any] = []
-        for index in np.flatnonzero(lower <= reach).tolist():
-            self.measured += 1
-            if index >= self.plain:
-                reading = self._nearest(index, float(lower[index]), float(reach[index]))
-                if reading is None:
-                    lower[index] = reach[index]
-                    continue
-                lower[index] = reading.distance
-                found.append(index)
-                results.append(reading)
-                continue
-            result = shapes.measure(self._model, self._geometry, index)
-            distance = result.min_distance
-            lower[index] = distance
-            if distance <= reach[index]:
-                found.append(index)
-                results.append(result)
-        self._bound, self._q_bound, self._bound_time = lower, q.copy(), time
+        self._place(q, time)
+        return self._rows(*self._measure_within(self._every, reach, self._lower(self._every, q, time), q, time))
+
+    def at_unchecked(
+        self, q: Vector, *, time: float, margin: float, low: Vector, high: Vector, stop: float, longest: float
+    ) -> Nearby:
+        """The pairs that are near, and those that count because the machine moves, for callers in a loop.
+
+        The rows are those of `at`: all that are within `margin` beyond their clearance, and beyond it those of the
+        pairs that some posture brings within it (see `floor`) that would use up their margin within `stop` if they
+        came nearer as fast as they ever can, and within `longest` if they came nearer as fast as they can here
+        at the velocities from `low` to `high`.
+
+        Parameters
+        ----------
+        margin: [m].
+        low, high: (n,) the joint velocities that are possible next [rad/s or m/s].
+        stop, longest: in which the machine stops from these, and from the greatest that it may be asked for [s].
+        """
+        self._place(q, time)
+        some = self._within(margin)
+        lower = self._lower(some, q, time)
+        fastest = np.maximum(np.abs(low), np.abs(high))
+        reach = some.clearance + margin
+        if stop * (float(self._furthest @ fastest) + self._fastest) <= margin:
+            return self._rows(*self._measure_within(some, reach, lower, q, time))
+        lead, near = Lead(low, high, longest), lower <= reach
+        np.maximum(reach, some.clearance + stop * (some.travel @ fastest + some.speed), out=reach)
+        doubtful = ((lower <= reach) & ~near).nonzero()[0]
+        doubtful = doubtful[: np.searchsorted(doubtful, len(lower) - len(self._clusters))]  # clusters have no ball
+        if len(doubtful) > _FEW:
+            far = lower[doubtful] - some.clearance[doubtful]
+            reach[doubtful[~self._may_bind(some.pairs[doubtful], far, lead, time)]] = -np.inf
+        return self._rows(*self._measure_within(some, reach, lower, q, time), margin, lead)
+
+    def _may_bind(self, pairs: Indices, margin: Vector, lead: Lead, time: float) -> Flags:
+        """(K,) whether `lead` may take in `pairs` (K,) that have at least `margin` (K,) left and are apart [m]."""
+        v = 0.5 * (lead.low + lead.high)
+        rate = self.approach_unchecked(pairs, v, time) + self.travel[pairs] @ (lead.high - v)
+        return np.asarray(margin < lead.longest * rate)
+
+    def approach_unchecked(self, pairs: Indices, v: Vector, time: float) -> Vector:
+        """(K,) bounds of how fast `pairs` (K,) that are apart come nearer at joint velocities v (n,) [m/s].
+
+        It holds where the joints were placed last, for pairs of convex pieces.
+        """
+        velocity = self._velocity[pairs]
+        return self._approach.at(
+            self._data, self._J(), v, piece=self._first[pairs], body=self._body[pairs],
+            shift=velocity * _age(time, self.appears_at[pairs])[:, None], velocity=velocity,
+        )  # fmt: skip
+
+    def _measure_within(
+        self, some: PairSelection, reach: Vector, lower: Vector, q: Vector, time: float
+    ) -> tuple[Indices, list[Any]]:
+        """Measure those of M pairs whose lower bounds (M,) are within `reach` (M,), at the present placements.
+
+        Those that are within it, and what was measured of them. What is known of all distances is kept.
+        """
+        if len(self._clusters):
+            self._raise_by_grids(lower, reach)
+        rows = (lower <= reach).nonzero()[0]
+        self.measured += len(rows)
+        near, reach = some.pairs.take(rows), reach.take(rows)
+        results, distances = self._measure(near, reach, lower[rows])
+        measured = np.array(distances)
+        lower[rows] = measured
+        self._keep(some, lower, q, time)
+        is_near = measured <= reach
         if self._some_appear:
-            kept = [k for k, index in enumerate(found) if self.appears_at[index] <= time]
-            found, results = [found[k] for k in kept], [results[k] for k in kept]
-        return self._rows(found, results)
+            is_near &= self.appears_at[near] <= time
+        if len(self._clusters):
+            is_near &= np.array([result is not None for result in results], dtype=bool)
+        return near[is_near], [results[k] for k in is_near.nonzero()[0].tolist()]
+
+    def _measure(self, pairs: Indices, reach: Vector, lower: Vector | None) -> tuple[list[Any], list[float]]:
+        """Results and distances [m] of `pairs` (K,) at the present placements; None and reach (K,) of far clusters.
+
+        lower: (K,) what distances are known to be at least [m], if anything is.
+        """
+        if not len(self._clusters):
+            return self._geometry.measure_each(pairs.tolist())
+        if lower is None:
+            bounds = np.full(len(self.pairs), -np.inf)
+            self._raise_by_grids(bounds, np.full(len(self.pairs), np.inf))
+            lower = bounds[pairs]
+        plain = pairs < self.plain
+        results, distances = self._geometry.measure_each(pairs[plain].tolist())
+        for index in (~plain).nonzero()[0].tolist():
+            reading = self._nearest(int(pairs[index]), float(lower[index]), float(reach[index]))
+            results.insert(index, reading)
+            distances.insert(index, float(reach[index]) if reading is None else reading.distance)
+        return results, distances
 
     def is_at(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the last measurement was made at `q` and `time`."""
@@ -300,15 +348,42 @@ class Proximity:
 
     def stays_clear_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
         """The same for callers in a loop, whose arguments are right as they are made."""
-        return bool((self._lower(q, time) >= self.clearance).all())
+        return not len(self.unproven_unchecked(q, time=time))
 
-    def _lower(self, q: Vector, time: float) -> Vector:
-        """(P,) lower bounds of the distances from the last measurement alone [m]."""
+    def unproven_unchecked(self, q: Vector, *, time: float, spare: float = 0.0) -> Indices:
+        """The pairs of which the last measurement does not prove that they keep their clearance and `spare` [m].
+
+        That is on the straight way from there to `q` (n,), which ends at `time` [s].
+        """
         self.cover_unchecked(q)
-        lower = self._bound - self.travel @ np.abs(q - self._q_bound)
+        some = self._known if self._known.margin >= spare else self._every
+        needed = some.clearance + spare if spare else some.clearance
+        return some.pairs[(self._lower(some, q, time) < needed).nonzero()[0]]
+
+    def _lower(self, some: PairSelection, q: Vector, time: float) -> Vector:
+        """(M,) lower bounds of the distances of M pairs from the last measurement alone [m]; q is covered already."""
+        if self._known is not some:
+            every = self._lower_of_every(q, time)
+            return every if some is self._every else every[some.pairs]
+        lower: Vector = self._bound - some.travel @ np.abs(q - self._q_bound)
         if self._moving:
-            lower -= self.speed * np.abs(_age(time, self.appears_at) - _age(self._bound_time, self.appears_at))
-        return np.asarray(lower)
+            lower -= some.speed * np.abs(_age(time, some.appears_at) - _age(self._bound_time, some.appears_at))
+        if some is self._every and self._some_far:
+            np.maximum(lower, self.floor, out=lower)
+        return lower
+
+    def _lower_of_every(self, q: Vector, time: float) -> Vector:
+        """(P,) the same of all pairs."""
+        known = self._known
+        if known is self._every:
+            return self._lower(known, q, time)
+        lower = self.floor.copy()
+        lower[known.pairs] = np.maximum(lower[known.pairs], self._lower(known, q, time))
+        return lower
+
+    def _keep(self, some: PairSelection, lower: Vector, q: Vector, time: float) -> None:
+        """Keep the lower bounds (M,) that were found of M pairs; all others are known by their `floor`."""
+        self._known, self._bound, self._q_bound, self._bound_time = some, lower, q.copy(), time
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
         """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears.
@@ -317,12 +392,9 @@ class Proximity:
         """
         q, time = self._checked(q, time)
         self._place(q, time)
-        pin.computeDistances(self._model, self._geometry)
         found = np.full(len(self.pairs), -np.inf)
-        found[: self.plain] = [result.min_distance for result in self._geometry.distanceResults]
+        found[: self.plain] = self._geometry.measure_all()
         self._measure_clusters(range(self.plain, len(self.pairs)), found)
-        for index in np.flatnonzero(shapes.in_doubt(found[: self.plain])).tolist():
-            found[index] = shapes.measure_pair_again(self._model, self._geometry, index).min_distance
         if self._some_appear:
             found[self.appears_at > time] = np.inf
         return found
@@ -359,17 +431,14 @@ class Proximity:
         if not isinstance(floor, np.ndarray) or floor.shape != self.clearance.shape:
             floor = as_array(floor, len(self.pairs), key="floor", finite=False)
         self._place(q, time)
-        lower = self._lower(q, time)
+        lower = self._lower(self._every, q, time)
         self._raise_by_grids(lower, floor)
         needed = lower < floor
-        for index in needed.nonzero()[0].tolist():
-            if index < self.plain:
-                lower[index] = shapes.measure(self._model, self._geometry, index).min_distance
-                continue
-            reading = self._nearest(index, float(lower[index]), float(floor[index]))
-            needed[index] = reading is not None
-            lower[index] = floor[index] if reading is None else reading.distance
-        self._bound, self._q_bound, self._bound_time = lower, q.copy(), time
+        pairs = needed.nonzero()[0]
+        results, distances = self._measure(pairs, floor[pairs], lower[pairs])
+        lower[pairs] = distances
+        needed[pairs] = [result is not None for result in results]
+        self._keep(self._every, lower, q, time)
         return lower.copy(), needed
 
     def distance_of(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
@@ -383,7 +452,7 @@ class Proximity:
         """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
         if pair < self.plain:
-            return float(shapes.measure(self._model, self._geometry, pair).min_distance)
+            return float(self._geometry.measure(pair).min_distance)
         reading = self._nearest(pair, -np.inf, np.inf)
         assert reading is not None
         return reading.distance
@@ -400,15 +469,22 @@ class Proximity:
     def distances_of_unchecked(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
         """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
-        plain = pairs.tolist()
         if not len(self._clusters):
-            return np.array([shapes.measure(self._model, self._geometry, index).min_distance for index in plain])
+            return np.array(self._geometry.measure_each(pairs.tolist())[1])
         found = np.full(len(self.pairs), -np.inf)
-        self._measure_clusters([index for index in plain if index >= self.plain], found)
-        for index in plain:
-            if index < self.plain:
-                found[index] = shapes.measure(self._model, self._geometry, index).min_distance
+        plain = pairs < self.plain
+        self._measure_clusters(pairs[~plain].tolist(), found)
+        found[pairs[plain]] = self._geometry.measure_each(pairs[plain].tolist())[1]
         return found[pairs]
+
+    def distances_below_unchecked(self, pairs: Indices, floor: Vector, q: Vector, *, time: float) -> Vector:
+        """(K,) signed distances [m] of `pairs` (K,) at q (n,), `time` [s], also of obstacles yet to appear.
+
+        Instead of one above `floor` (K,) it may be any number from there to the distance.
+        """
+        self._place(q, time)
+        _, distances = self._measure(pairs, floor, None)
+        return np.array(distances)
 
     def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; stops at the first less."""
@@ -423,7 +499,7 @@ class Proximity:
             return True
         self._place(q, time)
         return all(
-            shapes.measure(self._model, self._geometry, pair).min_distance >= bound
+            self._geometry.measure(pair).min_distance >= bound
             if pair < self.plain
             else self._clusters.is_at_least(pair - self.plain, self._data, self._time, bound)
             for pair, bound in zip(pairs.tolist(), least.tolist(), strict=True)
@@ -432,9 +508,10 @@ class Proximity:
     # --- clusters -------------------------------------------------------------------------
 
     def _raise_by_grids(self, lower: Vector, needed: Vector) -> None:
-        """Raise the lower bounds (P,) of clusters, at the present placements, where one is below `needed` (P,)."""
-        own = lower[self.plain :]
-        if len(own) and (own < needed[self.plain :]).any():
+        """Raise the lower bounds of clusters, the last of (M,), at the present placements, if one is below `needed`."""
+        first = len(lower) - len(self._clusters)
+        own = lower[first:]
+        if len(own) and (own < needed[first:]).any():
             np.maximum(own, self._clusters.lower(self._data, self._time), out=own)
 
     def _measure_clusters(self, pairs: Iterable[int], found: Vector) -> None:
@@ -477,46 +554,45 @@ class Proximity:
         return found
 
     def _place(self, q: Vector, time: float) -> None:
+        self.cover_unchecked(q)
         if self._moving and time != self._time:
             for index in self._moving:
                 shift = self.obstacle_offset(index, time)
-                first = self._first_geometry[index]
-                for part, piece in enumerate(self.obstacles[index].pieces):
+                first = int(self._first_body[index])
+                for body, piece in enumerate(self.obstacles[index].pieces, start=first):
                     moved = pin.SE3(piece.placement.rotation, piece.placement.translation + shift)
-                    self._model.geometryObjects[first + part].placement = moved
+                    self._geometry.move(body, moved)
             self._time = time
         pin.computeJointJacobians(self.robot.model, self._data, q)
-        pin.updateGeometryPlacements(self.robot.model, self._data, self._model, self._geometry)
+        self._geometry.place()
 
-    def _rows(self, found: list[int], results: list[Any]) -> Nearby:
-        # for a handful of rows, one list of floats costs less than several arrays per row
-        flat: list[float] = []
-        for result in results:
-            if isinstance(result, Reading):
-                distance, normal, first, second = result
-            else:
-                distance, normal = result.min_distance, result.normal
-                first, second = result.getNearestPoint1(), result.getNearestPoint2()
-            nx, ny, nz = normal.tolist()
-            px, py, pz = first.tolist()
-            flat += (distance, nx, ny, nz, px, py, pz)
-            flat += (py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
-            px, py, pz = second.tolist()
-            flat += (px, py, pz, py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx)
-        raw = np.array(flat).reshape(-1, 16)
-        pair = np.array(found, dtype=np.intp)
-        distances, normals = raw[:, 0], raw[:, 1:4]
-        # the speed of a point p along n is n . v + (p x n) . omega
-        J = self._data.J.reshape(6, self._n)  # of one joint alone it is 1-D
-        along = normals @ J[:3]
-        gradient = (along + raw[:, 7:10] @ J[3:]) * self._minus_mask_link[pair]
-        if self._other_joint[pair].any():
-            gradient += (along + raw[:, 13:] @ J[3:]) * self._mask_other[pair]
-        drift = np.einsum("ki,ki->k", normals, self._velocity[pair]) if self._moving else np.zeros(len(found))
+    def _rows(self, pair: Indices, results: list[Any], margin: float = np.inf, lead: Lead | None = None) -> Nearby:
+        """The rows of what was measured; with a lead only those within `margin` [m], and those it takes in."""
+        raw = read_results(results)
+        # a point p has the speed n . v + (p x n) . omega along n; so has its witness, which lies along n from it
+        gradient = raw[:, :6] @ self._J()
+        gradient *= self._sense.take(pair, axis=0)
+        left = raw[:, 9] - self.clearance.take(pair)
+        drift = np.einsum("ki,ki->k", raw[:, :3], self._velocity[pair]) if self._moving else np.zeros(len(pair))
+        if lead is not None:
+            counts = left <= margin
+            if not counts.all():
+                counts |= lead.can_bind(left, gradient, drift)
+                pair, raw, gradient, left, drift = (
+                    pair[counts],
+                    raw[counts],
+                    gradient[counts],
+                    left[counts],
+                    drift[counts],
+                )
         return Nearby(
-            pair, distances, margin=distances - self.clearance[pair], normal=normals, point_link=raw[:, 4:7],
-            point_obstacle=raw[:, 10:13], gradient=gradient, drift=drift, moves=self._moves[pair],
+            pair, raw[:, 9], left, normal=raw[:, :3], point_link=raw[:, 6:9], point_obstacle=raw[:, 10:],
+            gradient=gradient, drift=drift, moves=self._moves.take(pair, axis=0),
         )  # fmt: skip
+
+    def _J(self) -> Matrix:
+        """(6, n) Pinocchio's joint Jacobians at the present placements."""
+        return np.asarray(self._data.J.reshape(6, self._n))  # of one joint alone it is 1-D
 
 
 def _age(time: float, appears_at: Vector) -> Vector:

@@ -342,19 +342,41 @@ def test_broad_phase_finds_what_brute_force_finds(name: str, jumps: bool, reques
         assert proximity.measured < 0.35 * steps * len(proximity.pairs)
 
 
-def test_100_spheres_50_m_away_are_measured_once(backhoe: Robot) -> None:
+def test_100_spheres_50_m_away_are_not_measured_until_they_are_asked_for(backhoe: Robot) -> None:
     angles = np.linspace(0.0, 2.0 * np.pi, 100)
     far = [ball(50.0 * np.cos(a), 50.0 * np.sin(a), 0.0) for a in angles]
     proximity = around(backhoe, *far)
     assert len(proximity.pairs) == 100 * sum(piece.joint > 0 for piece in backhoe.pieces)
     rng = np.random.default_rng(0)
     q = backhoe.middle
-    assert len(proximity.at(q, within=1.0)) == 0
-    assert proximity.measured == len(proximity.pairs)
     for _ in range(100):
         q = q + rng.uniform(-0.01, 0.01, 4)
         assert len(proximity.at(q, within=1.0)) == 0
-    assert proximity.measured == len(proximity.pairs)
+    assert proximity.measured == 0
+    assert len(proximity.at(q)) == len(proximity.pairs)
+
+
+def test_1000_obstacles_are_those_of_one_by_one(backhoe: Robot) -> None:
+    """Near and far, standing and moving: more than are given to coal at once."""
+    rng = np.random.default_rng(2)
+    shapes = build(backhoe, *(SHAPES[name] for name in ("sphere", "box", "capsule", "halfspace")))
+    places = [rng.normal(size=3) * [3.0, 3.0, 1.0] * (1.0 if k % 20 == 0 else 20.0) for k in range(999)]
+    obstacles = [shifted(shapes[k % 3], place) for k, place in enumerate(places)]
+    obstacles[5:8] = [replace(one, velocity=np.array([1.0, 0.0, -0.5])) for one in obstacles[5:8]]
+    obstacles.append(shifted(shapes[3], np.array([0.0, 3.0, -15.0])))
+    proximity = Proximity(backhoe, obstacles, self_collision=False)
+    few = [Proximity(backhoe, obstacles[k : k + 100], self_collision=False) for k in range(0, 1000, 100)]
+    near = 0
+    for q, time in zip([backhoe.random_q(rng) for _ in range(6)], range(6), strict=True):
+        truth = np.concatenate([one.distances(q, time=float(time)) for one in few])
+        assert np.all(proximity.floor <= truth + 1e-9)
+        found = proximity.at(q, time=float(time), margin=1.0)
+        np.testing.assert_array_equal(found.pair, np.flatnonzero(truth - proximity.clearance <= 1.0))
+        np.testing.assert_allclose(found.distance, truth[found.pair], atol=1e-9)
+        near += len(found)
+    assert near > 50
+    assert proximity.measured < 0.3 * 6 * len(proximity.pairs)
+    np.testing.assert_allclose(proximity.distances(q, time=5.0), truth, atol=1e-9)
 
 
 def test_bound_that_has_worn_out_is_measured_again(planar4: Robot) -> None:

@@ -7,7 +7,7 @@ bound it, so that how far it can travel is computed without asking coal.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -331,6 +331,22 @@ def measure(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) ->
     if distance > _CONTACT or not in_doubt(distance):  # the common case first: this is called millions of times
         return result
     return measure_pair_again(model, geometry, index)
+
+
+def measure_each(
+    model: pin.GeometryModel, geometry: pin.GeometryData, pairs: Iterable[int]
+) -> tuple[list[Any], list[float]]:
+    """Coal's results for some pairs, at the present placements, and their signed distances [m]."""
+    results, distances, compute = [], [], pin.computeDistance
+    for index in pairs:
+        result = compute(model, geometry, index)
+        distance = result.min_distance
+        if not distance > _CONTACT and in_doubt(distance):
+            result = measure_pair_again(model, geometry, index)
+            distance = result.min_distance
+        results.append(result)
+        distances.append(distance)
+    return results, distances
 
 
 def measure_pair_again(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) -> Any:

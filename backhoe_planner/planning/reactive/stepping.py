@@ -81,6 +81,8 @@ class Stepper:
         self.proximity = proximity
         self._kinematics = kinematics
         self._shield = Shield(problem.limits)
+        self._acceleration = problem.limits.acceleration
+        self._longest_stop = self._shield.stopping_time(problem.limits.velocity)
         self._last_dt = STEP
         self._watch = watch
         self._times = [0.0]
@@ -104,11 +106,13 @@ class Stepper:
         """The present configuration, and the pairs that act on the motion there.
 
         Those are the pairs within the influence distance, and those whose distance could be
-        used up before the machine stops.
+        used up before the machine stops, whatever velocity within the limits is wished for.
         """
-        nearby = self.proximity.at(
-            self.q, time=self.time, margin=np.maximum(self._stopping_distances(), self.problem.scene.influence)
-        )
+        change = self._acceleration * (0.5 * (STEP + self._last_dt))
+        nearby = self.proximity.at_unchecked(
+            self.q, time=self.time, margin=self.problem.scene.influence, low=self.v - change, high=self.v + change,
+            stop=self._shield.stopping_time_unchecked(np.abs(self.v) + change), longest=self._longest_stop,
+        )  # fmt: skip
         return self._kinematics.at(self.q), nearby
 
     def advance(self, wish: Vector, nearby: Nearby, J_tip: Matrix, *, dt: float = STEP) -> bool:
@@ -208,12 +212,6 @@ class Stepper:
         """The motion so far."""
         return Trajectory.from_steps(np.array(self._times), np.array(self._path))
 
-    def _stopping_distances(self) -> Vector:
-        """(P,) upper bounds of how much nearer each pair can come before the machine stops [m]."""
-        fastest = np.abs(self.v) + self.problem.limits.acceleration * STEP
-        time = self._shield.stopping_time(fastest)
-        return np.asarray(time * (self.proximity.travel @ fastest + self.proximity.speed))
-
     def _take(self, q: Vector, dt: float, shielded: Shielded | None) -> None:
         self.v = (q - self.q) / dt
         self.q = q
@@ -252,17 +250,13 @@ class Stepper:
 
     def _within_limits(self, q: Vector) -> Vector:
         limits = self.problem.limits
-        if (q >= limits.lower).all() and (q <= limits.upper).all():
+        if np.count_nonzero((q < limits.lower) | (q > limits.upper)) == 0:
             return q
         inside = (self.q >= limits.lower) & (self.q <= limits.upper)
         return np.where(inside, np.clip(q, limits.lower, limits.upper), q)
 
     def _shortfall(self, q: Vector, dt: float, nearby: Nearby) -> Vector:
         """(K,) how much further away each nearby pair must be kept for the step to `q` to be clear [m]."""
-        found = np.zeros(len(nearby))
-        for row, pair in enumerate(nearby.pair):
-            reached = self.proximity.distance_of_unchecked(int(pair), q, time=self.time + dt)
-            missing = self.proximity.clearance[pair] + 0.5 * _BUFFER - reached
-            if missing > 0.0:
-                found[row] = 2.0 * missing + _BUFFER
-        return found
+        reached = self.proximity.distances_of_unchecked(nearby.pair, q, time=self.time + dt)
+        missing = self.proximity.clearance[nearby.pair] + 0.5 * _BUFFER - reached
+        return np.where(missing > 0.0, 2.0 * missing + _BUFFER, 0.0)

@@ -1,0 +1,109 @@
+"""How fast pairs can come nearer to each other, before they are measured.
+
+A link's piece lies within a ball about c with radius R, an obstacle's within one about c_o with radius
+r_o. Where they are apart, their distance falls at the rate n . (x' - w), with the normal n from the
+critical point x of the link to its witness on the obstacle, and w the obstacle's own velocity. With
+c' and the angular velocity omega of the link,
+
+    n . (x' - w) <= n . (c' - w) + |omega| R
+
+and n is within asin((R + r_o) / |c_o - c|) of the line from c to c_o: the largest of the first term
+over that cone is known. A link that passes by an obstacle, or leaves it, does not approach it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import LinkPiece
+from backhoe_planner.machine.shape import shapes
+
+_NO_LENGTH = 1e-9  # m: where centres coincide there is no direction
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+class Lead(NamedTuple):
+    """Which margins count because the machine moves: those that it could use up in time.
+
+    Attributes
+    ----------
+    low, high: (n,) the joint velocities that are possible next [rad/s or m/s].
+    longest: the time [s].
+    """
+
+    low: Vector
+    high: Vector
+    longest: float
+
+    def can_bind(self, margin: Vector, gradient: Matrix, drift: Vector) -> Flags:
+        """(K,) whether margins (K,) [m] with these gradients (K, n) and drifts (K,) [m/s] count."""
+        rate = -np.minimum(gradient * self.low, gradient * self.high).sum(axis=1) - drift
+        return np.asarray(margin < self.longest * rate)
+
+
+class ApproachBounds:
+    """Bounds of how fast pieces of a machine come nearer to convex pieces around it, and to each other.
+
+    Of two pieces of the machine it is the motion of the one as seen from the other: what both share
+    does not change their distance.
+
+    Parameters
+    ----------
+    links: the machine's pieces.
+    bodies: the pieces around, where they stand at first. They are numbered after the machine's.
+    """
+
+    def __init__(self, links: Sequence[LinkPiece], bodies: Sequence[shapes.Piece]) -> None:
+        own = [_ball(link.piece) for link in links]
+        balls = own + [_ball(body) for body in bodies]
+        self._own, self._size = np.array([centre for centre, _ in own]), np.array([size for _, size in balls])
+        self._centre = np.array([centre for centre, _ in balls])
+        self._joint = np.array([*(link.joint for link in links), *(0 for _ in bodies)], dtype=np.intp)
+        joints = self._joint[: len(own)]
+        self._rows = [(joint, np.flatnonzero(joints == joint)) for joint in np.unique(joints).tolist() if joint > 0]
+
+    def at(
+        self, data: pin.Data, J: Matrix, v: Vector, *, piece: Indices, body: Indices, shift: Matrix, velocity: Matrix
+    ) -> Vector:
+        """(K,) bounds for K pairs that are apart, where the joints of `data` are [m/s].
+
+        Parameters
+        ----------
+        J: (6, n) Pinocchio's joint Jacobians there.
+        v: (n,) joint velocities [rad/s or m/s].
+        piece, body: (K,) numbers of the links' pieces that come near, and of what they come near to.
+        shift: (K, 3) how far the bodies have moved [m], world; velocity: (K, 3) of the bodies [m/s].
+        """
+        for joint, rows in self._rows:
+            place = data.oMi[joint]
+            self._centre[rows] = self._own[rows] @ place.rotation.T + place.translation
+        motion = np.zeros((len(v) + 1, 6))  # of each joint's body: velocity at the world's origin, angular velocity
+        np.cumsum((J * v).T, axis=0, out=motion[1:])
+        here, size = self._centre.take(piece, axis=0), self._size.take(piece)
+        seen = motion.take(self._joint.take(piece), axis=0) - motion.take(self._joint.take(body), axis=0)
+        turn = seen[:, 3:]
+        passing = seen[:, :3] - velocity + turn[:, _NEXT] * here[:, _LAST] - turn[:, _LAST] * here[:, _NEXT]
+        away = self._centre.take(body, axis=0) + shift - here
+        length = np.sqrt(np.einsum("ki,ki->k", away, away))
+        speed = np.sqrt(np.einsum("ki,ki->k", passing, passing))
+        length = np.maximum(length, _NO_LENGTH)
+        sine = np.minimum((self._size.take(body) + size) / length, 1.0)
+        cosine = np.sqrt(1.0 - sine * sine)
+        along = np.einsum("ki,ki->k", away, passing) / length
+        across = np.sqrt(np.maximum(speed * speed - along * along, 0.0))
+        aside = (along < speed * cosine) & (sine < 1.0)
+        towards = np.where(aside, along * cosine + across * sine, speed)
+        return np.asarray(towards + np.sqrt(np.einsum("ki,ki->k", turn, turn)) * size)
+
+
+def _ball(piece: shapes.Piece) -> tuple[Vector, float]:
+    """Centre (3,) and radius [m] of a ball around a piece, in its body's frame; without bound for a half-space."""
+    if not len(piece.hull):
+        return np.zeros(3), np.inf
+    centre = 0.5 * (piece.hull.min(axis=0) + piece.hull.max(axis=0))
+    return centre, float(np.linalg.norm(piece.hull - centre, axis=1).max()) + piece.radius

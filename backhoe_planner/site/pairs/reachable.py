@@ -1,0 +1,51 @@
+"""Pairs that the machine can bring near at all, by a ball that none of its parts ever leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine.shape import shapes
+
+
+class PairSelection(NamedTuple):
+    """Some of the pairs, and what is needed of them to bound their distances.
+
+    Attributes
+    ----------
+    margin: all other pairs stay further away than this beyond their clearance, in every posture [m].
+    pairs: (M,) their numbers, ascending.
+    clearance, travel, speed, appears_at: (M,), (M, n), (M,), (M,) as in `Proximity`.
+    """
+
+    margin: float
+    pairs: Indices
+    clearance: Vector
+    travel: Matrix
+    speed: Vector
+    appears_at: Vector
+
+
+def distances_from_ball(bodies: Sequence[shapes.Piece], centre: Vector, radius: float) -> Vector:
+    """(B,) lower bounds of the distance of convex pieces from a ball about `centre` (3,) [m].
+
+    They are those of the boxes around the pieces, along the axes. Of a half-space it is exact. Inside the ball
+    it is minus infinity.
+    """
+    found = np.full(len(bodies), -np.inf)
+    bounded = [index for index, body in enumerate(bodies) if len(body.hull)]
+    if bounded:
+        hulls = [bodies[index].hull for index in bounded]
+        starts = np.cumsum([0, *(len(hull) for hull in hulls[:-1])])
+        points, fat = np.vstack(hulls), np.array([bodies[index].radius for index in bounded])[:, None]
+        low, high = np.minimum.reduceat(points, starts) - fat, np.maximum.reduceat(points, starts) + fat
+        away = np.maximum(np.maximum(low - centre, centre - high), 0.0)
+        found[bounded] = np.sqrt((away**2).sum(axis=1)) - radius
+    for index, body in enumerate(bodies):
+        if not len(body.hull):
+            n = body.placement.rotation @ body.shape.n
+            found[index] = n @ (centre - body.placement.translation) - body.shape.d - radius
+    return np.where(found > 0.0, found, -np.inf)

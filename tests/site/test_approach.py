@@ -1,0 +1,115 @@
+"""Pairs that count because the machine moves: none is left out that could hold it back, and most are not measured."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.law import Shield
+from backhoe_planner.machine import Kinematics, Robot
+from backhoe_planner.site import Nearby, Proximity, build_obstacles, scene_from_dict
+
+DT = 0.02
+
+
+def crowd(robot: Robot, count: int, seed: int, *, moving: bool) -> Proximity:
+    """Boxes, balls and capsules within and beyond a machine's reach, and a half-space above it."""
+    rng = np.random.default_rng(seed)
+    entries: list[dict[str, Any]] = [{"name": "roof", "shape": "halfspace", "point": [0, 0, 7], "normal": [0, 0, -1]}]
+    for index in range(count):
+        place = (rng.normal(size=3) * [3.0, 3.0, 0.5] + [0.0, 0.0, 0.3]).tolist()
+        shape: dict[str, Any] = [
+            {"shape": "box", "size": rng.uniform(0.1, 1.0, 3).tolist(), "position": place, "rpy": [0.3, 0.2, 1.0]},
+            {"shape": "sphere", "radius": float(rng.uniform(0.05, 0.5)), "position": place},
+            {"shape": "capsule", "radius": 0.1, "from": place, "to": [*place[:2], place[2] + 2.0]},
+        ][index % 3]
+        if moving and index % 2:
+            shape |= {"velocity": rng.uniform(-1.0, 1.0, 3).tolist(), "appears_at": 0.5 * (index % 4)}
+        entries.append({"name": f"o{index}", **shape})
+    scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0, 0, 0]}}, "obstacles": entries}
+    return Proximity(robot, build_obstacles(scene_from_dict(scene), robot))
+
+
+def lead_at(robot: Robot, v: Vector) -> dict[str, Any]:
+    """As a loop has it that moves at v (n,)."""
+    shield, change = Shield(robot.limits), robot.limits.acceleration * DT
+    stop, longest = shield.stopping_time(np.abs(v) + change), shield.stopping_time(robot.limits.velocity)
+    return {"low": v - change, "high": v + change, "stop": stop, "longest": longest}
+
+
+def rows_that_count(proximity: Proximity, plain: Nearby, lead: dict[str, Any], margin: float) -> NDArray[np.bool_]:
+    """By the words of `Proximity.at_unchecked`, from all rows."""
+    low, high = lead["low"], lead["high"]
+    ever = proximity.travel @ np.maximum(np.abs(low), np.abs(high)) + proximity.speed
+    corners = np.array([np.where(pick, low, high) for pick in itertools.product((True, False), repeat=len(low))])
+    here = np.max(-plain.gradient @ corners.T, axis=1) - plain.drift
+    within_reach = (proximity.floor - proximity.clearance <= margin)[plain.pair]
+    ahead = within_reach & (plain.margin <= lead["stop"] * ever[plain.pair]) & (plain.margin < lead["longest"] * here)
+    return np.asarray((plain.margin <= margin) | ahead)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
+def test_rows_are_those_of_the_plain_version_whatever_was_asked_before(
+    name: str, moving: bool, request: pytest.FixtureRequest
+) -> None:
+    robot: Robot = request.getfixturevalue(name)
+    proximity, oracle = crowd(robot, 40, 3, moving=moving), crowd(robot, 40, 3, moving=moving)
+    rng = np.random.default_rng(5)
+    q, part, found, beyond = robot.random_q(rng), np.zeros(robot.n), 0, 0
+    steps = 60
+    for step in range(steps):
+        part = np.clip(part + rng.uniform(-0.3, 0.3, robot.n), -1.0, 1.0)
+        v, margin = part * robot.limits.velocity, float(rng.choice([0.01, 0.5]))
+        q = robot.random_q(rng) if step % 20 == 19 else np.clip(q + DT * v, robot.limits.lower, robot.limits.upper)
+        time, lead = float(rng.uniform(0.0, 2.0)) if moving else 0.0, lead_at(robot, v)
+        plain = oracle.at(q, time=time)
+        expected = plain.only(rows_that_count(oracle, plain, lead, margin))
+        near = proximity.at_unchecked(q, time=time, margin=margin, **lead)
+        np.testing.assert_array_equal(near.pair, expected.pair)
+        for field in ("distance", "margin", "normal", "point_link", "point_obstacle", "gradient", "drift", "moves"):
+            np.testing.assert_allclose(getattr(near, field), getattr(expected, field), atol=1e-9, err_msg=field)
+        found, beyond = found + len(near), beyond + int((near.margin > margin).sum())
+    assert found > 20
+    assert beyond > 0
+    assert proximity.measured < (0.5 if moving else 0.35) * oracle.measured, "pairs were skipped"
+
+
+def test_no_pair_approaches_faster_than_its_bound(any_robot: Robot) -> None:
+    proximity = crowd(any_robot, 20, 4, moving=True)
+    rng = np.random.default_rng(8)
+    slow = checked = 0
+    for _ in range(20):
+        q, v, time = any_robot.random_q(rng), rng.normal(size=any_robot.n), float(rng.uniform(0.0, 2.0))
+        rows = proximity.at(q, time=time)
+        apart = rows.only(rows.distance > 0.0)
+        bound = proximity.approach_unchecked(apart.pair, v, time)
+        assert np.all(-apart.gradient @ v - apart.drift <= bound + 1e-9)
+        ever = proximity.travel[apart.pair] @ np.abs(v) + proximity.speed[apart.pair]
+        slow, checked = slow + int((bound < 0.5 * ever).sum()), checked + len(apart)
+    assert slow > 0.3 * checked, "it says more than how far the link can travel at all"
+
+
+def test_shield_answers_as_with_all_rows(backhoe: Robot) -> None:
+    """Rows that are left out cannot bind, whatever is wished for within the limits."""
+    proximity, oracle = crowd(backhoe, 40, 6, moving=False), crowd(backhoe, 40, 6, moving=False)
+    rng = np.random.default_rng(9)
+    shield, kinematics, limits = Shield(backhoe.limits), Kinematics(backhoe), backhoe.limits
+    held_back = left_out = 0
+    for _ in range(60):
+        q, v = backhoe.random_q(rng), rng.uniform(-1.0, 1.0, 4) * limits.velocity
+        wish = rng.uniform(-1.0, 1.0, 4) * limits.velocity
+        near, every = proximity.at_unchecked(q, time=0.0, margin=0.02, **lead_at(backhoe, v)), oracle.at(q)
+        J = kinematics.at(q).jacobian[:3]
+        found, expected = (
+            shield.filter_unchecked(wish, q=q, v_before=v, dt=DT, nearby=rows, J_tip=J) for rows in (near, every)
+        )
+        np.testing.assert_allclose(found.v, expected.v, atol=1e-6)
+        held_back, left_out = held_back + len(expected.binding), left_out + len(every) - len(near)
+    assert held_back > 0
+    assert left_out > 60 * 100
