@@ -3,8 +3,9 @@
     swing, boom, stick, slide, bucket
 
 It is no maker's machine. Its size is that of `models/backhoe.urdf`, of which it has the axes and
-signs; the links are solid boxes of one density each. The slide lengthens the stick, so that the
-tip has one freedom more for the same pose: position and pitch take four of five joints.
+signs; the links are solid boxes of one density each. The post, whose corners swing 0.2 m behind
+its axis, turns 50 mm in front of the chassis. The slide lengthens the stick, so that the tip has
+one freedom more for the same pose: position and pitch take four of five joints.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ TIP = "bucket_tip"
 
 # name, mass [kg], edges of the box [m], its middle in the link's frame [m]
 _LINKS = (
-    ("chassis", 3500.0, (3.0, 2.0, 0.8), (-1.6, 0.0, 0.6)),
+    ("chassis", 3500.0, (2.85, 2.0, 0.8), (-1.675, 0.0, 0.6)),
     ("post", 300.0, (0.3, 0.4, 0.9), (0.15, 0.0, 0.65)),
     ("boom", 350.0, (2.2, 0.25, 0.3), (1.1, 0.0, 0.0)),
     ("stick", 180.0, (1.4, 0.24, 0.28), (0.6, 0.0, 0.0)),
