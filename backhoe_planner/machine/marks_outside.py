@@ -34,6 +34,7 @@ _CANDIDATES = 300  # triangles of a connected part among which its mark is sough
 _FEW = 20  # of these are looked at in all postures; chosen
 _FIRST_POSTURES = 10  # tell which of them; chosen
 _PROOFS = 3  # triangles for which the proof is tried; chosen: each takes up to a second
+_WINDINGS = 20  # postures in which the other link's surface is wound around a mark; chosen: an open one does so in some
 _WOUND = 0.5  # of a turn, from where on a point counts as inside: between 0 and 1
 
 Triangles = list[tuple[int, Matrix]]
@@ -122,9 +123,11 @@ def _never_inside(robot: Robot, part: Triangles, others: Sequence[int], places: 
                 found.append((gap, mark, own.piece.placement.act(triangle.mean(axis=0))))
     lower, upper = robot.finite_range
     for _, mark, point in sorted(found, key=lambda one: -one[0])[:_PROOFS]:
-        there = places[0][solid[0].joint].actInv(places[0][mark.joint]).act(point)
+        some = places[:: -(-len(places) // _WINDINGS)]
+        there = [at[solid[0].joint].actInv(at[mark.joint]).act(point) for at in some]
         pairs = [(mark, one) if mark.joint > one.joint else (one, mark) for one in solid]
-        if not _contain(solid, there) and all(proven_apart(robot, pair, lower, upper) for pair in pairs):
+        is_outside = any(not _contain(solid, one) for one in there)  # of what closes, then in all postures
+        if is_outside and all(proven_apart(robot, pair, lower, upper) for pair in pairs):
             return True
     return False
 
