@@ -257,3 +257,33 @@ def test_boxes_of_coarse_cells_do_not_reach_a_link_above_them(cell: float) -> No
         least = min(gap(ball(0.1), place, part.piece) for part in parts)
         coarse = height > 0.25 and cell < 0.1
         assert (0.0 if coarse else 0.85) * height <= least <= height + 1e-9
+
+
+def test_bounds_stay_true_where_the_ground_is_dug_and_heaped() -> None:
+    rng = np.random.default_rng(11)
+    heights = 0.1 * rng.uniform(size=(41, 41))
+    ground = TerrainSolid(heights, (8.0, 8.0), depth=5.0, most=10**6)
+    place = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.4), np.array([1.0, 0.5, 0.2]))
+    cluster, around = Cluster(ground, place), (np.array([1.0, 0.5, 0.0]), 4.0)
+    cluster.prepare(*around)
+    carried, closer = 0, 0
+    for step in range(8):
+        heights = heights.copy()
+        r, c = rng.integers(0, 36, 2)
+        heights[r : r + 4, c : c + 5] += -0.4 if step % 2 == 0 else 0.3
+        if step == 6:  # in more places than are looked at one by one
+            heights[::4, ::4] -= 0.1
+        assert isinstance(cluster.solid, TerrainSolid)
+        ground = cluster.solid.with_heights(heights)
+        before, cluster = cluster, cluster.with_solid(ground, cluster.solid.changes_to(ground))
+        carried += len(cluster._grids)
+        points = around[0] + rng.uniform(-3.5, 3.5, (150, 3)) * [1.0, 1.0, 0.3]
+        lower = cluster.grid(*around).lower(points)
+        fresh = Cluster(ground, place).grid(*around).lower(points)
+        old = before.grid(*around).lower(points)
+        true = np.array([distance(cluster, ball(1e-4), at(*point)) + 1e-4 for point in points])
+        assert (lower <= np.maximum(true, 0.0) + 1e-6).all()
+        assert (lower >= np.minimum(fresh, 0.8) - 1e-6).mean() > 0.9
+        closer += int((old > np.maximum(true, 0.0) + 1e-6).sum())
+    assert carried >= 6  # the box around it grew at most twice
+    assert closer > 0  # the old bounds would have been wrong

@@ -41,7 +41,8 @@ def terrain_obstacle(
         and cluster.placement == place
         and cluster.solid.is_over(heights, size)
     ):
-        body = cluster.with_solid(cluster.solid.with_heights(heights))
+        solid = cluster.solid.with_heights(heights)
+        body = cluster.with_solid(solid, cluster.solid.changes_to(solid))
     else:
         body = terrain_body(heights, size, place)
     return Obstacle(

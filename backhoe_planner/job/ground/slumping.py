@@ -17,7 +17,9 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import check_kind
 from backhoe_planner.job.ground.terrain import Terrain
 
-_WITHIN = 0.02  # of the drop between neighbours at the angle of repose: half a degree; chosen
+# of the drop between neighbours at the angle of repose: half a degree; chosen. What is steeper by less than half
+# of it stays, so that a heap at the angle of repose does not stir
+_WITHIN = 0.02
 _MOST_ROUNDS = 4_000  # chosen: a heap of 2 m^3 that falls from one column takes some 1,000
 _MARGIN = 8  # columns around what was changed that are looked at first; chosen
 _MORE = 24  # columns by which that grows where soil reaches its border; chosen
@@ -71,7 +73,7 @@ def settle(bank: Matrix, loose: Matrix, drop: float) -> None:
     drop: between neighbours at the angle of repose [m].
     """
     pairs = [
-        (bank[a], bank[b], loose[a], loose[b], drop * math.hypot(*way))
+        (bank[a], bank[b], loose[a], loose[b], (1.0 + 0.5 * _WITHIN) * drop * math.hypot(*way))
         for way in _WAYS for a, b in _apart(bank.shape, way)
     ]  # fmt: skip
     for turn in range(_MOST_ROUNDS):

@@ -9,6 +9,7 @@ Three questions are answered, each by what answers it fastest:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine.clusters.cell_set import CellSet, CoarseCells, LinkBox
-from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
+from backhoe_planner.machine.clusters.distance_grid import Change, DistanceGrid, GridFrame
 from backhoe_planner.machine.clusters.solid import Placed, Solid
 from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.convex import voxel_boxes
@@ -53,9 +54,18 @@ class Cluster:
         """The same, `by` (3,) from where it stands [m]."""
         return Cluster(self.solid, pin.SE3(self._R, self._t + by))
 
-    def with_solid(self, solid: Solid) -> Cluster:
-        """Another solid at the same place."""
-        return Cluster(solid, self.placement)
+    def with_solid(self, solid: Solid, changes: Sequence[Change] | None = None) -> Cluster:
+        """Another solid at the same place.
+
+        Parameters
+        ----------
+        changes: wherever it is another than this one; then the grids of bounds are not built anew. None: everywhere.
+        """
+        found = Cluster(solid, self.placement)
+        if changes is not None and (solid.bounds == self.solid.bounds).all():
+            for key, grid in self._grids.items():
+                found._grids[key] = grid.renewed(solid.taken(grid.frame), changes) if changes else grid
+        return found
 
     @property
     def bounds(self) -> Matrix:

@@ -14,13 +14,14 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
-from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.distance_grid import Change, GridFrame
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
 
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
 _MOST_TREES = 256  # that are kept; chosen: some 330 MB
 _LOWERED = 0.5  # of the depth by which the lowest point may come nearer to the floor before that is lowered; chosen
+_MOST_CHANGES = 6  # places looked at one by one, others as one; chosen, a cut has one and what slumps after it few
 _RAISED = 0.5  # m by which the box around it grows at a time, so that what rests on it lasts; chosen
 _SKIRT = (-1, -1)  # the tile of the walls and the floor
 
@@ -90,6 +91,25 @@ class TerrainSolid:
                 is_same = bool(same[r0 : r1 + 1, c0 : c1 + 1].all())
             if is_same:
                 found._trees[tile] = tree
+        return found
+
+    def changes_to(self, other: TerrainSolid) -> list[Change] | None:
+        """Where another ground over the same places differs; None where that is everywhere, as with another floor."""
+        from scipy.ndimage import find_objects, label
+
+        if other._floor != self._floor:
+            return None
+        found = []
+        for came in (False, True):
+            differs = other._heights > self._heights if came else other._heights < self._heights
+            numbers, count = label(differs, np.ones((3, 3), dtype=int))
+            if count > _MOST_CHANGES:
+                numbers = differs.astype(int)
+            for rows, columns in find_objects(numbers):
+                r, c = (slice(max(one.start - 1, 0), one.stop + 1) for one in (rows, columns))
+                both = np.stack((self._heights[r, c], other._heights[r, c]))
+                x, y = self._x[c], self._y[r]
+                found.append(Change(np.array([x[0], y[0], both.min()]), np.array([x[-1], y[-1], both.max()]), came))
         return found
 
     def prepare(self) -> None:
