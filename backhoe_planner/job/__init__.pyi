@@ -15,3 +15,4 @@ from .ground.sweep import BladeSweep as BladeSweep
 from .ground.sweep import Sweep as Sweep
 from .ground.sweep import swept as swept
 from .ground.terrain import Terrain as Terrain
+from .ground.truck_bed import Bed as Bed

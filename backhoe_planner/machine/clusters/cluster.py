@@ -54,6 +54,13 @@ class Cluster:
         """The same, `by` (3,) from where it stands [m]."""
         return Cluster(self.solid, pin.SE3(self._R, self._t + by))
 
+    def moved_to(self, placement: pin.SE3) -> Cluster:
+        """The same solid elsewhere, with what was built to measure it."""
+        found = Cluster(self.solid, placement)
+        found._grids.update(self._grids)
+        found._coarser.update(self._coarser)
+        return found
+
     def with_solid(self, solid: Solid, changes: Sequence[Change] | None = None) -> Cluster:
         """Another solid at the same place.
 

@@ -1,0 +1,196 @@
+"""The bed of a truck: it fills, its load slumps to the angle of repose, and at its walls it ends.
+
+At a wall the load is at most as high as the wall, and from there rises inward no steeper than
+the angle of repose. What is poured in is a cone as on the ground, cut off there: what would
+fall over a wall finds its place where there is room.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Array, Matrix, Vector, as_number, as_vector
+from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.job.ground.heaps import Refusal, level_for
+from backhoe_planner.job.ground.obstacle import terrain_obstacle
+from backhoe_planner.job.ground.terrain import REPOSE, Terrain
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site import Obstacle
+from backhoe_planner.site.schema import obstacle_shapes
+
+_CELL = 0.05  # m, as of the ground
+_LEAST = 4 * _CELL  # m: a smaller bed is none
+_WALL = 0.05  # m that walls and floor are thick, outward and down; chosen, those of dump bodies are thinner
+_FULL_WITHIN = 1e-9  # m^3
+
+
+@dataclass(frozen=True, eq=False)
+class Bed:
+    """The bed of a truck and what lies in it.
+
+    Attributes
+    ----------
+    position: (3,) middle of its floor [m], world.
+    size: (3,) inner length along its own x, width along its own y, and height of its walls [m].
+    yaw: its turn about z [rad].
+    capacity: loose soil that it takes [m^3]; not more than it can hold heaped.
+    load: what lies in it, in its own axes: the floor is at z = 0, and its middle the origin.
+    """
+
+    position: Vector
+    size: Vector
+    yaw: float
+    capacity: float
+    load: Terrain
+
+    @classmethod
+    def empty(
+        cls, position: Sequence[float] | Vector, size: Sequence[float] | Vector, *, yaw: float = 0.0,
+        capacity: float | None = None, repose: float = REPOSE,
+    ) -> Bed:  # fmt: skip
+        """A bed with nothing in it.
+
+        Parameters
+        ----------
+        position, size, yaw: as of the class.
+        capacity: loose soil that it takes [m^3]; by default all that it can hold.
+        repose: the steepest slope of its load [rad].
+
+        Raises
+        ------
+        InputError: an argument is no such number, or more than it can hold.
+        """
+        position, size = as_vector(position, 3, key="position"), as_vector(size, 3, key="size")
+        if (size[:2] < _LEAST).any() or size[2] <= 0.0:
+            raise InputError(
+                "is no bed", key="size", found=size.tolist(), allowed=f"{_LEAST:g} m or more, walls higher than 0"
+            )
+        counts = np.floor(size[:2] / _CELL + _FULL_WITHIN).astype(int)
+        low = -0.5 * _CELL * (counts - 1)
+        load = Terrain.level(0.0, low, -low, _CELL, repose=repose)
+        found = cls(position, size, as_number(yaw, key="yaw"), math.inf, load)
+        most = float(found._highest().sum()) * _CELL**2
+        if capacity is None:
+            return replace(found, capacity=most)
+        capacity = as_number(capacity, key="capacity", above=0.0)
+        if capacity > most:
+            raise InputError(
+                "is more than the bed holds", key="capacity", found=capacity, allowed=f"up to {most:.2f} m^3"
+            )
+        return replace(found, capacity=capacity)
+
+    @property
+    def volume(self) -> float:
+        """Loose soil in it [m^3]."""
+        return self.load.loose_volume
+
+    @property
+    def room(self) -> float:
+        """Loose soil that it still takes [m^3]."""
+        return max(self.capacity - self.volume, 0.0)
+
+    @property
+    def placement(self) -> pin.SE3:
+        """T_world_bed."""
+        return pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw), np.asarray(self.position, dtype=float))
+
+    def top_at(self, at: Sequence[float] | Vector) -> float:
+        """Height z of its load, or floor, at x, y (2,) [m], world.
+
+        Raises
+        ------
+        InputError: there is none of the bed.
+        """
+        place = np.clip(self._own(at), self.load.low, self.load.high)
+        return float(self.position[2] + self.load.height_at(place))
+
+    def loaded(self, at: Sequence[float] | Vector, volume: float) -> Bed | Refusal:
+        """The bed after loose soil was poured into it, or why it does not take it.
+
+        Parameters
+        ----------
+        at: (2,) x, y [m], world.
+        volume: loose [m^3].
+
+        Raises
+        ------
+        InputError: an argument is no such number, or the place is not in the bed.
+        """
+        place = self._own(at)
+        volume = as_number(volume, key="volume", least=0.0)
+        if volume > self.room + _FULL_WITHIN:
+            return Refusal(
+                f"the truck is full: it holds {self.volume:.2f} of {self.capacity:.2f} m^3, "
+                f"and there is no room for {volume:.2f} m^3 more",
+                self.room,
+            )
+        start = self.load.loose + math.tan(self.load.repose) * np.hypot(
+            self.load.x[None, :] - place[0], self.load.y[:, None] - place[1]
+        )
+        most = np.maximum(self._highest() - self.load.loose, 0.0)
+        apex = level_for(start, most, volume / self.load.cell**2)
+        raised = np.clip(apex - start, 0.0, most)
+        return replace(self, load=self.load.with_layers(self.load.bank, self.load.loose + raised))
+
+    def load_obstacle(
+        self, name: str, clearance: float, links: Sequence[str] | None = None, *, before: Obstacle | None = None
+    ) -> Obstacle:
+        """Its load, or the bare floor, as an obstacle; parameters as of `terrain_obstacle`."""
+        if before is not None and check_kind(before, Obstacle, key="before").cluster is not None:
+            assert before.cluster is not None
+            before = replace(
+                before, cluster=before.cluster.moved_to(self.placement.inverse() * before.cluster.placement)
+            )
+        found = terrain_obstacle(self.load, name, clearance, links, before=before)
+        assert found.cluster is not None
+        place = self.placement * found.cluster.placement
+        spec = found.spec.model_copy(
+            update={"position": tuple(place.translation.tolist()), "rpy": (0.0, 0.0, self.yaw)}
+        )
+        return replace(found, cluster=found.cluster.moved_to(place), spec=spec)
+
+    def walls_obstacle(self, name: str, clearance: float, links: Sequence[str] | None = None) -> Obstacle:
+        """Its four walls and its floor as an obstacle; parameters as of `terrain_obstacle`."""
+        length, width, height = np.asarray(self.size, dtype=float).tolist()
+        tall, middle = height + _WALL, 0.5 * (height - _WALL)
+        boxes: list[tuple[Array, Array]] = [(np.array([length, width, _WALL]), np.array([0.0, 0.0, -0.5 * _WALL]))]
+        for side in (-0.5, 0.5):
+            x, y = side * (length + _WALL), side * (width + _WALL)
+            boxes.append((np.array([_WALL, width + 2.0 * _WALL, tall]), np.array([x, 0.0, middle])))
+            boxes.append((np.array([length, _WALL, tall]), np.array([0.0, y, middle])))
+        around = (length + 2.0 * _WALL, width + 2.0 * _WALL, tall)
+        place = self.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, middle]))
+        return Obstacle(
+            name=name,
+            pieces=tuple(shapes.box(size, self.placement * pin.SE3(np.eye(3), centre)) for size, centre in boxes),
+            clearance=as_number(clearance, key="clearance", least=0.0),
+            links=None if links is None else tuple(links),
+            appears_at=0.0,
+            velocity=np.zeros(3),
+            spec=obstacle_shapes.Box(
+                name=name, shape="box", size=around, position=tuple(place.translation.tolist()),
+                rpy=(0.0, 0.0, self.yaw),
+            ),
+        )  # fmt: skip
+
+    def _highest(self) -> Matrix:
+        """(rows, columns) how high its load can be at most [m]."""
+        away = np.minimum(
+            0.5 * self.size[0] - np.abs(self.load.x)[None, :], 0.5 * self.size[1] - np.abs(self.load.y)[:, None]
+        )
+        return np.asarray(self.size[2] + math.tan(self.load.repose) * away)
+
+    def _own(self, at: Sequence[float] | Vector) -> Vector:
+        """(2,) a place in its own axes [m]."""
+        place = self.placement.actInv(np.array([*as_vector(at, 2, key="at"), 0.0]))[:2]
+        if (np.abs(place) > 0.5 * self.size[:2]).any():
+            raise InputError(
+                "is not in the bed", key="at", found=np.asarray(at, dtype=float).tolist(),
+                allowed=f"within {self.size[0]:g} x {self.size[1]:g} m around {self.position[:2].tolist()}",
+            )  # fmt: skip
+        return np.asarray(place)
