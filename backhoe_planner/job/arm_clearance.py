@@ -1,0 +1,95 @@
+"""Whether boom and stick stay above the ground in the arm's plane: a quick look before a cut is planned in full.
+
+The outline of every convex piece is covered with points; the ground is raised by the clearance all
+around, as a ball that rolls over it would leave it, and is taken as high as it is anywhere under
+the arm's width. What passes is proven later; what does not pass is hardly worth the proof.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.job.cuts.arm_plane import ArmPlane
+from backhoe_planner.job.cuts.profile import Profile
+from backhoe_planner.machine import Robot
+
+_SPACING = 0.06  # m between points of an outline; chosen, about a cell of the ground
+_STEP = 0.025  # m of radius between heights of the raised ground
+
+
+class ArmOutline:
+    """The pieces of the links between the swing and the bucket.
+
+    Parameters
+    ----------
+    plane: in which the arm moves.
+    clearance: to be kept from the ground [m].
+    """
+
+    def __init__(self, plane: ArmPlane, clearance: float) -> None:
+        self._plane, self._clearance = plane, clearance
+        self._robot: Robot = plane.robot
+        self._data = self._robot.model.createData()
+        self._points: list[tuple[int, Matrix, float]] = []
+        self.width = 0.0
+        first = 2 if plane.swings else 1
+        for one in self._robot.pieces:
+            if first <= one.joint < self._robot.n and len(one.piece.hull):
+                hull = np.asarray(one.piece.hull)
+                self._points.append((one.joint, _covered(hull), float(one.piece.radius)))
+                across = hull @ self._robot.joint_axes[one.joint - 1]
+                self.width = max(self.width, 2.0 * (float(np.max(np.abs(across))) + float(one.piece.radius)))
+
+    def raised(self, profile: Profile) -> tuple[Vector, Vector]:
+        """(K,) radii and (K,) heights below which no point of the arm may be [m].
+
+        Parameters
+        ----------
+        profile: of the ground under the arm, as wide as `span`.
+        """
+        r = np.arange(profile.r[0], profile.r[-1], _STEP)
+        ground = np.interp(r, profile.r, np.max(profile.surface, axis=1))
+        return r, self.raise_by_clearance(ground)
+
+    def raise_by_clearance(self, ground: Vector) -> Vector:
+        """(K,) heights at even radii `_STEP` apart, raised all around by the clearance [m]."""
+        half = int(self._clearance / _STEP)
+        offset = _STEP * np.arange(-half, half + 1)
+        ball = np.sqrt(np.maximum(self._clearance**2 - offset**2, 0.0))
+        padded = np.pad(ground, half, mode="edge")
+        return np.asarray(np.max(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1) + ball, axis=1))
+
+    @property
+    def span(self) -> float:
+        """The width of ground that counts [m]."""
+        return self.width + 2.0 * self._clearance
+
+    def clears(self, q: Matrix, raised: tuple[Vector, Vector]) -> Flags:
+        """(M,) whether the arm is above the ground at q (M, n)."""
+        found = np.ones(len(q), dtype=bool)
+        for index, row in enumerate(q):
+            pin.forwardKinematics(self._robot.model, self._data, row)
+            heading = self._plane.heading(float(row[0]) if self._plane.swings else 0.0)
+            out = np.array([np.cos(heading), np.sin(heading)])
+            for joint, points, radius in self._points:
+                placement = self._data.oMi[joint]
+                world: Array = points @ placement.rotation.T + placement.translation
+                at_r = (world[:, :2] - self._plane.axis) @ out
+                if np.any(world[:, 2] - radius < np.interp(at_r, *raised)):
+                    found[index] = False
+                    break
+        return found
+
+
+def _covered(hull: Matrix) -> Matrix:
+    """(k, 3) points on the edges between the corners (m, 3) of a box-like piece."""
+    edges = [(a, b) for i, a in enumerate(hull) for b in hull[i + 1 :]]
+    found = [hull]
+    for a, b in edges:
+        count = int(np.linalg.norm(b - a) / _SPACING)
+        if count > 1:
+            part = np.linspace(0.0, 1.0, count + 1)[1:-1, None]
+            found.append(a + part * (b - a))
+    return np.unique(np.round(np.vstack(found), 4), axis=0)

@@ -1,0 +1,147 @@
+"""A cut as a motion: down from above the ground around it, through the soil, and up again with the bucket level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.job.cuts.cut import Cut
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.motion import Problem, Trajectory, time_along
+
+_STEP = 0.05  # m between places of the edge above the ground; chosen
+_PITCHES = 40  # that are tried for a place above the ground; chosen
+_BEHIND = 0.6  # m by which the level bucket reaches below its teeth, at most; measured on models/backhoe.urdf, 0.46
+_SPARE = 0.06  # m beyond the clearance at both ends of a cut; chosen
+_AROUND = 0.5  # m to each side and beyond the bucket in which the ground counts at both ends; chosen
+
+
+@dataclass(frozen=True, eq=False)
+class CutPath:
+    """The joints of a whole cut.
+
+    Attributes
+    ----------
+    q: (M, n) from above the ground to above the ground.
+    first, last: indices between which it is the cut's own path.
+    """
+
+    q: Matrix
+    first: int
+    last: int
+
+
+def cut_path(site: Worksite, cut: Cut, ground: Terrain, *, higher: float = 0.0) -> CutPath | str:
+    """The joints of a cut with its way down and up; or why there are none.
+
+    Parameters
+    ----------
+    ground: before the cut.
+    higher: by how much more than usual the bucket is lifted at both ends [m].
+    """
+    spare = site.problem.scene.clearance + _SPARE + higher
+    lift = cut.begin[3]
+    down = _down(site, cut, _top(site, cut, ground, float(cut.r[0])) + spare)
+    if down is None:
+        return f"the teeth cannot come down at r {cut.r[0]:.2f} m"
+    up = _up(site, cut, lift, _top(site, cut, ground, float(cut.r[lift])) + _BEHIND + spare)
+    if up is None:
+        return f"the bucket cannot be lifted level at r {cut.r[lift]:.2f} m"
+    q = np.vstack((down, cut.q[: lift + 1], up))
+    return CutPath(q, len(down), len(down) + lift)
+
+
+def cut_motion(site: Worksite, cut: Cut, path: CutPath) -> Trajectory:
+    """The fastest motion along a cut."""
+    tips = site.plane.kinematics.at(path.q).tip_position
+    stations = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))))
+    return time_along(stations, path.q, site.problem.limits, drive=site.digger.drive(cut))
+
+
+def cut_problem(site: Worksite, cut: Cut, problem: Problem) -> Problem:
+    """The problem of a motion through the soil that a cut is in."""
+    return replace(problem, scene=problem.scene.model_copy(update={"soil": site.digger.soil}), ground=cut.ground)
+
+
+def _top(site: Worksite, cut: Cut, ground: Terrain, r: float) -> float:
+    """The highest ground around the bucket while its teeth are at radius `r` [m]."""
+    radii = np.arange(r - site.bucket.length - _AROUND, r + site.bucket.length + _AROUND, ground.cell)
+    middle = site.plane.world(cut.swing, radii, np.zeros(len(radii)))[:, :2]
+    sides = np.arange(-0.5 * cut.bucket.width - _AROUND, 0.5 * cut.bucket.width + _AROUND, ground.cell)
+    place = (middle[:, None, :] + sides[:, None] * cut.across[:2] - ground.low) / ground.cell
+    last = np.array(ground.bank.shape[::-1]) - 1
+    column, row = np.moveaxis(np.clip(np.round(place).astype(int), 0, last), -1, 0)
+    return float(ground.surface[row, column].max())
+
+
+def _down(site: Worksite, cut: Cut, top: float) -> Matrix | None:
+    """(M, n) from `top` [m] down to where the cut begins, without that; none where it begins there."""
+    r, z, pitch = float(cut.r[0]), float(cut.z[0]), float(cut.pitch[0])
+    if top <= z + 1e-3:
+        return np.zeros((0, site.robot.n))
+    heights = np.linspace(top, z, int(np.ceil((top - z) / _STEP)) + 1)
+    found = site.plane.joints(cut.swing, np.full(len(heights), r), heights, np.full(len(heights), pitch))
+    if np.isnan(found).any():
+        upper = _nearest_pitch(site, cut.swing, r, top, pitch)
+        if upper is None:
+            return None
+        part = (heights - z) / (top - z)
+        found = site.plane.joints(cut.swing, np.full(len(heights), r), heights, pitch + part * (upper - pitch))
+    return None if np.isnan(found).any() else found[:-1]
+
+
+def _up(site: Worksite, cut: Cut, lift: int, top: float) -> Matrix | None:
+    """(M, n) from where the teeth leave the ground up to `top` [m] or higher, inward as far as the level bucket needs."""
+    r, z = float(cut.r[lift]), float(cut.z[lift])
+    level, plane, begin = cut.bucket.level_pitch, site.plane, cut.q[lift]
+    top = max(top, z + _STEP)
+    inward = np.arange(r, r - 3.0, -_STEP)
+    ends = plane.joints(cut.swing, inward, np.full(len(inward), top), np.full(len(inward), level))
+    reached = np.flatnonzero(~np.isnan(ends[:, 0]))
+    if not len(reached):
+        return None
+    goal = ends[reached[0]]
+    count = max(int(np.ceil(np.max(np.abs(goal - begin)) / 0.1)), 4)
+    straight = begin + np.linspace(0.0, 1.0, count + 1)[1:, None] * (goal - begin)
+    if _clears(site, cut, straight):
+        return straight
+    # straight up first, then inward
+    heights = np.linspace(z, top, int(np.ceil((top - z) / _STEP)) + 1)[1:]
+    rising = plane.joints(
+        cut.swing, np.full(len(heights), r), heights, np.full(len(heights), float(cut.pitch[lift]))
+    )
+    if np.isnan(rising).any():
+        return None
+    over = rising[-1] + np.linspace(0.0, 1.0, count + 1)[1:, None] * (goal - rising[-1])
+    return np.vstack((rising, over))
+
+
+def _clears(site: Worksite, cut: Cut, q: Matrix) -> bool:
+    """Whether teeth and back stay above the ground as it was, at q (M, n)."""
+    r, z, pitch = site.plane.place(q)
+    profile = cut.ground.profile
+    x, y = np.vstack((cut.bucket.back, [cut.bucket.length, 0.0])).T
+    pin_r, pin_z = r - cut.bucket.length * np.cos(pitch), z - cut.bucket.length * np.sin(pitch)
+    at_r = pin_r[:, None] + x * np.cos(pitch)[:, None] - y * np.sin(pitch)[:, None]
+    at_z = pin_z[:, None] + x * np.sin(pitch)[:, None] + y * np.cos(pitch)[:, None]
+    # where the cut has just been there is no ground any more
+    there = np.where(at_r > cut.r[cut.begin[3]] + 1e-9, cut_bottom(cut, at_r), profile.height(at_r))
+    return bool(np.all(at_z >= np.minimum(there, profile.height(at_r)) - 1e-2))
+
+
+def cut_bottom(cut: Cut, r: Matrix) -> Matrix:
+    """(...) height of the ground after the cut at radii (...) that it has passed [m]."""
+    inside = slice(0, cut.begin[3] + 1)
+    order = np.argsort(cut.r[inside], kind="stable")
+    return np.asarray(np.interp(r, cut.r[inside][order], cut.z[inside][order]))
+
+
+def _nearest_pitch(site: Worksite, swing: float, r: float, z: float, pitch: float) -> float | None:
+    """The pitch nearest to `pitch` [rad] at which the teeth can be at r, z [m]; None where there is none."""
+    tried: Vector = np.linspace(-np.pi, 0.0, _PITCHES)
+    q = site.plane.joints(swing, np.full(_PITCHES, r), np.full(_PITCHES, z), tried)
+    fine = tried[~np.isnan(q[:, 0])]
+    return float(fine[np.argmin(np.abs(fine - pitch))]) if len(fine) else None

@@ -1,0 +1,131 @@
+"""The design: how deep is to be dug, where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.job.schema.work import Trench
+
+_ROUNDING = 1e-9  # m
+
+
+class Design(Protocol):
+    """How deep is to be dug."""
+
+    def height(self, points: Array) -> Array:
+        """(...) height of the design at points (..., 2) x, y [m]; nan where nothing is to be dug."""
+
+    def within(self, points: Array, slack: float) -> Flags:
+        """(...) whether points (..., 2) are at most `slack` [m] outside of what is to be dug."""
+
+    @property
+    def outline(self) -> Matrix:
+        """(k, 2) corners of a convex area around it [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrenchDesign:
+    """A trench with upright walls.
+
+    Attributes
+    ----------
+    trench: as in the job file.
+    ground: height of the ground at its beginning [m].
+    """
+
+    trench: Trench
+    ground: float
+
+    @property
+    def direction(self) -> Vector:
+        """(2,) unit vector from its beginning to its end."""
+        return (np.array(self.trench.end) - self.trench.start) / self.trench.length
+
+    def along(self, points: Array) -> tuple[Array, Array]:
+        """(...), (...) how far points (..., 2) are along it, and how far to its left [m]."""
+        off = np.asarray(points, dtype=float) - self.trench.start
+        ahead = self.direction
+        return off @ ahead, off @ np.array([-ahead[1], ahead[0]])
+
+    def height(self, points: Array) -> Array:
+        """See `Design`."""
+        along, _ = self.along(points)
+        bottom = self.ground - self.trench.depth - self.trench.slope * along
+        return np.where(self.within(points, 0.0), bottom, np.nan)
+
+    def within(self, points: Array, slack: float) -> Flags:
+        """See `Design`."""
+        along, aside = self.along(points)
+        room = slack + _ROUNDING
+        inside = (along >= -room) & (along <= self.trench.length + room)
+        return np.asarray(inside & (np.abs(aside) <= 0.5 * self.trench.width + room))
+
+    @property
+    def outline(self) -> Matrix:
+        """See `Design`."""
+        ahead = self.direction
+        left = 0.5 * self.trench.width * np.array([-ahead[1], ahead[0]])
+        a, b = np.array(self.trench.start), np.array(self.trench.end)
+        return np.array([a - left, b - left, b + left, a + left])
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceDesign:
+    """A design surface on a grid.
+
+    Attributes
+    ----------
+    low: (2,) x, y of the first height [m].
+    cell: between heights [m].
+    z: (rows, columns) heights [m]; nan where nothing is to be dug.
+    """
+
+    low: Vector
+    cell: float
+    z: Matrix
+
+    def height(self, points: Array) -> Array:
+        """See `Design`."""
+        place = np.round((np.asarray(points, dtype=float) - self.low) / self.cell).astype(int)
+        last = np.array(self.z.shape[::-1]) - 1
+        beyond = ((place < 0) | (place > last)).any(axis=-1)
+        column, row = np.moveaxis(np.clip(place, 0, last), -1, 0)
+        return np.where(beyond, np.nan, self.z[row, column])
+
+    def within(self, points: Array, slack: float) -> Flags:
+        """See `Design`; `slack` is rounded up to whole cells."""
+        from scipy.ndimage import binary_dilation
+
+        known = np.isfinite(self.z)
+        steps = int(np.ceil(slack / self.cell - _ROUNDING))
+        if steps:
+            known = np.pad(known, steps)
+            known = binary_dilation(known, np.ones((3, 3), dtype=bool), iterations=steps)
+        place = np.round((np.asarray(points, dtype=float) - self.low) / self.cell).astype(int) + steps
+        last = np.array(known.shape[::-1]) - 1
+        beyond = ((place < 0) | (place > last)).any(axis=-1)
+        column, row = np.moveaxis(np.clip(place, 0, last), -1, 0)
+        return np.asarray(~beyond & known[row, column])
+
+    @property
+    def outline(self) -> Matrix:
+        """See `Design`."""
+        rows, columns = np.nonzero(np.isfinite(self.z))
+        corners = [
+            self.low + self.cell * np.array([column, row])
+            for row, column in (
+                (rows.min(), columns.min()), (rows.min(), columns.max()),
+                (rows.max(), columns.max()), (rows.max(), columns.min()),
+            )
+        ]  # fmt: skip
+        return np.array(corners)
+
+
+def cell_samples(nodes: Array, cell: float) -> Array:
+    """(..., 4, 2) the corners of the columns around nodes (..., 2) [m]."""
+    corners = 0.5 * cell * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    return np.asarray(nodes[..., None, :] + corners)

@@ -1,0 +1,204 @@
+"""Lanes: the planes in which the arm digs, and how deep the edge may and can go in each.
+
+Whether the teeth can be somewhere is asked of the machine's limits, and of every obstacle and zone
+with its clearance, at several pitches. Down from the ground only what can be reached without a gap
+counts. From the floor so found follows the lowest line that an edge can take, which goes down
+and up at no more than two angles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.job.cuts.edge_path import Descent, Underground
+from backhoe_planner.job.cuts.profile import Profile
+from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.site import ClearanceScreen, Proximity
+
+ENTRY, LEAVE = 1.4, 1.2  # rad: 80 degrees as of the cuts; and 69, chosen: a steeper edge pushes the soil out again
+_STEP = 0.025  # m of radius: half of a cell of 5 cm
+_ACROSS = 7  # places across the blade; chosen, less than two cells of 5 cm apart
+_PITCHES = np.linspace(-2.7, -0.6, 8)  # rad at which teeth may dig: from nearly level to a plate that points down
+_DOWN = 0.05  # m by which a place is looked for deeper; chosen, a cell
+_SPARE = 0.01  # m beyond every clearance, for what lies between the places looked at; chosen
+_SAME = 1e-9  # m
+_FAN = 0.04  # rad between lanes of a wide design: 20 cm at 5 m; chosen, a third of a bucket's width
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """One plane of the arm, and what is dug in it.
+
+    Attributes
+    ----------
+    swing: angle of the plane [rad].
+    r: (K,) radii [m].
+    design: (K,) height of the design under the blade [m]; nan where nothing is to be dug.
+    floor: (K,) the lowest that the edge may and can be [m]; at the ground where nothing is to be dug.
+    line: (K,) the lowest line of an edge over that floor [m].
+    cause: (K,) what raised the floor above the design; an index into `causes`, 0 where nothing did.
+    causes: in words that begin with their kind, see `cause_kind`.
+    start, end: radii between which is dug [m].
+    """
+
+    swing: float
+    r: Vector
+    design: Vector
+    floor: Vector
+    line: Vector
+    cause: NDArray[np.int64]
+    causes: tuple[tuple[str, str], ...]
+    start: float
+    end: float
+
+
+def lanes_of(site: Worksite) -> tuple[Lane, ...]:
+    """All lanes of a design; none where no plane of the arm has all of a bucket's width in it."""
+    plane, outline = site.plane, site.design.outline
+    off = outline - plane.axis
+    headings = np.unwrap(np.arctan2(off[:, 1], off[:, 0]))
+    zero = plane.heading(0.0)
+    turn = 1.0 if plane.heading(1.0) > zero else -1.0
+    middle = turn * _wrapped(np.arctan2(*(outline.mean(axis=0) - plane.axis)[::-1]) - zero)
+    half = 0.5 * float(np.ptp(headings))
+    count = int(half / _FAN)
+    swings = middle + _FAN * np.arange(-count, count + 1)
+    if site.job.dig.trench is not None:
+        own = _radial(site, middle)
+        swings = swings if own is None else np.array([own])
+    screen = ClearanceScreen(Proximity(site.robot, site.problem.obstacles), spare=_SPARE)
+    found = [_lane(site, float(swing), screen) for swing in swings]
+    return tuple(lane for lane in found if lane is not None)
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _radial(site: Worksite, near: float) -> float | None:
+    """The one swing angle at which a blade fills a trench that points at the machine; None where it is another."""
+    trench = site.job.dig.trench
+    assert trench is not None
+    plane, slack = site.plane, trench.tolerance
+    offsets = np.array([trench.start, trench.end]) - plane.axis
+    heading = plane.heading(near)
+    left = np.array([-np.sin(heading), np.cos(heading)])
+    aside = np.abs(offsets @ left)
+    too_wide = trench.width - site.bucket.width > 2.0 * slack
+    return None if too_wide or float(aside.max()) > slack else near
+
+
+def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
+    plane, design, width = site.plane, site.design, site.bucket.width
+    profile = Profile.of_terrain(site.ground, plane, swing, width=width)
+    r = np.arange(profile.r[0], profile.r[-1], _STEP)
+    blade = _blade_points(site, swing, r)
+    # a blade may be as much wider than what is dug as the design may be missed by
+    inside = design.within(blade, site.job.dig.tolerance).all(axis=1)
+    heights = design.height(blade)
+    known = np.isfinite(heights).any(axis=1)
+    inside &= known
+    if np.count_nonzero(inside) < 2:
+        return None
+    deepest = np.where(inside, np.max(np.where(np.isfinite(heights), heights, -np.inf), axis=1), np.nan)
+    ground = profile.height(r)
+    inside &= deepest < ground - _SAME
+    if np.count_nonzero(inside) < 2:
+        return None
+    floor, cause, causes = _reachable(site, swing, r, np.where(inside, deepest, np.nan), ground, screen)
+    dug = np.flatnonzero(inside & (floor < ground - _SAME))
+    if len(dug) < 2:
+        return Lane(swing, r, deepest, ground, ground, cause, causes, float(r[-1]), float(r[0]))
+    start, end = float(r[dug[-1]]), float(r[dug[0]])
+    under = Underground(profile, (r, floor), end=end, start=start)
+    lowest = under.line(float(np.max(ground - floor)) + 1.0, end, Descent(ENTRY, LEAVE))
+    line = np.minimum(np.interp(r, under.r, lowest), ground)
+    return Lane(swing, r, deepest, floor, np.where(inside, line, ground), cause, causes, start, end)
+
+
+def _blade_points(site: Worksite, swing: float, r: Vector) -> Array:
+    """(K, A, 2) x, y under a blade at radii (K,) [m]."""
+    heading = site.plane.heading(swing)
+    left = np.array([-np.sin(heading), np.cos(heading)])
+    offsets = site.bucket.width * np.linspace(-0.5, 0.5, _ACROSS)
+    middle = site.plane.world(swing, r, np.zeros(len(r)))[:, :2]
+    return np.asarray(middle[:, None, :] + offsets[:, None] * left)
+
+
+def _reachable(
+    site: Worksite, swing: float, r: Vector, design: Vector, ground: Vector, screen: ClearanceScreen
+) -> tuple[Vector, NDArray[np.int64], tuple[tuple[str, str], ...]]:
+    """(K,) the lowest heights at which the teeth can be, (K,) what stops them there, and a list of that."""
+    floor, cause = ground.copy(), np.zeros(len(r), dtype=np.int64)
+    causes: list[tuple[str, str]] = [("", "")]
+    proximity = Proximity(site.robot, site.problem.obstacles)
+    # the arm above the ground as it is when all is dug
+    wide = Profile.of_terrain(site.ground, site.plane, swing, width=site.arm.span)
+    final = np.fmin(np.interp(r, wide.r, np.max(wide.surface, axis=1)), design)
+    raised = (r, site.arm.raise_by_clearance(final))
+    for index in np.flatnonzero(np.isfinite(design)).tolist():
+        depths = np.arange(ground[index], design[index], -_DOWN)
+        for height in [*depths[1:].tolist(), float(design[index])]:
+            stopped = _stopped(site, (swing, float(r[index]), height), screen, proximity, raised)
+            if stopped is not None:
+                if stopped not in causes:
+                    causes.append(stopped)
+                cause[index] = causes.index(stopped)
+                break
+            floor[index] = height
+    return floor, cause, tuple(causes)
+
+
+def _stopped(
+    site: Worksite,
+    place: tuple[float, float, float],
+    screen: ClearanceScreen,
+    proximity: Proximity,
+    raised: tuple[Vector, Vector],
+) -> tuple[str, str] | None:
+    """What keeps the teeth from a swing, radius and height at every pitch, as kind and name; None where nothing does."""
+    swing, r, z = place
+    q = site.plane.joints(swing, np.full(len(_PITCHES), r), np.full(len(_PITCHES), z), _PITCHES)
+    q = q[~np.isnan(q[:, 0])]
+    if not len(q):
+        return "out_of_reach", ""
+    q = q[site.arm.clears(q, raised)]
+    if not len(q):
+        return "out_of_reach", "the ground beside it, which boom or stick would touch"
+    for row in q:
+        if screen.keeps_unchecked(row):
+            return None
+    tightest = [proximity.tightest(row) for row in q]
+    named = [one for one in tightest if one is not None]
+    if not named:
+        return None
+    best = max(named, key=lambda one: one.margin)
+    return ("protected" if best.kind == "obstacle" else "out_of_reach"), best.name
+
+
+def allowed_heights(site: Worksite, lanes: tuple[Lane, ...], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:
+    """(rows, columns) the lowest heights that can be dug, nan where nothing is to be; and by which lane, -1 by none.
+
+    Parameters
+    ----------
+    design: (rows, columns) see `Worksite.design_heights`.
+    """
+    nodes, cell = site.nodes, site.ground.cell
+    found = np.where(np.isfinite(design), site.ground.surface, np.nan)
+    by = np.full(design.shape, -1, dtype=np.int64)
+    rows, columns = np.nonzero(np.isfinite(design))
+    points = nodes[rows, columns] - site.plane.axis
+    for number, lane in enumerate(lanes):
+        heading = site.plane.heading(lane.swing)
+        out, left = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+        along, aside = points @ out, points @ left
+        # a column on a steep end is measured at the upper end of it
+        line = np.max([np.interp(along + off, lane.r, lane.line) for off in (-cell, 0.0, cell)], axis=0)
+        covered = (np.abs(aside) <= 0.5 * site.bucket.width) & (line < found[rows, columns] - _SAME)
+        found[rows[covered], columns[covered]] = np.maximum(line, design[rows, columns])[covered]
+        by[rows[covered], columns[covered]] = number
+    return found, by

@@ -1,0 +1,195 @@
+"""Patterns: in which order the soil is cut, from the ground as it is to the next cut.
+
+- Level layers: one after the other over the whole length, each from the far end to the near one.
+- A face: the farthest part down to the bottom first, then the next, each cut as deep as is allowed.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.job.cuts.cut import Cut, NoCut
+from backhoe_planner.job.cuts.finding import find_cut
+from backhoe_planner.job.cuts.profile import Profile
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.lanes import LEAVE, Lane
+from backhoe_planner.job.schema.work import Face, Layers
+from backhoe_planner.job.worksite import Worksite
+
+PLAIN = 0.15  # m, layers of the plain pattern: what an operator's manual has for cuts after the first
+_LEFT = 0.6  # of the tolerance: what is left above the floor and not worth a cut; chosen
+_SHORTEST = 0.1  # m of radius: a cut that is shorter is not looked for; chosen
+_FACES = (0.2, 0.3, 0.4, 0.55)  # m, greatest depths of a cut of a face that are compared; chosen
+_LAYERS = (0.1, 0.2, 0.3)  # m, depths of level layers that are compared beside the plain one; chosen
+_RUN_INS = (0.3, 0.0)  # m beyond what is left, where a cut begins: at the end of a trench along its wall; chosen
+_INWARD = 0.3  # m of radius between places from which a cut is tried; chosen
+_EVERY = 4  # places of a cut from one at which the arm is held against the ground to the next: 12 cm
+_MOST_LAYERS = 1000
+_SHALLOWER = (1.0, 0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
+_FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
+_REST = 12.0  # s of a cycle beside its cut, about
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A way to cut.
+
+    Attributes
+    ----------
+    kind: which.
+    depth: of a layer, or the greatest of a cut below the ground there [m].
+    """
+
+    kind: Literal["layers", "face"]
+    depth: float
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        if self.kind == "layers":
+            return f"level layers of {self.depth:.2f} m"
+        return f"far end first, cuts up to {self.depth:.2f} m deep"
+
+
+@dataclass(frozen=True, eq=False)
+class NextCut:
+    """The next cut of a pattern.
+
+    Attributes
+    ----------
+    lane: in which it lies.
+    cut: itself.
+    step: where in the pattern it is, in words.
+    """
+
+    lane: Lane
+    cut: Cut
+    step: str
+
+
+def patterns_to_compare(site: Worksite) -> tuple[Pattern, ...]:
+    """All patterns that are compared, the plain one first; the one that is prescribed where one is."""
+    choice = site.job.pattern
+    if isinstance(choice, Layers):
+        return (Pattern("layers", choice.layers),)
+    if isinstance(choice, Face):
+        return (Pattern("face", choice.face),)
+    plain = Pattern("layers", PLAIN)
+    if choice == "plain":
+        return (plain,)
+    return (plain, *(Pattern("layers", depth) for depth in _LAYERS), *(Pattern("face", depth) for depth in _FACES))
+
+
+def next_cut(
+    site: Worksite, lanes: Sequence[Lane], pattern: Pattern, ground: Terrain, *, done: Sequence[tuple[int, float]] = ()
+) -> NextCut | NoCut | None:
+    """The next cut; None where nothing is left, or why what is left cannot be cut.
+
+    Parameters
+    ----------
+    ground: as it is now.
+    done: lanes, by number, and radii [m] beyond which nothing more is tried in them.
+    """
+    limits = dict(done)
+    refused: NoCut | None = None
+    profiles = [Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width) for lane in lanes]
+    for number, floors in _floors(site, lanes, pattern, profiles):
+        lane, profile = lanes[number], profiles[number]
+        places = _left(site, lane, profile, floors[1])
+        places = places[places < limits.get(number, np.inf)]
+        if not len(places) or lane.start - lane.end < _SHORTEST:
+            continue
+        found = _best(site, lane, (profile, ground), floors[1], places, pattern)
+        if isinstance(found, Cut):
+            return NextCut(lane, found, floors[0])
+        refused = refused or found
+    return refused
+
+
+def _best(
+    site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, left: Vector, pattern: Pattern
+) -> Cut | NoCut:
+    """The cut from the far end of what is left, at radii `left` (k,) [m], or from further in where there is none.
+
+    Where it fills the bucket by less than most, shallower cuts and another beginning are tried too.
+    """
+    profile, terrain = ground
+    arm = site.arm
+    raised = arm.raised(Profile.of_terrain(terrain, site.plane, lane.swing, width=arm.span))
+    depth = pattern.depth if pattern.kind == "face" else float(np.max(profile.mean)) - float(np.min(floor)) + 1.0
+    best: Cut | None = None
+    refused: NoCut | None = None
+    places = left[::-1][:: max(int(_INWARD / (left[1] - left[0])), 1)] if len(left) > 1 else left
+    for place, part in itertools.product(places.tolist(), _SHALLOWER):
+        for run_in in _RUN_INS:
+            start = min(max(place + run_in, lane.end + _SHORTEST), lane.start)
+            found = find_cut(
+                site.digger, profile, swing=lane.swing, start=start, end=lane.end, depth=part * depth,
+                floor=(lane.r, floor), volume=site.volume, leave=LEAVE,
+            )  # fmt: skip
+            if isinstance(found, Cut) and not arm.clears(found.q[:: _EVERY], raised).all():
+                found = NoCut("reach", f"boom or stick would touch the ground with the teeth at r {start:.2f} m", start)
+            if isinstance(found, NoCut):
+                refused = refused or found
+                continue
+            best = found if best is None or _rate(found) > _rate(best) else best
+            if found.fill > _FULL or (found.r[-1] < left[0] and place == left[-1]):
+                return found
+    if best is None or best.fill < _WORTH:
+        return refused or NoCut("nothing", f"what is left at r {left[-1]:.2f} m fills less than {100 * _WORTH:.0f} %")
+    return best
+
+
+def _rate(cut: Cut) -> float:
+    """Soil over the time of the cycle, about [m^3/s]."""
+    return cut.loose_volume / (cut.time + _REST)
+
+
+def _floors(
+    site: Worksite, lanes: Sequence[Lane], pattern: Pattern, profiles: Sequence[Profile]
+) -> list[tuple[int, tuple[str, Vector]]]:
+    """Lanes by number with what is dug to in them now, in the order in which they are tried."""
+    every = range(len(lanes))
+    if pattern.kind == "face":
+        # the lane that reaches farthest out first, so that the face retreats evenly
+        def far(number: int) -> float:
+            places = _left(site, lanes[number], profiles[number], lanes[number].line)
+            return float(places[-1]) if len(places) else -np.inf
+
+        order = sorted(every, key=far, reverse=True)
+        return [(number, (f"lane {number + 1}" if len(lanes) > 1 else "face", lanes[number].line)) for number in order]
+    for layer in range(1, _MOST_LAYERS):
+        found, last = [], True
+        for number in every:
+            lane = lanes[number]
+            level = _first_ground(site, lane) - layer * pattern.depth
+            floor = np.maximum(lane.line, level)
+            last = last and bool(np.all(floor <= lane.line + 1e-9))
+            if len(_left(site, lane, profiles[number], floor)):
+                found.append((number, (f"layer {layer}", floor)))
+        if found or last:
+            return found
+    return []
+
+
+def _first_ground(site: Worksite, lane: Lane) -> Vector:
+    """(K,) the ground before the first cut in a lane [m], made even: the highest of what is dug there."""
+    profile = Profile.of_terrain(site.ground, site.plane, lane.swing, width=site.bucket.width)
+    return np.asarray(profile.height(lane.r))
+
+
+def _left(site: Worksite, lane: Lane, profile: Profile, floor: Vector) -> Vector:
+    """Radii of a lane where more than is worth a cut lies above a floor [m]."""
+    middle = np.median(profile.surface, axis=1)
+    # a steep end counts as met a cell beside where it stands
+    step = site.ground.cell
+    upper = np.max([np.interp(lane.r + off, lane.r, floor) for off in (-step, 0.0, step)], axis=0)
+    above = np.interp(lane.r, profile.r, middle) - upper
+    inside = (lane.r >= lane.end - 1e-9) & (lane.r <= lane.start + 1e-9)
+    return lane.r[inside & (above > _LEFT * site.job.dig.tolerance)]

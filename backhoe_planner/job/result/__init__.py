@@ -1,0 +1,1 @@
+"""The result of a job: its cycles, its figures, and its file."""

@@ -1,0 +1,124 @@
+"""The cycles of a job: their legs, the ground that they change, what they move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.motion import Problem, Trajectory
+from backhoe_planner.proof import Certificate
+
+LegName = Literal["approach", "cut", "swing", "dump", "return"]
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """One motion of a cycle, from rest to rest.
+
+    Attributes
+    ----------
+    name: what it does.
+    problem: machine, task, and all obstacles as they are during this motion, the ground among them.
+    trajectory: the motion.
+    certificate: what is proven of it.
+    payload: mass in the bucket [kg]; during a cut that at its end, during a dump that at its beginning.
+    work: of the joints [J].
+    pump, engine: mean use of the pump's flow and of the engine's power, 0 to 1; nan of a machine without hydraulics.
+    """
+
+    name: LegName
+    problem: Problem
+    trajectory: Trajectory
+    certificate: Certificate
+    payload: float
+    work: float
+    pump: float
+    engine: float
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return self.trajectory.duration
+
+
+@dataclass(frozen=True, eq=False)
+class Digging:
+    """How the ground changes during a cut.
+
+    Attributes
+    ----------
+    time: (K,) moments within the cut [s].
+    edge: (K, 3) the middle of the cutting edge at these moments [m], world.
+    across: (3,) unit vector along the edge, world.
+    width: of the edge [m].
+    bank: (K,) undisturbed soil dug up to then, as it lay in the ground [m^3].
+    loose: (K,) loose soil taken up to then [m^3].
+    """
+
+    time: Vector
+    edge: Matrix
+    across: Vector
+    width: float
+    bank: Vector
+    loose: Vector
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """From above the cut to the empty bucket.
+
+    Attributes
+    ----------
+    number: from 1.
+    legs: approach, cut, swing, dump; the last cycle also has the return.
+    digging: how the ground changes during the cut.
+    before: the ground at the beginning of the cycle.
+    dug: the ground after the cut.
+    after: the ground after the dump, the heap on it.
+    bank: undisturbed soil that left the ground [m^3], as it lay there.
+    taken: loose soil that was taken up with it [m^3].
+    held: loose soil in the bucket when it is lifted [m^3]: bank times swell plus taken, less what is spilt.
+    spilt: loose soil that falls back beside the cut [m^3].
+    place: (3,) where the soil is dumped, the top of what lies there afterwards [m], world.
+    truck: number of the truck, from 1; 0 for a heap.
+    step: which part of the pattern it belongs to, in words: ``layer 2``.
+    filled: part of the bucket's capacity that is filled.
+    depth: greatest depth of the edge below the ground along the cut [m].
+    """
+
+    number: int
+    legs: tuple[Leg, ...]
+    digging: Digging
+    before: Terrain
+    dug: Terrain
+    after: Terrain
+    bank: float
+    taken: float
+    held: float
+    spilt: float
+    place: Vector
+    truck: int
+    step: str
+    filled: float
+    depth: float
+
+    @property
+    def duration(self) -> float:
+        """[s]"""
+        return sum(leg.duration for leg in self.legs)
+
+    @property
+    def work(self) -> float:
+        """Of the joints [J]."""
+        return sum(leg.work for leg in self.legs)
+
+    @property
+    def verified(self) -> bool:
+        """Whether the certificates of all legs hold."""
+        return all(leg.certificate.verified for leg in self.legs)
+
+    def leg(self, name: LegName) -> Leg | None:
+        """The leg of that name, where the cycle has one."""
+        return next((leg for leg in self.legs if leg.name == name), None)

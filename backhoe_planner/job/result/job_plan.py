@@ -1,0 +1,196 @@
+"""A job's plan: its cycles from the first cut to the last, and what could not be dug."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.result.cycles import Cycle
+from backhoe_planner.job.schema.job_file import Job
+from backhoe_planner.machine import Robot
+
+JobReason = Literal["", "unreachable", "blocked", "too_hard", "full", "not_done", "interrupted"]
+_LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state at partial load
+
+
+@dataclass(frozen=True, eq=False)
+class Undug:
+    """Soil above the design that stays, for one reason.
+
+    Attributes
+    ----------
+    reason: ``protected`` (an obstacle or zone), ``out_of_reach``, ``too_hard`` (a cylinder), ``left`` (none of these).
+    by: the obstacle or zone, the joint or the cylinder; empty where there is none.
+    columns: (rows, columns) which columns of the ground.
+    volume: of it, as it lies in the ground [m^3].
+    low, high: (2,) least and greatest x, y of it [m].
+    words: the same in a sentence.
+    """
+
+    reason: Literal["protected", "out_of_reach", "too_hard", "left"]
+    by: str
+    columns: Flags
+    volume: float
+    low: Vector
+    high: Vector
+    words: str
+
+
+@dataclass(frozen=True)
+class PatternEstimate:
+    """What one pattern of cuts would cost, by the cheap models with which patterns are compared.
+
+    Attributes
+    ----------
+    name: in words: ``level layers of 0.15 m``.
+    cycles: how many.
+    bank: soil that it digs [m^3].
+    duration: of all cycles [s].
+    work: of the joints [J].
+    cost: of the objective per bank m^3 [s/m^3 or J/m^3].
+    chosen: whether it is the one that is planned.
+    """
+
+    name: str
+    cycles: int
+    bank: float
+    duration: float
+    work: float
+    cost: float
+    chosen: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class JobPlan:
+    """All cycles of a job, verified or not.
+
+    Attributes
+    ----------
+    job: as it was given.
+    robot: the machine on its site.
+    start: the ground before the first cycle.
+    design: (rows, columns) height z of the design at the columns of the ground [m]; nan where nothing is to be dug.
+    allowed: (rows, columns) the lowest height that may and can be dug [m]; at least `design`, nan where that is.
+    edge: (k, 2) corners of the outline of what is dug [m], x, y.
+    cycles: one after the other.
+    undug: what stays above the design, and why.
+    compared: the patterns, the best first.
+    capacity: of the bucket, heaped, loose [m^3].
+    effort, seed: as they were given.
+    failure: why the job ended early; empty where it did not.
+    note: the same in a sentence.
+    planning_time: [s] of the processor.
+    """
+
+    job: Job
+    robot: Robot
+    start: Terrain
+    design: Matrix
+    allowed: Matrix
+    edge: Matrix
+    cycles: tuple[Cycle, ...]
+    undug: tuple[Undug, ...]
+    compared: tuple[PatternEstimate, ...]
+    capacity: float
+    effort: str
+    seed: int
+    failure: JobReason = ""
+    note: str = ""
+    planning_time: float = field(default=float("nan"), compare=False)
+
+    @property
+    def verified(self) -> bool:
+        """Whether every cycle's certificates hold and the design is met wherever it may be dug."""
+        return not self.failure and all(cycle.verified for cycle in self.cycles) and self.is_met
+
+    @property
+    def verdict(self) -> Literal["verified", "failed"]:
+        """`verified` in a word."""
+        return "verified" if self.verified else "failed"
+
+    @property
+    def reason(self) -> JobReason:
+        """Why it failed; empty where verified."""
+        if self.verified:
+            return ""
+        return self.failure or ("blocked" if not all(cycle.verified for cycle in self.cycles) else "not_done")
+
+    @property
+    def end(self) -> Terrain:
+        """The ground after the last cycle."""
+        return self.cycles[-1].after if self.cycles else self.start
+
+    @property
+    def duration(self) -> float:
+        """Of all cycles, with the exchange of trucks [s]."""
+        return sum(cycle.duration for cycle in self.cycles) + self.waits
+
+    @property
+    def waits(self) -> float:
+        """For trucks that take the place of full ones [s]."""
+        truck = self.job.dump.truck
+        return 0.0 if truck is None or not self.cycles else truck.exchange * (self.cycles[-1].truck - 1)
+
+    @property
+    def work(self) -> float:
+        """Of the joints, in all cycles [J]."""
+        return sum(cycle.work for cycle in self.cycles)
+
+    @property
+    def bank(self) -> float:
+        """Soil that left the ground, as it lay there [m^3]."""
+        return sum(cycle.bank for cycle in self.cycles)
+
+    @property
+    def loose(self) -> float:
+        """Loose soil that was dumped [m^3]."""
+        return sum(cycle.held for cycle in self.cycles)
+
+    @property
+    def production(self) -> float:
+        """Bank m^3 per hour, without the exchange of trucks."""
+        digging = self.duration - self.waits
+        return 3600.0 * self.bank / digging if digging > 0.0 else float("nan")
+
+    @property
+    def energy_per_volume(self) -> float:
+        """Work of the joints per bank m^3 [J/m^3]."""
+        return self.work / self.bank if self.bank > 0.0 else float("nan")
+
+    @property
+    def cost(self) -> float:
+        """The objective per bank m^3 [s/m^3 or J/m^3]."""
+        digging = self.duration - self.waits if self.job.objective == "time" else self.work
+        return digging / self.bank if self.bank > 0.0 else float("nan")
+
+    @cached_property
+    def errors(self) -> Matrix:
+        """(rows, columns) the ground at the end above what may be dug [m]; nan where nothing is to be dug."""
+        return np.asarray(self.end.surface - self.allowed)
+
+    @property
+    def over(self) -> float:
+        """Greatest height of ground left above what may be dug [m]: the undercut of the work."""
+        return _most(self.errors)
+
+    @property
+    def under(self) -> float:
+        """Greatest depth below the design [m]."""
+        return _most(self.design - self.end.surface)
+
+    @property
+    def is_met(self) -> bool:
+        """Whether the design is met within its tolerance wherever it may be dug."""
+        tolerance = self.job.dig.tolerance + 1e-9
+        return self.over <= tolerance and self.under <= tolerance
+
+
+def _most(values: Matrix) -> float:
+    """The greatest of `values` that are numbers, at least 0."""
+    finite = values[np.isfinite(values)]
+    return max(float(finite.max()), 0.0) if finite.size else 0.0

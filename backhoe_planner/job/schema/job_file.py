@@ -1,0 +1,147 @@
+"""The job file: a machine, its site, what is to be dug, and where the soil goes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, PrivateAttr, ValidationError
+
+from backhoe_planner.errors import SceneError, check_kind, check_path
+from backhoe_planner.files.records import Record, explain
+from backhoe_planner.files.yaml_text import KeyPath, read_yaml
+from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSoil, PatternChoice
+from backhoe_planner.machine import shipped_folder
+from backhoe_planner.site import Scene, load_scene, scene_from_dict
+
+_SITE_KEYS = ("tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
+
+
+class Job(Record):
+    """A job for one machine that stands still: all cycles from the first cut to the last."""
+
+    version: Literal[1]
+    name: str = ""
+    machine: str = "example:backhoe"
+    """A URDF file, relative to the job file, or example:NAME."""
+    site: str | dict[str, Any] = Field(default_factory=dict)
+    """A scene file, relative to the job file, or its keys: clearance, influence, obstacles, zones, limits, ..."""
+    start: dict[str, Annotated[float, Field(strict=True, allow_inf_nan=False)]] | None = None
+    """Position of every joint by name before the first cycle [rad or m]; by default above the first cut."""
+    soil: JobSoil = JobSoil()
+    ground: Ground = Ground()
+    dig: Dig
+    dump: Dump
+    bucket: BucketSize = BucketSize()
+    objective: Literal["time", "work"] = "time"
+    """What of a cubic metre in the ground is made small."""
+    pattern: PatternChoice = "auto"
+    """In which order the soil is cut: chosen by the planner, or prescribed; `plain` are level layers of 0.15 m."""
+
+    _folder: Path = PrivateAttr(default=Path())
+    _file: Path | None = PrivateAttr(default=None)
+    _site: Scene | None = PrivateAttr(default=None)
+
+    @property
+    def folder(self) -> Path:
+        """Where files named in the job are looked for."""
+        return self._folder
+
+    @property
+    def file(self) -> Path | None:
+        """The file from which it was read, if any."""
+        return self._file
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """From which it is read: the job file, the scene file, those of ground, design and obstacles."""
+        own = () if self.file is None else (self.file,)
+        design = None if self.dig.surface is None else self.dig.surface.file
+        named = (self.ground.file, design)
+        return (*own, *(self.folder / name for name in named if name is not None), *self.site_scene.files)
+
+    @property
+    def machine_source(self) -> str:
+        """The machine as `load_robot` takes it."""
+        return self.machine if self.machine.startswith("example:") else str(self.folder / self.machine)
+
+    @property
+    def site_scene(self) -> Scene:
+        """The site as a scene; its task and start are not used."""
+        assert self._site is not None
+        return self._site
+
+    def scene_dict(self) -> dict[str, Any]:
+        """What a scene of this site holds, but for start and task, as plain data."""
+        content = self.site_scene.to_dict()
+        return {"version": 1, "name": self.name} | {key: content[key] for key in _SITE_KEYS if key in content}
+
+    def to_dict(self) -> dict[str, Any]:
+        """The job as plain data that `job_from_dict` reads again; of the site its keys, wherever they came from."""
+        content = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        site = self.scene_dict()
+        return content | {"site": {key: value for key, value in site.items() if key in _SITE_KEYS}}
+
+
+def load_job(path: str | Path) -> Job:
+    """Read and check a job file.
+
+    Raises
+    ------
+    SceneError: names the file, the key's path, what was found, and what is allowed.
+    """
+    file = check_path(path, key="path")
+    shipped = shipped_folder("scenes") / file.name
+    if not file.exists() and file.parent in (Path("scenes"), Path()) and shipped.is_file():
+        file = shipped
+    content, lines = read_yaml(file, what="job", keys="version, dig, dump, ...")
+    return job_from_dict(content, folder=file.parent, file=file, lines=lines)
+
+
+def job_from_dict(
+    content: Mapping[str, Any],
+    *,
+    folder: str | Path = ".",
+    file: Path | None = None,
+    lines: Mapping[KeyPath, int] | None = None,
+) -> Job:
+    """Check a job given as plain data.
+
+    Parameters
+    ----------
+    content: keys and values as in a job file.
+    folder: where files that the job names are looked for.
+    file, lines: for messages: the file it came from, and the line of every key.
+
+    Raises
+    ------
+    SceneError: names the key's path, what was found, and what is allowed.
+    """
+    check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
+    folder = check_path(folder, key="folder")
+    file = None if file is None else check_path(file, key="file")
+    try:
+        job = Job.model_validate(content)
+    except ValidationError as error:
+        raise SceneError(explain(error, content, root=Job, lines=lines), file=file) from None
+    job._folder, job._file = folder, file
+    job._site = _site(job)
+    return job
+
+
+def _site(job: Job) -> Scene:
+    """The scene of the site, whose task and start say nothing."""
+    if isinstance(job.site, str):
+        try:
+            return load_scene(job.folder / job.site)
+        except SceneError as error:
+            raise SceneError(str(error), file=job.file, key="site") from None
+    unknown = next((key for key in job.site if key not in _SITE_KEYS), None)
+    if unknown is not None:
+        raise SceneError.unknown_name("there is no such key", unknown, names=_SITE_KEYS, file=job.file, key="site")
+    idle = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0.0, 0.0, 0.0]}}}
+    try:
+        return scene_from_dict({**idle, **job.site}, folder=job.folder, file=job.file)
+    except SceneError as error:
+        raise SceneError(error.problem, file=job.file, key="site") from None

@@ -1,0 +1,194 @@
+"""The part of the job file that says what is dug, in what, and where the soil goes."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from backhoe_planner.files.records import Record, exactly_one
+from backhoe_planner.site import Finite, Soil
+
+_LARGEST = 1e3  # m or m^3; no bucket, trench or truck is larger
+_STEEPEST = 1.0  # m per m of a trench's bottom; chosen, no bucket follows a steeper one
+_Length = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
+_Point = tuple[Finite, Finite]
+_ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
+
+
+class JobSoil(Soil):
+    """What is dug: the soil of the resistance, and how it lies once it is loose."""
+
+    swell: Annotated[float, Field(strict=True, ge=1.0, le=2.0)] = 1.25
+    """Loose volume over the volume in the ground; 1.25 by default, usual are 1.1 (sand) to 1.4 (clay)."""
+    repose: Annotated[float, Field(strict=True, gt=0.0, lt=math.pi / 2.0)] = 0.6
+    """Angle at which a heap of it lies [rad]; 0.6 by default, usual are 0.5 to 0.8."""
+
+
+class Trench(Record):
+    """A straight trench with upright walls."""
+
+    start: _Point = Field(alias="from")
+    """x, y of the middle of one end [m]."""
+    end: _Point = Field(alias="to")
+    """x, y of the middle of the other end [m]."""
+    width: _Length
+    """[m]; that of the bucket or more."""
+    depth: _Length
+    """Of the bottom below the ground at `from` [m]."""
+    slope: Annotated[float, Field(strict=True, ge=-_STEEPEST, le=_STEEPEST)] = 0.0
+    """By how much the bottom falls from `from` towards `to` [m per m]; 0 by default."""
+    tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05
+    """How far the bottom may lie above or below the design [m]."""
+
+    @model_validator(mode="after")
+    def _some_length(self) -> Trench:
+        if self.length < _ONE_POINT:
+            raise ValueError(f"from and to are {self.length:g} m apart; allowed: at least {_ONE_POINT:g} m")
+        if self.depth + self.slope * self.length <= 0.0:
+            raise ValueError(
+                f"a slope of {self.slope:g} brings the bottom above the ground at `to`: the design would lie "
+                f"{-(self.depth + self.slope * self.length):.2f} m above it"
+            )
+        return self
+
+    @property
+    def length(self) -> float:
+        """From end to end [m]."""
+        return math.dist(self.start, self.end)
+
+
+class Surface(Record):
+    """A design surface that the ground is cut down to."""
+
+    file: str
+    """CSV of heights z [m] without header, rows along y, columns along x; empty where nothing is to be dug."""
+    low: _Point
+    """x, y of the first height [m]."""
+    cell: _Length
+    """Between neighbouring heights [m]."""
+    tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05
+    """How far the ground may lie above or below the design [m]."""
+
+
+class Dig(Record):
+    """What is to be dug: exactly one of trench, surface."""
+
+    trench: Trench | None = None
+    surface: Surface | None = None
+
+    _one = exactly_one("trench", "surface")
+
+    @property
+    def tolerance(self) -> float:
+        """How far the ground may lie above or below the design [m]."""
+        found = self.trench if self.trench is not None else self.surface
+        assert found is not None
+        return found.tolerance
+
+
+class Heap(Record):
+    """A heap of spoil on the ground."""
+
+    at: _Point | Annotated[tuple[_Point, ...], Field(min_length=1, max_length=50)]
+    """x, y where soil is dumped [m]; or a list of such places, of which the planner chooses for every cycle."""
+    edge_distance: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 1.0
+    """Between the foot of the heap and the edge of what is dug [m]; 1 by default."""
+
+    @property
+    def places(self) -> tuple[tuple[float, float], ...]:
+        """Every place at which soil may be dumped."""
+        first = self.at[0]
+        if isinstance(first, tuple):
+            return self.at  # type: ignore[return-value]
+        return (self.at,)  # type: ignore[return-value]
+
+
+class TruckBed(Record):
+    """The bed of a truck: a floor with a wall on every side."""
+
+    position: tuple[Finite, Finite, Finite]
+    """x, y, z of the middle of the floor [m]."""
+    size: tuple[_Length, _Length, _Length]
+    """Inner length along its own x, width along its own y, height of its walls [m]."""
+    yaw: Annotated[float, Field(strict=True, ge=-2.0 * math.pi, le=2.0 * math.pi)] = 0.0
+    """Its turn about z [rad]."""
+
+
+class Truck(Record):
+    """Trucks that are loaded one after the other at the same place."""
+
+    bed: TruckBed
+    capacity: _Length
+    """Loose soil that one truck takes [m^3]."""
+    count: Annotated[int, Field(strict=True, ge=1, le=1000)] = 1
+    """How many trucks come."""
+    exchange: Annotated[float, Field(strict=True, ge=0.0, le=3600.0)] = 60.0
+    """Time from a full truck to the next one in its place [s]; 60 by default."""
+
+
+class Dump(Record):
+    """Where the soil goes: exactly one of heap, truck."""
+
+    heap: Heap | None = None
+    truck: Truck | None = None
+
+    _one = exactly_one("heap", "truck")
+
+
+class BucketSize(Record):
+    """What the bucket holds."""
+
+    capacity: Annotated[float, Field(strict=True, gt=0.0, le=20.0)] | None = None
+    """Heaped, loose [m^3]; by default that of its collision shape."""
+    fill: Annotated[float, Field(strict=True, gt=0.0, le=1.2)] = 0.95
+    """Part of the capacity that one cut fills; 0.95 by default, usual are 0.8 (hard clay) to 1.0 (moist loam)."""
+
+
+class Ground(Record):
+    """The ground before the first cut: level, or from a survey."""
+
+    level: Finite | None = None
+    """Its height z [m]; 0 where there is no file either."""
+    file: str | None = None
+    """Heights as CSV (rows along y, columns along x) or GeoTIFF, or a point cloud; relative to the job file."""
+    fill: Annotated[float, Field(strict=True, ge=0.0, le=_LARGEST)] = 0.0
+    """Holes in the file are filled from their rims up to this far from a known column [m]; 0 by default: none is."""
+    cell: Annotated[float, Field(strict=True, ge=0.02, le=0.5)] = 0.05
+    """Between neighbouring columns of the ground [m]; 0.05 by default."""
+    low: _Point | None = None
+    """Least x, y of the ground that is followed [m]; by default all that is dug and heaped, and 1 m around it."""
+    high: _Point | None = None
+    """Greatest x, y [m]."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Ground:
+        if self.level is not None and self.file is not None:
+            raise ValueError("only one of level, file may be given")
+        if (self.low is None) != (self.high is None):
+            raise ValueError("low and high are given together, or neither")
+        if self.low is not None and self.high is not None and min(
+            b - a for a, b in zip(self.low, self.high, strict=True)
+        ) < 2.0 * self.cell:  # fmt: skip
+            raise ValueError("from low to high are less than two cells")
+        return self
+
+
+class Layers(Record):
+    """A pattern that is prescribed: level layers of one depth, each from the far end to the near one."""
+
+    layers: Annotated[float, Field(strict=True, gt=0.0, le=2.0)]
+    """Depth of a layer [m]."""
+
+
+class Face(Record):
+    """A pattern that is prescribed: the farthest part to the bottom first, then the next."""
+
+    face: Annotated[float, Field(strict=True, gt=0.0, le=2.0)]
+    """Greatest depth of one cut below the ground there [m]."""
+
+
+PatternChoice = Literal["auto", "plain"] | Layers | Face
+
+

@@ -1,0 +1,166 @@
+"""The motions of a cycle through the air: to the cut, with the full bucket to the dump, and its opening."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import Kinematics, TipTarget
+from backhoe_planner.motion import Goal, Keep, PitchBand, Problem, Trajectory, limit_usage, trajectory_energy
+from backhoe_planner.job.result.cycles import Leg, LegName
+from backhoe_planner.planning import EFFORTS, Effort, plan_motion
+from backhoe_planner.proof import Certificate, certify_problem
+from backhoe_planner.site import Obstacle
+
+LEVEL = -np.pi  # rad: the pitch at which the mouth of a full bucket is level
+_TILT = 0.6  # rad that a full bucket may be tilted either way; chosen, the usual angle of repose
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """A motion through the air, or why there is none.
+
+    Attributes
+    ----------
+    leg: the motion; None where there is none.
+    why: in words; empty where there is one.
+    """
+
+    leg: Leg | None
+    why: str = ""
+
+
+class Transfers:
+    """Plans motions through the air.
+
+    Parameters
+    ----------
+    problem: the machine on its site without the ground.
+    effort: by its name.
+    seed: of every random choice.
+    """
+
+    def __init__(self, problem: Problem, *, effort: str, seed: int) -> None:
+        self._problem = problem
+        self._effort: Effort = EFFORTS[effort]  # type: ignore[index]
+        self._seed = seed
+        self._kinematics = Kinematics(problem.robot)
+
+    def to(
+        self,
+        name: LegName,
+        start: Vector,
+        ends: Sequence[Vector],
+        *,
+        ground: Sequence[Obstacle],
+        payload: float,
+        level: bool = False,
+    ) -> Transfer:
+        """From rest at `start` (n,) to rest at one of `ends`, each (n,).
+
+        Parameters
+        ----------
+        name: of the leg.
+        ground: obstacles beside those of the site, as they are during the motion.
+        payload: in the bucket [kg].
+        level: whether the bucket's mouth stays up on the whole way.
+        """
+        keep = Keep(self._problem.robot, [level_band(self._problem)]) if level else None
+        problem = self.problem(start, ends, ground=ground, payload=payload, keep=keep)
+        outcome, certificate = plan_motion(problem, effort=self._effort, seed=self._seed)
+        if not certificate.verified:
+            return Transfer(None, outcome.message or "; ".join(certificate.problems))
+        return Transfer(make_leg(name, problem, outcome.trajectory, certificate))
+
+    def problem(
+        self,
+        start: Vector,
+        ends: Sequence[Vector],
+        *,
+        ground: Sequence[Obstacle],
+        payload: float,
+        keep: Keep | None = None,
+    ) -> Problem:
+        """The problem of one motion; see `to`."""
+        return leg_problem(
+            self._problem, start, ends, ground=ground, payload=payload, keep=keep, kinematics=self._kinematics
+        )
+
+
+def leg_problem(
+    base: Problem,
+    start: Vector,
+    ends: Sequence[Vector],
+    *,
+    ground: Sequence[Obstacle],
+    payload: float,
+    keep: Keep | None,
+    kinematics: Kinematics,
+) -> Problem:
+    """A problem for one motion of the machine from `start` (n,) to one of `ends`, each (n,).
+
+    Parameters
+    ----------
+    base: the machine on its site without the ground.
+    ground: obstacles beside those of the site.
+    payload: in the bucket [kg].
+    keep: what holds on the whole way.
+    kinematics: of the machine.
+    """
+    goals = []
+    for number, end in enumerate(ends, start=1):
+        at = kinematics.at(end)
+        name = "goal" if len(ends) == 1 else f"goal {number}"
+        goals.append(Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=end, name=name))
+    scene = base.scene.model_copy(update={"payload": payload})
+    return replace(
+        base,
+        scene=scene,
+        obstacles=(*base.obstacles, *ground),
+        start_q=np.asarray(start, dtype=float),
+        start_target=None,
+        goals=tuple(goals),
+        path=None,
+        keep=keep,
+    )
+
+
+def level_band(problem: Problem) -> PitchBand:
+    """The pitch that a full bucket keeps."""
+    return PitchBand(problem.robot, LEVEL - _TILT, LEVEL + _TILT)
+
+
+def make_leg(name: LegName, problem: Problem, motion: Trajectory, certificate: Certificate | None = None) -> Leg:
+    """A leg with its figures.
+
+    Parameters
+    ----------
+    certificate: of the motion, where it is known.
+    """
+    energy = trajectory_energy(problem, motion)
+    pump, engine = mean_use(problem, motion)
+    return Leg(
+        name,
+        problem,
+        motion,
+        certify_problem(problem, motion) if certificate is None else certificate,
+        payload=problem.scene.payload,
+        work=float(energy.work[-1]),
+        pump=pump,
+        engine=engine,
+    )
+
+
+def mean_use(problem: Problem, motion: Trajectory) -> tuple[float, float]:
+    """The mean use of the pump's flow and of the engine's power over a motion; nan without hydraulics."""
+    usage = limit_usage(problem, motion, tip_speed=False)
+    kinds = [kind for kind, _ in usage.limits]
+    if "pump flow" not in kinds or motion.duration == 0.0:
+        return float("nan"), float("nan")
+    time = usage.moments.time
+    columns = [usage.ratio[:, kinds.index(kind)] for kind in ("pump flow", "engine power")]
+    flow, power = (float(np.trapezoid(np.minimum(column, 1.0), time) / motion.duration) for column in columns)
+    return flow, power

@@ -1,0 +1,189 @@
+"""A job brought together with its machine: what is dug with what, on which ground, within which limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.files.text_file import read_text
+from backhoe_planner.job.arm_clearance import ArmOutline
+from backhoe_planner.job.cuts.arm_plane import ArmPlane
+from backhoe_planner.job.cuts.bucket import Bucket
+from backhoe_planner.job.cuts.finding import Digger
+from backhoe_planner.job.design import Design, SurfaceDesign, TrenchDesign, cell_samples
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.schema.job_file import Job
+from backhoe_planner.machine import Robot, load_robot
+from backhoe_planner.motion import Problem, build_problem
+from backhoe_planner.site import Soil, scene_from_dict
+
+_AROUND = 1.0  # m of ground around what is dug and heaped
+_HEADINGS = 91  # at which the machine's reach is looked at; chosen
+
+
+@dataclass(frozen=True, eq=False)
+class Worksite:
+    """A job, checked against its machine.
+
+    Attributes
+    ----------
+    job: as it was given.
+    robot: the machine on its site.
+    problem: of the site without the ground; its task is to stay at its start.
+    digger: the machine as it digs in the soil.
+    ground: before the first cycle.
+    design: what is to be dug.
+    arm: boom and stick, which must stay above the ground.
+    """
+
+    job: Job
+    robot: Robot
+    problem: Problem
+    digger: Digger
+    ground: Terrain
+    design: Design
+    arm: ArmOutline
+
+    @property
+    def bucket(self) -> Bucket:
+        """That of the machine, with the job's capacity."""
+        return self.digger.bucket
+
+    @property
+    def plane(self) -> ArmPlane:
+        """In which the arm digs."""
+        return self.digger.plane
+
+    @property
+    def nodes(self) -> Array:
+        """(rows, columns, 2) x, y of the columns of the ground [m]."""
+        return np.stack(np.meshgrid(self.ground.x, self.ground.y), axis=-1)
+
+    def design_heights(self) -> Matrix:
+        """(rows, columns) the design in the columns that lie whole within it [m]; nan elsewhere."""
+        nodes = self.nodes
+        whole = self.design.within(cell_samples(nodes, self.ground.cell), 0.0).all(axis=-1)
+        return np.where(whole, self.design.height(nodes), np.nan)
+
+    @property
+    def volume(self) -> float:
+        """Loose soil that fills the bucket [m^3]."""
+        return self.bucket.capacity * self.job.bucket.fill
+
+
+def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
+    """Bring a job together with its machine.
+
+    Parameters
+    ----------
+    terrain: the ground as it is now; by default that of the job.
+
+    Raises
+    ------
+    InputError: the machine, the site or the ground cannot be used, or they do not fit each other.
+    """
+    robot = load_robot(job.machine_source, tip=job.site_scene.tip, hold=job.site_scene.hold)
+    if not robot.has_pitch:
+        raise SceneError("a bucket digs in an upright plane: the axis of the last joint must stay horizontal",
+                         file=job.file, key="machine", found=robot.name)  # fmt: skip
+    problem = _problem(job, robot)
+    digger = _digger(job, problem)
+    ground = _ground(job, digger.plane) if terrain is None else terrain
+    design = _design(job, ground)
+    arm = ArmOutline(digger.plane, problem.scene.clearance)
+    return Worksite(job, problem.robot, problem, digger, ground, design, arm)
+
+
+def plain_soil(job: Job) -> Soil:
+    """The soil as a scene has it, without how it lies when it is loose."""
+    given = job.soil.model_dump(exclude={"swell", "repose"}, exclude_unset=True)
+    return Soil(**given)
+
+
+def _problem(job: Job, robot: Robot) -> Problem:
+    """The site without the ground, with the task to stay where the machine starts."""
+    joints = job.start
+    if joints is None:
+        stand = np.clip(robot.middle, robot.limits.lower, robot.limits.upper)
+        joints = dict(zip(robot.joint_names, stand.tolist(), strict=True))
+    content = job.scene_dict() | {
+        "start": {"joints": joints}, "task": {"goal": {"joints": joints}}, "objective": job.objective,
+    }  # fmt: skip
+    scene = scene_from_dict(content, folder=job.site_scene.folder, file=job.file)
+    problem = build_problem(robot, scene)
+    if job.start is None:
+        problem = replace(problem, start_q=None)
+    return problem
+
+
+def _digger(job: Job, problem: Problem) -> Digger:
+    soil = plain_soil(job)
+    try:
+        bucket = Bucket.of(problem.robot, width=soil.width, capacity=job.bucket.capacity)
+        return Digger(problem.robot, soil, bucket=bucket, limits=problem.limits, swell=job.soil.swell)
+    except InputError as error:
+        raise SceneError(error.problem, file=job.file, key=error.key, found=error.found, allowed=error.allowed,
+                         hint=error.hint) from None  # fmt: skip
+
+
+def reach_area(plane: ArmPlane) -> Matrix:
+    """(k, 2) points around which the machine can put its teeth [m], and where it stands."""
+    robot, limits = plane.robot, plane.limits
+    farthest = float(np.max(plane.place(_stretched(robot))[0]))
+    swings = np.linspace(limits.lower[0], limits.upper[0], _HEADINGS) if plane.swings else np.zeros(1)
+    ends = np.concatenate([plane.world(float(s), np.array([farthest]), np.zeros(1))[:, :2] for s in swings])
+    return np.vstack((ends, plane.axis))
+
+
+def _stretched(robot: Robot) -> Matrix:
+    """(k, n) postures among which the arm reaches farthest."""
+    rng = np.random.default_rng(0)
+    return rng.uniform(robot.limits.lower, robot.limits.upper, (4000, robot.n))
+
+
+def _ground(job: Job, plane: ArmPlane) -> Terrain:
+    given, soil = job.ground, plain_soil(job)
+    points = [reach_area(plane)]
+    if job.dig.trench is not None:
+        points.append(np.array([job.dig.trench.start, job.dig.trench.end]))
+    if job.dump.heap is not None:
+        points.append(np.array(job.dump.heap.places))
+    every = np.vstack(points)
+    step = given.cell
+    low = np.floor(every.min(axis=0) / step) * step - _AROUND if given.low is None else np.array(given.low)
+    high = np.ceil(every.max(axis=0) / step) * step + _AROUND if given.high is None else np.array(given.high)
+    loose = {"swell": job.soil.swell, "repose": job.soil.repose}
+    if given.file is None:
+        return Terrain.level(given.level or 0.0, low, high, given.cell, soil=soil, **loose)
+    try:
+        return Terrain.from_file(
+            job.folder / given.file, low=given.low, high=given.high, cell=given.cell, soil=soil, fill=given.fill, **loose
+        )
+    except InputError as error:
+        raise SceneError(str(error), file=job.file, key="ground.file") from None
+
+
+def _design(job: Job, ground: Terrain) -> Design:
+    trench, surface = job.dig.trench, job.dig.surface
+    if trench is not None:
+        return TrenchDesign(trench, _height_at(ground, np.array(trench.start), job))
+    assert surface is not None
+    file = job.folder / surface.file
+    text = read_text(file, what="design surface", error=SceneError)
+    rows = [[float("nan") if not part.strip() else float(part) for part in line.split(",")]
+            for line in text.splitlines() if line.strip()]  # fmt: skip
+    return SurfaceDesign(np.array(surface.low), surface.cell, np.array(rows))
+
+
+def _height_at(ground: Terrain, point: Vector, job: Job) -> float:
+    place = (point - ground.low) / ground.cell
+    last = np.array(ground.bank.shape[::-1]) - 1
+    if (place < 0).any() or (place > last).any():
+        raise SceneError("lies beyond the ground that the job has", file=job.file, key="dig.trench.from",
+                         found=point.tolist(), allowed=f"{ground.low.tolist()} to {(ground.low + ground.cell * last).tolist()}",
+                         hint="ground.low and ground.high say how far it goes")  # fmt: skip
+    column, row = np.round(place).astype(int)
+    return float(ground.surface[row, column])
