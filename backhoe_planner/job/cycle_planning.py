@@ -54,8 +54,13 @@ class CyclePlanner:
         self._transfers = Transfers(site.problem, effort=effort, seed=seed)
         self._clearance = site.problem.scene.clearance
 
-    def first(self, ground: Terrain) -> Site:
-        """The site before the first cycle."""
+    def first(self, ground: Terrain, *, truck: Cycle | None) -> Site:
+        """The site before the next cycle.
+
+        Parameters
+        ----------
+        truck: the cycle before it, if any, that says how full the truck is.
+        """
         return Site.of(ground, clearance=self._clearance)
 
     def plan(self, number: int, start: Vector | None, state: Site, chosen: NextCut) -> tuple[Cycle, Site] | Failed:

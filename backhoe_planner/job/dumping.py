@@ -21,6 +21,7 @@ _POURS_AT = -0.1  # m of radius from the bucket's pin to where the soil falls, a
 _ABOVE = 0.15  # m from the teeth of the open bucket to what lies there, beyond the clearance; chosen
 _HIGHER = (0.0, 0.25, 0.5, 0.8, 1.2)  # m, tried beyond that in turn
 _TILTS = (0.0, 0.25, 0.5)  # rad from level at which the bucket may arrive
+_HEAP = 0.5  # m that a heap is high on the average, for estimates
 _GROUND = "the ground"
 
 
@@ -77,16 +78,15 @@ class HeapDump:
         self._site, self._heap = site, heap
         self._clear_of: Flags = site.design.within(site.nodes, heap.edge_distance)
 
-    def near(self, start: Vector) -> Vector | None:
-        """(n,) a posture in which soil is dumped, soon reached from `start`; for estimates of time."""
-        level = self._site.ground
+    def near(self, start: Vector) -> tuple[Vector, Vector] | None:
+        """(n,), (n,) postures, level and open, in which soil is dumped, soon reached from `start` (n,); for estimates."""
+        level, limits = self._site.ground, self._site.problem.limits
         found = []
         for place in self._heap.places:
             row, column = _cell_of(level, np.array(place))
-            arrivals, _ = postures_over(self._site, np.array(place), float(level.surface[row, column]) + 0.5)
-            found += list(arrivals[:1])
-        limits = self._site.problem.limits
-        return min(found, key=lambda q: travel_time(q - start, limits), default=None)
+            arrivals, openings = postures_over(self._site, np.array(place), float(level.surface[row, column]) + _HEAP)
+            found += list(zip(arrivals[:1], openings[:1], strict=True))
+        return min(found, key=lambda ends: travel_time(ends[0] - start, limits), default=None)
 
     def options(self, ground: Terrain, volume: float, start: Vector) -> list[Dumping] | str:
         """Places at which `volume` [m^3] of loose soil can be dumped, the soonest reached from `start` (n,) first.
@@ -181,3 +181,10 @@ def of_links(obstacle: Obstacle, links: Sequence[str]) -> Obstacle:
     from dataclasses import replace
 
     return replace(obstacle, links=tuple(links))
+
+
+def dump_of(site: Worksite) -> HeapDump:
+    """Where the soil of a job goes."""
+    heap = site.job.dump.heap
+    assert heap is not None
+    return HeapDump(site, heap)

@@ -17,6 +17,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.job.cuts.cut import Cut, NoCut
 from backhoe_planner.job.cuts.finding import find_cut
 from backhoe_planner.job.cuts.profile import Profile
+from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.lanes import LEAVE, Lane
 from backhoe_planner.job.schema.work import Face, Layers
@@ -33,6 +34,8 @@ _EVERY = 4  # places of a cut from one at which the arm is held against the grou
 _MOST_LAYERS = 1000
 _SHALLOWER = (1.0, 0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
 _FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
+_CLOSE = 0.97  # of the wanted volume: near enough
+_MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
 _REST = 12.0  # s of a cycle beside its cut, about
 
 
@@ -107,7 +110,7 @@ def next_cut(
             continue
         found = _best(site, lane, (profile, ground), floors[1], places, pattern)
         if isinstance(found, Cut):
-            return NextCut(lane, found, floors[0])
+            return NextCut(lane, _filled(site, lane, (profile, ground), floors[1], found), floors[0])
         refused = refused or found
     return refused
 
@@ -144,6 +147,28 @@ def _best(
     if best is None or best.fill < _WORTH:
         return refused or NoCut("nothing", f"what is left at r {left[-1]:.2f} m fills less than {100 * _WORTH:.0f} %")
     return best
+
+
+def _filled(
+    site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, cut: Cut
+) -> Cut:
+    """The cut, longer where the sweep over the columns of the ground takes less than the profile says.
+
+    Under the ends of the edge the profile counts columns that are cut in part as soil that is still there.
+    """
+    profile, terrain = ground
+    taken = float(swept(terrain, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False).volume[-1])
+    if not cut.is_full or taken <= 0.0 or taken > _CLOSE * site.volume:
+        return cut
+    more = min(site.volume / taken, _MOST_MORE) * site.volume
+    found = find_cut(
+        site.digger, profile, swing=lane.swing, start=float(cut.r[0]), end=lane.end,
+        depth=max(cut.greatest_depth, 1e-3), floor=(lane.r, floor), volume=more, leave=LEAVE,
+    )  # fmt: skip
+    if isinstance(found, NoCut) or found.loose_volume < cut.loose_volume:
+        return cut
+    wide = Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span)
+    return found if site.arm.clears(found.q[::_EVERY], site.arm.raised(wide)).all() else cut
 
 
 def _rate(cut: Cut) -> float:

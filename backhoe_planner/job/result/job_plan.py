@@ -15,6 +15,7 @@ from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.machine import Robot
 
 JobReason = Literal["", "unreachable", "blocked", "too_hard", "full", "not_done", "interrupted"]
+UndugReason = Literal["protected", "out_of_reach", "too_hard", "left"]
 _LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state at partial load
 
 
@@ -32,7 +33,7 @@ class Undug:
     words: the same in a sentence.
     """
 
-    reason: Literal["protected", "out_of_reach", "too_hard", "left"]
+    reason: UndugReason
     by: str
     columns: Flags
     volume: float
@@ -53,6 +54,7 @@ class PatternEstimate:
     duration: of all cycles [s].
     work: of the joints [J].
     cost: of the objective per bank m^3 [s/m^3 or J/m^3].
+    finished: whether it digs all that may be dug.
     chosen: whether it is the one that is planned.
     """
 
@@ -62,6 +64,7 @@ class PatternEstimate:
     duration: float
     work: float
     cost: float
+    finished: bool
     chosen: bool = False
 
 
@@ -76,7 +79,7 @@ class JobPlan:
     start: the ground before the first cycle.
     design: (rows, columns) height z of the design at the columns of the ground [m]; nan where nothing is to be dug.
     allowed: (rows, columns) the lowest height that may and can be dug [m]; at least `design`, nan where that is.
-    edge: (k, 2) corners of the outline of what is dug [m], x, y.
+    outline: (k, 2) corners of a convex area around what is dug [m], x, y.
     cycles: one after the other.
     undug: what stays above the design, and why.
     compared: the patterns, the best first.
@@ -92,7 +95,7 @@ class JobPlan:
     start: Terrain
     design: Matrix
     allowed: Matrix
-    edge: Matrix
+    outline: Matrix
     cycles: tuple[Cycle, ...]
     undug: tuple[Undug, ...]
     compared: tuple[PatternEstimate, ...]

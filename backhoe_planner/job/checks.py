@@ -1,0 +1,133 @@
+"""What cannot be right about a job: said before anything is planned, with what would do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.errors import SceneError
+from backhoe_planner.job.lanes import Lane
+from backhoe_planner.job.worksite import Worksite
+
+_ENOUGH = 0.02  # m^3 that may be dug: less is no job
+
+
+def check_job(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> None:
+    """Check what a job asks for against its machine and its ground.
+
+    Raises
+    ------
+    SceneError: names the key, what was found, and what would do.
+    """
+    _check_width(site)
+    _check_design(site, design)
+    _check_lanes(site, lanes)
+
+
+def _check_width(site: Worksite) -> None:
+    trench, width = site.job.dig.trench, site.bucket.width
+    if trench is not None and width > trench.width + 2.0 * trench.tolerance:
+        raise SceneError(
+            "the bucket is wider than the trench", file=site.job.file, key="dig.trench.width", found=trench.width,
+            allowed=f"{width:.2f} m, the bucket's width, or more (less by up to twice the tolerance, "
+            f"{width - 2.0 * trench.tolerance:.2f} m)",
+            hint="a narrower bucket, or a wider trench",
+        )  # fmt: skip
+
+
+def _check_design(site: Worksite, design: Matrix) -> None:
+    ground, job = site.ground, site.job
+    key = "dig.trench" if job.dig.trench is not None else "dig.surface"
+    known = np.isfinite(design)
+    if not known.any():
+        raise SceneError(
+            "no column of the ground lies within what is to be dug", file=job.file, key=key,
+            hint="it lies beyond the ground that the job has, or is narrower than a column: see ground.cell",
+        )  # fmt: skip
+    above = np.where(known, design - ground.surface, -np.inf)
+    if not (above < 0.0)[known].any() or float(above.max()) > job.dig.tolerance:
+        row, column = np.unravel_index(int(np.argmax(above)), above.shape)
+        x, y = site.nodes[row, column]
+        raise SceneError(
+            "the design lies above the ground", file=job.file, key=key,
+            found=f"{float(above.max()):.2f} m above it at x {x:.2f}, y {y:.2f} m",
+            allowed="a design at or below the ground: a job takes soil away and builds nothing up",
+        )  # fmt: skip
+
+
+def _check_lanes(site: Worksite, lanes: Sequence[Lane]) -> None:
+    job, plane, trench = site.job, site.plane, site.job.dig.trench
+    key = "dig.trench" if trench is not None else "dig.surface"
+    if not lanes:
+        hint = "the arm digs in the plane that it swings to: place the machine in line with what is dug"
+        raise SceneError(
+            "no plane of the arm has room for the bucket in what is to be dug", file=job.file, key=key,
+            found=_beside(site) if trench is not None else None, hint=hint,
+        )  # fmt: skip
+    limits = plane.limits
+    within = [lane for lane in lanes if not plane.swings or limits.lower[0] <= lane.swing <= limits.upper[0]]
+    if not within:
+        swings = ", ".join(f"{np.degrees(lane.swing):.0f}" for lane in lanes[:1])
+        raise SceneError(
+            "is out of reach: the machine does not swing so far", file=job.file, key=key,
+            found=f"a swing of {swings} degrees",
+            allowed=f"{np.degrees(limits.lower[0]):.0f} to {np.degrees(limits.upper[0]):.0f} degrees",
+            hint="turn the machine",
+        )  # fmt: skip
+    if trench is not None:
+        _check_reach(site, within)
+
+
+def _beside(site: Worksite) -> str:
+    trench = site.job.dig.trench
+    assert trench is not None
+    ahead = (np.array(trench.end) - trench.start) / trench.length
+    off = site.plane.axis - np.array(trench.start)
+    beside = abs(float(off[0] * ahead[1] - off[1] * ahead[0]))
+    return f"a trench whose middle passes {beside:.2f} m beside the swing axis"
+
+
+def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
+    """A trench of which nothing, or not its whole length, can be dug."""
+    trench, job = site.job.dig.trench, site.job
+    assert trench is not None
+    volume = max(float(np.sum(np.maximum(lane.floor - lane.line, 0.0))) for lane in lanes)
+    del volume
+    reached = np.concatenate([lane.r[np.isfinite(lane.design) & (lane.line < lane.floor.max() - 0.05)] for lane in lanes])
+    lane = lanes[0]
+    asked = lane.r[np.isfinite(lane.design)]
+    out = asked[(lane.cause[np.isfinite(lane.design)] > 0) & _is_out(lane)[np.isfinite(lane.design)]]
+    if len(reached) == 0:
+        kinds = sorted({lane.causes[int(index)] for index in lane.cause if index > 0})
+        why = "; ".join(f"{kind.replace('_', ' ')}{': ' + name if name else ''}" for kind, name in kinds)
+        raise SceneError(
+            "cannot be dug anywhere", file=job.file, key="dig.trench",
+            found=why or "out of reach", hint=_from_where(site, asked),
+        )  # fmt: skip
+    beyond = out[(out > reached.max()) | (out < reached.min())]
+    if len(beyond) and float(np.ptp(beyond)) > 0.1:
+        a, b = (_place(site, lane, float(r)) for r in (beyond.min(), beyond.max()))
+        raise SceneError(
+            "is out of reach in part", file=job.file, key="dig.trench",
+            found=f"from x {a[0]:.2f}, y {a[1]:.2f} to x {b[0]:.2f}, y {b[1]:.2f} m",
+            allowed=f"{reached.min():.2f} to {reached.max():.2f} m from the swing axis at this depth",
+            hint=_from_where(site, asked),
+        )  # fmt: skip
+
+
+def _is_out(lane: Lane) -> Matrix:
+    kinds = np.array([kind == "out_of_reach" for kind, _ in lane.causes])
+    return np.asarray(kinds[lane.cause])
+
+
+def _place(site: Worksite, lane: Lane, r: float) -> Vector:
+    return np.asarray(site.plane.world(lane.swing, np.array([r]), np.zeros(1))[0, :2])
+
+
+def _from_where(site: Worksite, asked: Vector) -> str:
+    return (
+        f"the trench lies {asked.min():.2f} to {asked.max():.2f} m from the swing axis: stand nearer or farther on its "
+        "line, or dig it from two places"
+    )

@@ -1,0 +1,79 @@
+"""What a pattern would cost: its cuts found one after the other on the changing ground, its motions only estimated.
+
+A cut takes the time that its own estimate says; a motion through the air the least time that the
+joints' rates and accelerations allow; work is that against gravity and soil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.job.cut_leg import CutPath, cut_path
+from backhoe_planner.job.dumping import travel_time
+from backhoe_planner.job.ground.sweep import BladeSweep, swept
+from backhoe_planner.job.lanes import Lane
+from backhoe_planner.job.patterns import NextCut, Pattern, next_cut
+from backhoe_planner.job.result.job_plan import PatternEstimate
+from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.machine import Dynamics
+
+_MOST_CYCLES = 2000
+_LEAST = 1e-3  # m^3 of a cut: less is no progress
+
+
+def estimate_pattern(
+    site: Worksite, lanes: Sequence[Lane], pattern: Pattern, dump: Callable[[Vector], tuple[Vector, Vector] | None]
+) -> PatternEstimate:
+    """The cost of a pattern from the first cut to the last.
+
+    Parameters
+    ----------
+    dump: gives the postures, level and open, in which a bucketful is dumped after a posture (n,).
+    """
+    ground, limits = site.ground, site.problem.limits
+    empty = Dynamics(site.robot)
+    cycles, bank, duration, work = 0, 0.0, 0.0, 0.0
+    at: Vector | None = site.problem.start_q
+    finished = False
+    while cycles < _MOST_CYCLES:
+        found = next_cut(site, lanes, pattern, ground)
+        if not isinstance(found, NextCut):
+            finished = found is None
+            break
+        cut = found.cut
+        sweep = swept(ground, BladeSweep(cut.position, cut.across, cut.bucket.width), slump=False)
+        if float(sweep.volume[-1]) < _LEAST:
+            break
+        path = cut_path(site, cut, ground)
+        if isinstance(path, str):
+            path = CutPath(cut.q, 0, len(cut.q) - 1)
+        over = dump(path.q[-1])
+        if over is None:
+            break
+        level, opened = over
+        payload = site.digger.soil.density * float(sweep.volume[-1]) / site.job.soil.swell
+        full = Dynamics(site.robot, payload=payload)
+        ways = [(path.q[0], path.q[path.first]), (path.q[path.last], path.q[-1]), (path.q[-1], level), (level, opened)]
+        if at is not None:
+            ways.append((at, path.q[0]))
+        duration += cut.time + sum(travel_time(b - a, limits) for a, b in ways)
+        work += cut.work
+        for index, (a, b) in enumerate(ways):
+            dynamics = full if index in (1, 2, 3) else empty
+            work += max(dynamics.potential_energy(b) - dynamics.potential_energy(a), 0.0)
+        at, ground = opened, sweep.terrain
+        bank += float(sweep.bank[-1])
+        cycles += 1
+    per = duration if site.job.objective == "time" else work
+    cost = per / bank if bank > 0.0 else float("inf")
+    return PatternEstimate(pattern.name, cycles, bank, duration, work, cost, finished)
+
+
+def choose(estimates: Sequence[PatternEstimate]) -> int:
+    """The number of the best: of those that dig most, to a tenth of a bucket or so, the least cost."""
+    most = max(one.bank for one in estimates)
+    enough = [index for index, one in enumerate(estimates) if one.bank >= 0.98 * most]
+    return int(min(enough, key=lambda index: estimates[index].cost)) if np.isfinite(most) else 0

@@ -1,0 +1,177 @@
+"""`plan_job`: the pattern of cuts is chosen, then cycle after cycle is planned against the ground as it then is."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import as_count
+from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.job.checks import check_job
+from backhoe_planner.job.cuts.cut import NoCut
+from backhoe_planner.job.cycle_planning import CyclePlanner, Failed
+from backhoe_planner.job.dumping import dump_of
+from backhoe_planner.job.estimates import choose, estimate_pattern
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.lanes import allowed_heights, lanes_of
+from backhoe_planner.job.patterns import NextCut, next_cut, patterns_to_compare
+from backhoe_planner.job.result.cycles import Cycle
+from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate
+from backhoe_planner.job.schema.job_file import Job
+from backhoe_planner.job.undug import find_undug
+from backhoe_planner.job.worksite import Worksite, build_worksite
+from backhoe_planner.planning import EFFORTS
+
+_MOST_CYCLES = 5000
+_MOST_REFUSED = 25  # cuts in a row that cannot be planned, before the job is given up; chosen
+_BESIDE = 0.15  # m of radius that are left out where a cut could not be planned; chosen
+_NO_PROGRESS = 1e-3  # m^3 of a cycle
+
+
+@dataclass(frozen=True, eq=False)
+class JobStep:
+    """What is told while a job is planned.
+
+    Attributes
+    ----------
+    plan: the job as far as it is planned.
+    expected: how many cycles it is estimated to take in all.
+    """
+
+    plan: JobPlan
+    expected: int
+
+
+def plan_job(
+    job: Job,
+    *,
+    effort: str = "normal",
+    seed: int = 0,
+    terrain: Terrain | None = None,
+    resume: JobPlan | None = None,
+    watch: Callable[[JobStep], object] | None = None,
+) -> JobPlan:
+    """Plan all cycles of a job.
+
+    Parameters
+    ----------
+    job: machine, site, what is dug, and where the soil goes.
+    effort: ``quick``, ``normal`` or ``thorough``: how much counted work the search of every motion may take.
+    seed: of every random choice, not negative.
+    terrain: the ground as it is now, such as a scan of what was really dug; by default that of the job.
+    resume: the same job as far as it was planned: its cycles are kept, and it goes on after them.
+    watch: called with a `JobStep` before the first cycle and after each.
+
+    Returns
+    -------
+    The plan in any case; `JobPlan.verdict` is ``verified`` only where every motion is proven and the design
+    is met wherever it may be dug.
+
+    Raises
+    ------
+    InputError: the job cannot be done as it is written; or an argument is not allowed.
+    """
+    check_kind(job, Job, key="job")
+    seed = as_count(seed, key="seed")
+    if effort not in EFFORTS:
+        raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
+    if terrain is not None:
+        check_kind(terrain, Terrain, key="terrain")
+    if resume is not None:
+        check_kind(resume, JobPlan, key="resume")
+        terrain = resume.start
+    begun = clock.process_time()
+    site = build_worksite(job, terrain=terrain)
+    run = _Run(site, effort, seed, begun)
+    return run.all(resume, watch)
+
+
+class _Run:
+    """One job while it is planned."""
+
+    def __init__(self, site: Worksite, effort: str, seed: int, begun: float) -> None:
+        self._site, self._effort, self._seed, self._begun = site, effort, seed, begun
+        self._lanes = lanes_of(site)
+        self._design = site.design_heights()
+        self._allowed, self._by = allowed_heights(site, self._lanes, self._design)
+        check_job(site, self._lanes, self._design)
+        self._dump = dump_of(site)
+        self._patterns = patterns_to_compare(site)
+        self._compared: tuple[PatternEstimate, ...] = ()
+
+    def all(self, resume: JobPlan | None, watch: Callable[[JobStep], object] | None) -> JobPlan:
+        """The plan of the whole job."""
+        site = self._site
+        if resume is None:
+            estimates = [estimate_pattern(site, self._lanes, one, self._dump.near) for one in self._patterns]
+            best = choose(estimates)
+            chosen = [replace(one, chosen=index == best) for index, one in enumerate(estimates)]
+            order = sorted(range(len(chosen)), key=lambda index: (not chosen[index].chosen, chosen[index].cost))
+            self._compared = tuple(chosen[index] for index in order)
+        else:
+            self._compared = resume.compared
+        names = [one.name for one in self._patterns]
+        own = next(one for one in self._compared if one.chosen)
+        pattern = self._patterns[names.index(own.name)]
+        planner = CyclePlanner(site, self._dump, effort=self._effort, seed=self._seed)
+        cycles = [] if resume is None else list(resume.cycles)
+        ground = cycles[-1].after if cycles else site.ground
+        state = planner.first(ground, truck=cycles[-1] if cycles else None)
+        at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else site.problem.start_q
+        done: dict[int, float] = {}
+        failure, note, refused = "", "", 0
+        self._tell(watch, cycles, own.cycles)
+        while len(cycles) < _MOST_CYCLES:
+            found = next_cut(site, self._lanes, pattern, state.ground, done=tuple(done.items()))
+            if not isinstance(found, NextCut):
+                if isinstance(found, NoCut) and not cycles:
+                    failure, note = _of_no_cut(found), found.reason
+                elif isinstance(found, NoCut):
+                    note = found.reason
+                break
+            made = planner.plan(len(cycles) + 1, at, state, found)
+            if isinstance(made, Failed):
+                note, refused = made.words, refused + 1
+                if made.part == "full":
+                    failure = "full"
+                    break
+                number = self._lanes.index(found.lane)
+                done[number] = min(done.get(number, np.inf), float(found.cut.r[0])) - _BESIDE
+                if refused > _MOST_REFUSED:
+                    failure = "blocked"
+                    break
+                continue
+            cycle, state = made
+            if cycle.bank + cycle.taken < _NO_PROGRESS:
+                note = f"the cut at cycle {cycle.number} takes nothing any more"
+                break
+            cycles.append(cycle)
+            at, refused, note = cycle.legs[-1].trajectory.q[-1], 0, ""
+            done = {}
+            self._tell(watch, cycles, own.cycles)
+        return self._plan(cycles, failure, note)  # type: ignore[arg-type]
+
+    def _tell(self, watch: Callable[[JobStep], object] | None, cycles: list[Cycle], expected: int) -> None:
+        if watch is not None:
+            watch(JobStep(self._plan(cycles, "interrupted", "planning goes on"), max(expected, len(cycles))))
+
+    def _plan(self, cycles: list[Cycle], failure: JobReason, note: str) -> JobPlan:
+        site = self._site
+        end = cycles[-1].after if cycles else site.ground
+        hard = note if failure == "too_hard" else ""
+        heights = (self._design, self._allowed, self._by)
+        undug = () if failure == "interrupted" else find_undug(site, self._lanes, heights, end, hard=hard)
+        return JobPlan(
+            job=site.job, robot=site.robot, start=site.ground, design=self._design, allowed=self._allowed,
+            outline=site.design.outline, cycles=tuple(cycles), undug=undug, compared=self._compared,
+            capacity=site.bucket.capacity, effort=self._effort, seed=self._seed, failure=failure, note=note,
+            planning_time=clock.process_time() - self._begun,
+        )  # fmt: skip
+
+
+def _of_no_cut(found: NoCut) -> JobReason:
+    return {"cylinder": "too_hard", "reach": "unreachable", "back": "blocked", "nothing": ""}[found.kind]  # type: ignore[return-value]
+

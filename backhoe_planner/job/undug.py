@@ -1,0 +1,99 @@
+"""What of the design stays undug, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from backhoe_planner.arrays import Flags, Matrix
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.lanes import ENTRY, LEAVE, Lane
+from backhoe_planner.job.result.job_plan import Undug, UndugReason
+from backhoe_planner.job.worksite import Worksite
+
+_LEAST = 1e-4  # m^3: less is rounding
+
+
+def find_undug(
+    site: Worksite,
+    lanes: Sequence[Lane],
+    heights: tuple[Matrix, Matrix, NDArray[np.int64]],
+    end: Terrain,
+    *,
+    hard: str = "",
+) -> tuple[Undug, ...]:
+    """All that stays above the design by more than its tolerance, by reason, the largest volume first.
+
+    Parameters
+    ----------
+    lanes: in which was dug.
+    heights: (rows, columns) the design, what may be dug, and the number of the lane, see `allowed_heights`.
+    end: the ground after the last cycle.
+    hard: the cylinder that cannot cut what is left, in words; empty where none is the reason.
+    """
+    design, allowed, by = heights
+    tolerance = site.job.dig.tolerance
+    stays = end.surface - design > tolerance
+    found: dict[tuple[UndugReason, str], Flags] = {}
+
+    def add(reason: UndugReason, cause: str, row: int, column: int) -> None:
+        flags = found.setdefault((reason, cause), np.zeros(design.shape, dtype=bool))
+        flags[row, column] = True
+
+    points = site.nodes - site.plane.axis
+    for row, column in np.argwhere(stays).tolist():
+        number = int(by[row, column])
+        if number < 0:
+            add("out_of_reach", "no plane of the arm has room for the bucket there", row, column)
+        elif end.surface[row, column] - allowed[row, column] > tolerance:
+            add("too_hard" if hard else "left", hard, row, column)
+        else:
+            lane = lanes[number]
+            heading = site.plane.heading(lane.swing)
+            r = float(points[row, column] @ np.array([np.cos(heading), np.sin(heading)]))
+            add(*_cause(lane, r, site.ground.cell), row, column)
+    undug = [_undug(site, end, design, flags, reason, cause) for (reason, cause), flags in found.items()]
+    return tuple(sorted((one for one in undug if one.volume > _LEAST), key=lambda one: -one.volume))
+
+
+def _cause(lane: Lane, r: float, cell: float) -> tuple[UndugReason, str]:
+    """Why a lane cannot be dug deeper at a radius [m]: what holds the floor up there, or else the steepest line."""
+    reach = np.abs(lane.r - r) <= cell
+    causes = lane.cause[reach]
+    if causes.any():
+        kind, name = lane.causes[int(causes[causes > 0][0])]
+        return ("protected" if kind == "protected" else "out_of_reach"), name
+    # a line over a floor that something holds up nearby belongs to that
+    raised = np.flatnonzero(lane.cause > 0)
+    line, floor = float(np.interp(r, lane.r, lane.line)), float(np.interp(r, lane.r, lane.floor))
+    if len(raised) and line > floor:
+        nearest = int(raised[np.argmin(np.abs(lane.r[raised] - r))])
+        ends = min(abs(r - lane.start), abs(r - lane.end))
+        if abs(float(lane.r[nearest]) - r) < ends:
+            kind, name = lane.causes[int(lane.cause[nearest])]
+            return ("protected" if kind == "protected" else "out_of_reach"), name
+    return "out_of_reach", _STEEP
+
+
+_STEEP = (
+    f"the ends are too steep: the teeth go in at most at {np.degrees(ENTRY):.0f} and "
+    f"come out at most at {np.degrees(LEAVE):.0f} degrees"
+)
+
+
+def _undug(
+    site: Worksite, end: Terrain, design: Matrix, columns: Flags, reason: UndugReason, cause: str
+) -> Undug:
+    nodes = site.nodes[columns]
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    volume = float(np.sum((end.surface - design)[columns])) * end.cell**2
+    where = f"{volume:.2f} m^3 from x {low[0]:.2f}, y {low[1]:.2f} to x {high[0]:.2f}, y {high[1]:.2f} m"
+    why = {
+        "protected": f"protected by {cause}",
+        "out_of_reach": cause or "out of the machine's reach",
+        "too_hard": cause,
+        "left": "left between cuts",
+    }[reason]
+    return Undug(reason, cause, columns, volume, low, high, f"{where}: {why}")
