@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.job.cuts.cut import Cut
+from backhoe_planner.job.cuts.cut import Cut, CutGround
+from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.result.cycles import Load
 from backhoe_planner.job.worksite import Worksite
 from backhoe_planner.motion import Problem, Trajectory, time_along
 
@@ -61,9 +63,30 @@ def cut_motion(site: Worksite, cut: Cut, path: CutPath) -> Trajectory:
     return time_along(stations, path.q, site.problem.limits, drive=site.digger.drive(cut))
 
 
-def cut_problem(site: Worksite, cut: Cut, problem: Problem) -> Problem:
-    """The problem of a motion through the soil that a cut is in."""
-    return replace(problem, scene=problem.scene.model_copy(update={"soil": site.digger.soil}), ground=cut.ground)
+def cut_problem(site: Worksite, load: Load, problem: Problem, ground: Terrain) -> Problem:
+    """The problem of a motion through the soil.
+
+    Parameters
+    ----------
+    load: what the bucket holds on the way.
+    problem: of the same motion through the air.
+    ground: before the cut.
+    """
+    heading = site.plane.heading(load.swing)
+    in_plane = CutGround(
+        Profile.of_terrain(ground, site.plane, load.swing, width=site.bucket.width),
+        site.plane.axis,
+        np.array([np.cos(heading), np.sin(heading)]),
+        load.r,
+        load.mass,
+        site.bucket,
+    )
+    return replace(problem, scene=problem.scene.model_copy(update={"soil": site.digger.soil}), ground=in_plane)
+
+
+def load_of(cut: Cut) -> Load:
+    """What the bucket holds along a cut."""
+    return Load(cut.swing, cut.ground.r, cut.ground.mass)
 
 
 def _top(site: Worksite, cut: Cut, ground: Terrain, r: float) -> float:

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job.cut_leg import CutPath, cut_motion, cut_path, cut_problem
+from backhoe_planner.job.cut_leg import CutPath, cut_motion, cut_path, cut_problem, load_of
 from backhoe_planner.job.cuts.cut import Cut
-from backhoe_planner.job.dumping import Dumping, HeapDump, Site
+from backhoe_planner.job.dumping import Dumping, DumpSite, SiteState, ground_obstacle
 from backhoe_planner.job.ground.heaps import poured
-from backhoe_planner.job.ground.sweep import BladeSweep, Sweep, swept
+from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.patterns import NextCut
-from backhoe_planner.job.result.cycles import Cycle, Digging, Leg
-from backhoe_planner.job.transfers import Transfers, make_leg
+from backhoe_planner.job.result.cycles import Cycle, Digging, Leg, LegName
+from backhoe_planner.job.transfers import Transfers, level_band, make_leg
 from backhoe_planner.job.worksite import Worksite
-from backhoe_planner.motion import Trajectory
+from backhoe_planner.motion import Keep, Problem, Trajectory
 from backhoe_planner.proof import certify_problem
 
 _HIGHER = (0.0, 0.15, 0.35)  # m by which the bucket is lifted more at both ends of a cut, tried in turn; chosen
@@ -49,21 +49,56 @@ class CyclePlanner:
     effort, seed: of the searches.
     """
 
-    def __init__(self, site: Worksite, dump: HeapDump, *, effort: str, seed: int) -> None:
+    def __init__(self, site: Worksite, dump: DumpSite, *, effort: str, seed: int) -> None:
         self._site, self._dump = site, dump
         self._transfers = Transfers(site.problem, effort=effort, seed=seed)
-        self._clearance = site.problem.scene.clearance
 
-    def first(self, ground: Terrain, *, truck: Cycle | None) -> Site:
-        """The site before the next cycle.
+    @property
+    def site(self) -> Worksite:
+        """The job on its machine."""
+        return self._site
+
+    def first(self, ground: Terrain) -> SiteState:
+        """The site before the first cycle."""
+        return self._dump.first(ground, ground_obstacle(self._site, ground))
+
+    def across(self, swing: float) -> Vector:
+        """(3,) unit vector along the cutting edge at a swing angle, world."""
+        heading = self._site.plane.heading(swing)
+        return np.array([-np.sin(heading), np.cos(heading), 0.0])
+
+    def after_cut(self, ground: Terrain, before: SiteState) -> SiteState:
+        """The site with the ground after a cut."""
+        return replace(before, ground=ground, obstacle=ground_obstacle(self._site, ground, before=before.obstacle))
+
+    def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
+        """See `DumpSite`."""
+        return self._dump.dumped(state, place, volume, number)
+
+    def again(self, state: SiteState, cycle: Cycle) -> SiteState:
+        """The site after a cycle that is planned already."""
+        found = self.dumped(self.after_cut(cycle.dug, state), cycle.place[:2], cycle.held, cycle.truck)
+        assert not isinstance(found, str)
+        return found
+
+    def leg_problem(self, name: LegName, motion: Trajectory, state: SiteState, payload: float) -> Problem:
+        """The problem of a motion of a cycle; of a cut without its soil.
 
         Parameters
         ----------
-        truck: the cycle before it, if any, that says how full the truck is.
+        state: the site during the motion.
+        payload: in the bucket [kg].
         """
-        return Site.of(ground, clearance=self._clearance)
+        keep = Keep(self._site.robot, [level_band(self._site.problem)]) if name == "swing" else None
+        ground = state.obstacles
+        if name == "cut":
+            arm = [link for link in self._site.robot.moving_links if link not in bucket_links(self._site)]
+            ground = (replace(state.obstacle, links=tuple(arm)), *ground[1:])
+            payload = 0.0  # what is held grows on the way: it belongs to the soil
+        ends = (motion.q[0], [motion.q[-1]])
+        return self._transfers.problem(*ends, ground=ground, payload=payload, keep=keep)
 
-    def plan(self, number: int, start: Vector | None, state: Site, chosen: NextCut) -> tuple[Cycle, Site] | Failed:
+    def plan(self, number: int, start: Vector | None, state: SiteState, chosen: NextCut) -> tuple[Cycle, SiteState] | Failed:
         """One cycle, and the site after it.
 
         Parameters
@@ -77,13 +112,12 @@ class CyclePlanner:
         for higher in _HIGHER:
             made = self._cut(chosen.cut, state, higher)
             if isinstance(made, Failed):
-                failed = made
-                continue
+                return made if not failed.words else failed
             cut_leg, path = made
             legs: list[Leg] = []
             if start is not None:
                 approach = self._transfers.to(
-                    "approach", start, [path.q[0]], ground=[state.obstacle], payload=0.0
+                    "approach", start, [path.q[0]], ground=state.obstacles, payload=0.0
                 )
                 if approach.leg is None:
                     failed = Failed("approach", approach.why)
@@ -97,16 +131,13 @@ class CyclePlanner:
                 break
         return failed
 
-    def _cut(self, cut: Cut, state: Site, higher: float) -> tuple[Leg, CutPath] | Failed:
+    def _cut(self, cut: Cut, state: SiteState, higher: float) -> tuple[Leg, CutPath] | Failed:
         site = self._site
         path = cut_path(site, cut, state.ground, higher=higher)
         if isinstance(path, str):
             return Failed("cut", path)
         motion = cut_motion(site, cut, path)
-        arm = [link for link in site.robot.moving_links if link not in bucket_links(site)]
-        ground = replace(state.obstacle, links=tuple(arm))
-        problem = self._transfers.problem(motion.q[0], [motion.q[-1]], ground=[ground], payload=0.0)
-        problem = cut_problem(site, cut, problem)
+        problem = cut_problem(site, load_of(cut), self.leg_problem("cut", motion, state, 0.0), state.ground)
         certificate = certify_problem(problem, motion)
         if not certificate.verified:
             return Failed("cut", "; ".join(certificate.problems))
@@ -114,48 +145,44 @@ class CyclePlanner:
         return replace(leg, payload=float(cut.held[-1])), path
 
     def _after(
-        self, number: int, legs: list[Leg], path: CutPath, state: Site, chosen: NextCut
-    ) -> tuple[Cycle, Site] | Failed:
+        self, number: int, legs: list[Leg], path: CutPath, state: SiteState, chosen: NextCut
+    ) -> tuple[Cycle, SiteState] | Failed:
         """The swing and the dump after a cut."""
         site, cut, motion = self._site, chosen.cut, legs[-1].trajectory
-        digging, sweep = dig(site, motion, cut.across, state.ground)
-        volume = float(sweep.volume[-1])
-        held = min(volume, site.bucket.capacity)
-        spilt = volume - held
-        ground = sweep.terrain
-        if spilt > 0.0:
-            ground = poured(ground, digging.edge[-1, :2], spilt)
-        dug = Site.of(ground, clearance=self._clearance, before=state)
-        payload = site.digger.soil.density * held / site.job.soil.swell
-        options = self._dump.options(ground, held, motion.q[-1])
+        dug = dig_and_spill(site, motion, self.across(cut.swing), state.ground)
+        after_cut = self.after_cut(dug.ground, state)
+        payload = site.digger.soil.density * dug.held / site.job.soil.swell
+        options = self._dump.options(after_cut, dug.held, motion.q[-1])
         if isinstance(options, str):
             return Failed("full", options)
         failed = Failed("swing", "")
         for option in options[:_PLACES]:
             swing = self._transfers.to(
-                "swing", motion.q[-1], list(option.arrivals), ground=[dug.obstacle], payload=payload, level=True
+                "swing", motion.q[-1], list(option.arrivals), ground=after_cut.obstacles, payload=payload, level=True
             )
             if swing.leg is None:
                 failed = Failed("swing", swing.why)
                 continue
-            after = Site.of(option.after, clearance=self._clearance, before=dug)
+            after = self.dumped(after_cut, option.place[:2], dug.held, option.number)
+            if isinstance(after, str):
+                return Failed("full", after)
             opening = self._open(swing.leg.trajectory.q[-1], option, after, payload)
             if isinstance(opening, Failed):
                 failed = opening
                 continue
-            depth = float(np.max(cut.depth))
             cycle = Cycle(
-                number, (*legs, swing.leg, opening), digging, before=state.ground, dug=ground, after=option.after,
-                bank=float(sweep.bank[-1]), taken=float(sweep.loose[-1]), held=held, spilt=spilt, place=option.place,
-                truck=option.truck, step=chosen.step, filled=held / site.bucket.capacity, depth=depth,
+                number, (*legs, swing.leg, opening), dug.digging, load_of(cut), before=state.ground, dug=dug.ground,
+                after=after.ground, bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=option.place,
+                truck=option.number, step=chosen.step, filled=dug.held / site.bucket.capacity,
+                depth=float(np.max(cut.depth)),
             )  # fmt: skip
             return cycle, after
         return failed
 
-    def _open(self, q: Vector, option: Dumping, after: Site, payload: float) -> Leg | Failed:
+    def _open(self, q: Vector, option: Dumping, after: SiteState, payload: float) -> Leg | Failed:
         """The bucket opens over what then lies there."""
         reached = int(np.argmin(np.max(np.abs(option.arrivals - q), axis=1)))
-        found = self._transfers.to("dump", q, [option.openings[reached]], ground=[after.obstacle], payload=payload)
+        found = self._transfers.to("dump", q, [option.openings[reached]], ground=after.obstacles, payload=payload)
         return Failed("dump", found.why) if found.leg is None else found.leg
 
 
@@ -164,8 +191,30 @@ def bucket_links(site: Worksite) -> tuple[str, ...]:
     return tuple(dict.fromkeys(piece.link for piece in site.robot.pieces if piece.joint == site.robot.n))
 
 
-def dig(site: Worksite, motion: Trajectory, across: Vector, ground: Terrain) -> tuple[Digging, Sweep]:
-    """What a motion through the soil takes out of the ground.
+@dataclass(frozen=True, eq=False)
+class Dug:
+    """What a cut leaves.
+
+    Attributes
+    ----------
+    digging: how the ground changes.
+    ground: after it, with what is spilt.
+    bank: undisturbed soil that left the ground [m^3].
+    taken: loose soil taken with it [m^3].
+    held: loose soil in the bucket [m^3].
+    spilt: loose soil that fell back [m^3].
+    """
+
+    digging: Digging
+    ground: Terrain
+    bank: float
+    taken: float
+    held: float
+    spilt: float
+
+
+def dig_and_spill(site: Worksite, motion: Trajectory, across: Vector, ground: Terrain) -> Dug:
+    """What a motion through the soil takes out of the ground; what the bucket cannot hold falls where it is lifted.
 
     Parameters
     ----------
@@ -175,4 +224,8 @@ def dig(site: Worksite, motion: Trajectory, across: Vector, ground: Terrain) -> 
     """
     edge = site.plane.kinematics.at(motion.q).tip_position
     sweep = swept(ground, BladeSweep(edge, across, site.bucket.width))
-    return Digging(motion.time, edge, across, site.bucket.width, sweep.bank, sweep.loose), sweep
+    bank, taken, volume = float(sweep.bank[-1]), float(sweep.loose[-1]), float(sweep.volume[-1])
+    held = min(volume, site.bucket.capacity)
+    after = sweep.terrain if held == volume else poured(sweep.terrain, edge[-1, :2], volume - held)
+    digging = Digging(motion.time, edge, across, site.bucket.width, sweep.bank, sweep.loose)
+    return Dug(digging, after, bank, taken, held, volume - held)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
+import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
-from backhoe_planner.job.ground.heaps import Refusal, deposited
+from backhoe_planner.job.ground.heaps import Refusal, deposited, poured
 from backhoe_planner.job.ground.obstacle import terrain_obstacle
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.work import Heap
+from backhoe_planner.job.schema.work import Truck as Trucks
 from backhoe_planner.job.worksite import Worksite
-from backhoe_planner.machine import JointLimits
+from backhoe_planner.machine import Cluster, JointLimits
 from backhoe_planner.site import Obstacle
 
 OPEN = -1.2  # rad: the pitch at which the bucket is empty; chosen, its plate then stands at 110 degrees
@@ -22,27 +25,51 @@ _ABOVE = 0.15  # m from the teeth of the open bucket to what lies there, beyond 
 _HIGHER = (0.0, 0.25, 0.5, 0.8, 1.2)  # m, tried beyond that in turn
 _TILTS = (0.0, 0.25, 0.5)  # rad from level at which the bucket may arrive
 _HEAP = 0.5  # m that a heap is high on the average, for estimates
-_GROUND = "the ground"
+_ALONG_BED = (0.0, -0.5, 0.5, -1.0, 1.0)  # of the room along a bed: where a bucketful may be dumped; chosen
+_EVEN = 0.15  # m by which a place may lie higher than the lowest and still count as low; chosen
+_GROUND, _TRUCK = "the ground", "the truck"
 
 
 @dataclass(frozen=True, eq=False)
-class Site:
+class Truck:
+    """The truck that stands at the site.
+
+    Attributes
+    ----------
+    number: from 1.
+    bed: what lies in it, in the bed's own axes: its origin in the middle of the floor, z up from there.
+    """
+
+    number: int
+    bed: Terrain
+
+    @property
+    def loaded(self) -> float:
+        """Loose soil in it [m^3]."""
+        return self.bed.loose_volume
+
+
+@dataclass(frozen=True, eq=False)
+class SiteState:
     """What changes on the site from cycle to cycle.
 
     Attributes
     ----------
     ground: as it is.
     obstacle: the same as an obstacle for all links.
+    truck: the one that stands there, with what lies in it; None for a heap.
+    load: the same as an obstacle.
     """
 
     ground: Terrain
     obstacle: Obstacle
+    truck: Truck | None = None
+    load: Obstacle | None = None
 
-    @classmethod
-    def of(cls, ground: Terrain, *, clearance: float, before: Site | None = None) -> Site:
-        """The ground with its obstacle; what was built for the ground `before` is used again."""
-        earlier = None if before is None else before.obstacle
-        return cls(ground, terrain_obstacle(ground, _GROUND, clearance, before=earlier))
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """All of them."""
+        return (self.obstacle,) if self.load is None else (self.obstacle, self.load)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +81,37 @@ class Dumping:
     place: (3,) the top of what lies there afterwards [m], world.
     arrivals: (k, n) postures with the bucket level over it, the lowest first.
     openings: (k, n) the same with the bucket open.
-    after: the ground with it.
-    truck: number of the truck, from 1; 0 for a heap.
+    number: of the truck, from 1; 0 for a heap.
     """
 
     place: Vector
     arrivals: Matrix
     openings: Matrix
-    after: Terrain
-    truck: int
+    number: int
+
+
+class DumpSite(Protocol):
+    """Where soil goes."""
+
+    def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
+        """The site before the first cycle."""
+
+    def near(self, start: Vector) -> tuple[Vector, Vector] | None:
+        """(n,), (n,) postures, level and open, in which soil is dumped, soon reached from `start` (n,); for estimates."""
+
+    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
+        """Places at which `volume` [m^3] of loose soil can be dumped, the soonest reached from `start` (n,) first.
+
+        Where there is none, why.
+        """
+
+    def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
+        """The site after `volume` [m^3] was dumped at `place` (2,) [m]; or why it cannot be.
+
+        Parameters
+        ----------
+        number: of the truck.
+        """
 
 
 class HeapDump:
@@ -78,40 +127,129 @@ class HeapDump:
         self._site, self._heap = site, heap
         self._clear_of: Flags = site.design.within(site.nodes, heap.edge_distance)
 
+    def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
+        """See `DumpSite`."""
+        return SiteState(ground, obstacle)
+
     def near(self, start: Vector) -> tuple[Vector, Vector] | None:
-        """(n,), (n,) postures, level and open, in which soil is dumped, soon reached from `start` (n,); for estimates."""
-        level, limits = self._site.ground, self._site.problem.limits
-        found = []
-        for place in self._heap.places:
-            row, column = _cell_of(level, np.array(place))
-            arrivals, openings = postures_over(self._site, np.array(place), float(level.surface[row, column]) + _HEAP)
-            found += list(zip(arrivals[:1], openings[:1], strict=True))
-        return min(found, key=lambda ends: travel_time(ends[0] - start, limits), default=None)
+        """See `DumpSite`."""
+        level = self._site.ground
+        tops = [(np.array(place), _height(level, np.array(place)) + _HEAP) for place in self._heap.places]
+        return _soonest(self._site, tops, start)
 
-    def options(self, ground: Terrain, volume: float, start: Vector) -> list[Dumping] | str:
-        """Places at which `volume` [m^3] of loose soil can be dumped, the soonest reached from `start` (n,) first.
-
-        Where there is none, why.
-        """
+    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
+        """See `DumpSite`."""
         found: list[Dumping] = []
         refused = ""
-        for place in self._heap.places:
-            after = deposited(ground, place, volume, clear_of=self._clear_of)
+        for at in self._heap.places:
+            place = np.array(at)
+            after = deposited(state.ground, place, volume, clear_of=self._clear_of)
             if isinstance(after, Refusal):
                 refused = refused or after.reason
                 continue
-            row, column = _cell_of(after, np.array(place))
-            around = after.surface[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
-            top = float(around.max())
-            arrivals, openings = postures_over(self._site, np.array(place), top)
+            top = _height(after, place)
+            arrivals, openings = postures_over(self._site, place, top)
             if not len(arrivals):
-                refused = refused or f"the bucket cannot be emptied over x {place[0]:.2f}, y {place[1]:.2f} m: out of reach"
+                refused = refused or f"the bucket cannot be emptied over x {at[0]:.2f}, y {at[1]:.2f} m: out of reach"
                 continue
-            found.append(Dumping(np.array([*place, top]), arrivals, openings, after, 0))
-        if not found:
-            return refused
+            found.append(Dumping(np.array([*at, top]), arrivals, openings, 0))
         limits = self._site.problem.limits
-        return sorted(found, key=lambda one: travel_time(one.arrivals[0] - start, limits))
+        return sorted(found, key=lambda one: travel_time(one.arrivals[0] - start, limits)) if found else refused
+
+    def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
+        """See `DumpSite`."""
+        after = deposited(state.ground, place, volume, clear_of=self._clear_of)
+        if isinstance(after, Refusal):
+            return after.reason
+        return SiteState(after, ground_obstacle(self._site, after, before=state.obstacle))
+
+
+class TruckDump:
+    """Soil loaded on trucks, one after the other.
+
+    Parameters
+    ----------
+    site: the job on its machine.
+    trucks: where they stand, and how much they take.
+    """
+
+    def __init__(self, site: Worksite, trucks: Trucks) -> None:
+        self._site, self._trucks = site, trucks
+        length, width, _ = trucks.bed.size
+        self._placement = pin.SE3(
+            pin.rpy.rpyToMatrix(0.0, 0.0, trucks.bed.yaw), np.array(trucks.bed.position, dtype=float)
+        )
+        self._empty = Terrain.level(
+            0.0, (-0.5 * length, -0.5 * width), (0.5 * length, 0.5 * width), site.ground.cell,
+            soil=site.ground.soil, swell=site.ground.swell, repose=site.ground.repose,
+        )  # fmt: skip
+        # off the walls by the bucket's width: from beside them, half of what falls would miss the bed
+        room = max(0.5 * length - 0.6 * site.bucket.width, 0.0)
+        self._places = [np.array([part * room, 0.0]) for part in _ALONG_BED]
+
+    def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
+        """See `DumpSite`."""
+        return self._with(SiteState(ground, obstacle), Truck(1, self._empty))
+
+    def near(self, start: Vector) -> tuple[Vector, Vector] | None:
+        """See `DumpSite`."""
+        top = self._trucks.bed.size[2]
+        return _soonest(self._site, [self._world(place, top) for place in self._places], start)
+
+    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
+        """See `DumpSite`."""
+        assert state.truck is not None
+        truck = self._truck_for(state.truck, volume)
+        if isinstance(truck, str):
+            return truck
+        found = []
+        for place in self._places:
+            after = poured(truck.bed, place, volume)
+            at, top = self._world(place, max(_height(after, place), self._trucks.bed.size[2]))
+            arrivals, openings = postures_over(self._site, at, top)
+            if len(arrivals):
+                top = self._world(place, _height(after, place))[1]
+                found.append(Dumping(np.array([*at, top]), arrivals, openings, truck.number))
+        if not found:
+            return "the bucket cannot be emptied over the truck's bed: out of reach"
+        limits = self._site.problem.limits
+        # where it lies lowest first, so that the bed fills evenly
+        lowest = min(one.place[2] for one in found)
+        return sorted(
+            found,
+            key=lambda one: (
+                bool(one.place[2] > lowest + _EVEN), travel_time(one.arrivals[0] - start, limits)
+            ),
+        )  # fmt: skip
+
+    def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
+        """See `DumpSite`."""
+        assert state.truck is not None
+        truck = state.truck if number == state.truck.number else Truck(number, self._empty)
+        if truck.loaded + volume > self._trucks.capacity + 1e-9:
+            return f"truck {number} takes {self._trucks.capacity:.2f} m^3, with this bucketful it would hold {truck.loaded + volume:.2f} m^3"
+        local = (np.array([*place, 0.0]) - self._placement.translation) @ self._placement.rotation
+        return self._with(state, Truck(number, poured(truck.bed, local[:2], volume)))
+
+    def _truck_for(self, truck: Truck, volume: float) -> Truck | str:
+        """The truck that takes the next bucketful; or that all are full."""
+        given = self._trucks
+        if truck.loaded + volume <= given.capacity:
+            return truck
+        if truck.number < given.count:
+            return Truck(truck.number + 1, self._empty)
+        which = "the truck is" if given.count == 1 else f"all {given.count} trucks are"
+        return f"{which} full: {truck.loaded:.2f} of {given.capacity:.2f} m^3, and a bucketful is {volume:.2f} m^3 (a greater `count`)"
+
+    def _with(self, state: SiteState, truck: Truck) -> SiteState:
+        found = terrain_obstacle(truck.bed, _TRUCK, self._site.problem.scene.clearance)
+        assert found.cluster is not None
+        cluster = Cluster(found.cluster.solid, self._placement * found.cluster.placement)
+        return replace(state, truck=truck, load=replace(found, cluster=cluster))
+
+    def _world(self, place: Vector, height: float) -> tuple[Vector, float]:
+        at = self._placement.act(np.array([place[0], place[1], height]))
+        return at[:2], float(at[2])
 
 
 def postures_over(site: Worksite, place: Vector, top: float) -> tuple[Matrix, Matrix]:
@@ -171,20 +309,32 @@ def travel_time(step: Vector, limits: JointLimits) -> float:
     return float(np.max(np.where(ramps, slow, fast)))
 
 
-def _cell_of(ground: Terrain, place: Vector) -> tuple[int, int]:
-    column, row = np.clip(np.round((place - ground.low) / ground.cell), 0, np.array(ground.shape[::-1]) - 1).astype(int)
-    return int(row), int(column)
+def ground_obstacle(site: Worksite, ground: Terrain, *, before: Obstacle | None = None) -> Obstacle:
+    """The ground as an obstacle for all links; what was built for the ground `before` is used again."""
+    return terrain_obstacle(ground, _GROUND, site.problem.scene.clearance, before=before)
 
 
-def of_links(obstacle: Obstacle, links: Sequence[str]) -> Obstacle:
-    """The same obstacle for some links alone."""
-    from dataclasses import replace
-
-    return replace(obstacle, links=tuple(links))
-
-
-def dump_of(site: Worksite) -> HeapDump:
+def dump_of(site: Worksite) -> DumpSite:
     """Where the soil of a job goes."""
-    heap = site.job.dump.heap
-    assert heap is not None
-    return HeapDump(site, heap)
+    heap, truck = site.job.dump.heap, site.job.dump.truck
+    if heap is not None:
+        return HeapDump(site, heap)
+    assert truck is not None
+    return TruckDump(site, truck)
+
+
+def _soonest(
+    site: Worksite, tops: Sequence[tuple[Vector, float]], start: Vector
+) -> tuple[Vector, Vector] | None:
+    """Postures, level and open, over one of several places with their tops."""
+    found = []
+    for place, top in tops:
+        arrivals, openings = postures_over(site, place, top)
+        found += list(zip(arrivals[:1], openings[:1], strict=True))
+    return min(found, key=lambda ends: travel_time(ends[0] - start, site.problem.limits), default=None)
+
+
+def _height(ground: Terrain, place: Vector) -> float:
+    """The highest ground within two columns of a place (2,) [m]."""
+    column, row = np.clip(np.round((place - ground.low) / ground.cell), 0, np.array(ground.shape[::-1]) - 1).astype(int)
+    return float(ground.surface[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3].max())

@@ -118,8 +118,9 @@ class _Run:
         pattern = self._patterns[names.index(own.name)]
         planner = CyclePlanner(site, self._dump, effort=self._effort, seed=self._seed)
         cycles = [] if resume is None else list(resume.cycles)
-        ground = cycles[-1].after if cycles else site.ground
-        state = planner.first(ground, truck=cycles[-1] if cycles else None)
+        state = planner.first(site.ground)
+        for cycle in cycles:
+            state = planner.again(state, cycle)
         at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else site.problem.start_q
         done: dict[int, float] = {}
         failure, note, refused = "", "", 0

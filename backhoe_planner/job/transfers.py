@@ -9,7 +9,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.machine import Kinematics, TipTarget
-from backhoe_planner.motion import Goal, Keep, PitchBand, Problem, Trajectory, limit_usage, trajectory_energy
+from backhoe_planner.motion import Goal, Keep, PitchBand, Problem, Trajectory, trajectory_energy
 from backhoe_planner.job.result.cycles import Leg, LegName
 from backhoe_planner.planning import EFFORTS, Effort, plan_motion
 from backhoe_planner.proof import Certificate, certify_problem
@@ -141,7 +141,8 @@ def make_leg(name: LegName, problem: Problem, motion: Trajectory, certificate: C
     certificate: of the motion, where it is known.
     """
     energy = trajectory_energy(problem, motion)
-    pump, engine = mean_use(problem, motion)
+    hydraulic = float("nan") if energy.hydraulic is None else float(energy.hydraulic[-1])
+    pump, engine = mean_use(problem, motion, hydraulic)
     return Leg(
         name,
         problem,
@@ -149,18 +150,23 @@ def make_leg(name: LegName, problem: Problem, motion: Trajectory, certificate: C
         certify_problem(problem, motion) if certificate is None else certificate,
         payload=problem.scene.payload,
         work=float(energy.work[-1]),
+        hydraulic=hydraulic,
         pump=pump,
         engine=engine,
     )
 
 
-def mean_use(problem: Problem, motion: Trajectory) -> tuple[float, float]:
-    """The mean use of the pump's flow and of the engine's power over a motion; nan without hydraulics."""
-    usage = limit_usage(problem, motion, tip_speed=False)
-    kinds = [kind for kind, _ in usage.limits]
-    if "pump flow" not in kinds or motion.duration == 0.0:
+def mean_use(problem: Problem, motion: Trajectory, hydraulic: float) -> tuple[float, float]:
+    """The mean use of the pump's flow and of the engine's power over a motion; nan without hydraulics.
+
+    Parameters
+    ----------
+    hydraulic: what the pump gives [J].
+    """
+    hydraulics = problem.robot.hydraulics
+    if hydraulics is None or motion.duration == 0.0:
         return float("nan"), float("nan")
-    time = usage.moments.time
-    columns = [usage.ratio[:, kinds.index(kind)] for kind in ("pump flow", "engine power")]
-    flow, power = (float(np.trapezoid(np.minimum(column, 1.0), time) / motion.duration) for column in columns)
-    return flow, power
+    middle = 0.5 * (motion.q[1:] + motion.q[:-1])
+    flow = hydraulics.total_flow(middle, motion.segment_velocities()) / hydraulics.pump_flow
+    volume = float(np.sum(flow * np.diff(motion.time)))
+    return volume / motion.duration, hydraulic / (hydraulics.power_limit * motion.duration)

@@ -21,6 +21,7 @@ from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Soil, scene_from_dict
 
 _AROUND = 1.0  # m of ground around what is dug and heaped
+_ARM_SPARE = 0.015  # m beyond the clearance, for what lies between the places looked at; a few mm were seen
 _HEADINGS = 91  # at which the machine's reach is looked at; chosen
 
 
@@ -93,7 +94,7 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
     digger = _digger(job, problem)
     ground = _ground(job, digger.plane) if terrain is None else terrain
     design = _design(job, ground)
-    arm = ArmOutline(digger.plane, problem.scene.clearance)
+    arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, design, arm)
 
 

@@ -25,6 +25,7 @@ class Leg:
     certificate: what is proven of it.
     payload: mass in the bucket [kg]; during a cut that at its end, during a dump that at its beginning.
     work: of the joints [J].
+    hydraulic: what the pump gives, the highest pressure times the whole flow [J]; nan of a machine without hydraulics.
     pump, engine: mean use of the pump's flow and of the engine's power, 0 to 1; nan of a machine without hydraulics.
     """
 
@@ -34,6 +35,7 @@ class Leg:
     certificate: Certificate
     payload: float
     work: float
+    hydraulic: float
     pump: float
     engine: float
 
@@ -66,6 +68,22 @@ class Digging:
 
 
 @dataclass(frozen=True, eq=False)
+class Load:
+    """What the bucket holds while it digs, by where the teeth are.
+
+    Attributes
+    ----------
+    swing: angle of the arm's plane [rad].
+    r: (M,) distances of the teeth from the swing axis, not increasing [m].
+    mass: (M,) held there [kg].
+    """
+
+    swing: float
+    r: Vector
+    mass: Vector
+
+
+@dataclass(frozen=True, eq=False)
 class Cycle:
     """From above the cut to the empty bucket.
 
@@ -74,6 +92,7 @@ class Cycle:
     number: from 1.
     legs: approach, cut, swing, dump; the last cycle also has the return.
     digging: how the ground changes during the cut.
+    load: what the bucket holds during the cut.
     before: the ground at the beginning of the cycle.
     dug: the ground after the cut.
     after: the ground after the dump, the heap on it.
@@ -91,6 +110,7 @@ class Cycle:
     number: int
     legs: tuple[Leg, ...]
     digging: Digging
+    load: Load
     before: Terrain
     dug: Terrain
     after: Terrain
@@ -113,6 +133,11 @@ class Cycle:
     def work(self) -> float:
         """Of the joints [J]."""
         return sum(leg.work for leg in self.legs)
+
+    @property
+    def hydraulic(self) -> float:
+        """What the pump gives [J]; nan of a machine without hydraulics."""
+        return sum(leg.hydraulic for leg in self.legs)
 
     @property
     def verified(self) -> bool:

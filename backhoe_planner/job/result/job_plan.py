@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -9,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
+from backhoe_planner.errors import InputError, check_path
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle
 from backhoe_planner.job.schema.job_file import Job
@@ -16,7 +18,7 @@ from backhoe_planner.machine import Robot
 
 JobReason = Literal["", "unreachable", "blocked", "too_hard", "full", "not_done", "interrupted"]
 UndugReason = Literal["protected", "out_of_reach", "too_hard", "left"]
-_LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state at partial load
+LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state at partial load
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +168,32 @@ class JobPlan:
         return self.work / self.bank if self.bank > 0.0 else float("nan")
 
     @property
+    def hydraulic(self) -> float:
+        """What the pump gives in all cycles [J]; nan of a machine without hydraulics."""
+        return sum(cycle.hydraulic for cycle in self.cycles)
+
+    @property
+    def fuel(self) -> float:
+        """Diesel for what the pump gives [l], see `LITRES_PER_KWH`; nan of a machine without hydraulics."""
+        hydraulics = self.robot.hydraulics
+        if hydraulics is None:
+            return float("nan")
+        return LITRES_PER_KWH * self.hydraulic / hydraulics.efficiency / 3.6e6
+
+    def mean_use(self, name: Literal["pump", "engine"]) -> float:
+        """The mean use of the pump's flow or of the engine's power over all cycles, 0 to 1.
+
+        Raises
+        ------
+        InputError: there is no such name.
+        """
+        if name not in ("pump", "engine"):
+            raise InputError.unknown_name("is not measured", name, names=("pump", "engine"), key="name")
+        legs = [leg for cycle in self.cycles for leg in cycle.legs]
+        whole = sum(leg.duration for leg in legs)
+        return sum(getattr(leg, name) * leg.duration for leg in legs) / whole if whole > 0.0 else float("nan")
+
+    @property
     def cost(self) -> float:
         """The objective per bank m^3 [s/m^3 or J/m^3]."""
         digging = self.duration - self.waits if self.job.objective == "time" else self.work
@@ -191,6 +219,18 @@ class JobPlan:
         """Whether the design is met within its tolerance wherever it may be dug."""
         tolerance = self.job.dig.tolerance + 1e-9
         return self.over <= tolerance and self.under <= tolerance
+
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the job's plan file (JSON), whole or not at all.
+
+        Raises
+        ------
+        OutputError: the folder does not exist or cannot be written; or the file is one of the job's.
+        """
+        from backhoe_planner.job.result.job_plan_file import save_job_plan
+
+        save_job_plan(self, check_path(path, key="path"))
 
 
 def _most(values: Matrix) -> float:

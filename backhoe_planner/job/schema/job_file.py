@@ -75,12 +75,16 @@ class Job(Record):
     def scene_dict(self) -> dict[str, Any]:
         """What a scene of this site holds, but for start and task, as plain data."""
         content = self.site_scene.to_dict()
-        return {"version": 1, "name": self.name} | {key: content[key] for key in _SITE_KEYS if key in content}
+        found = {"version": 1, "name": self.name} | {key: content[key] for key in _SITE_KEYS if key in content}
+        truck = self.dump.truck
+        if truck is not None:
+            found["obstacles"] = [*found.get("obstacles", []), *truck.bed.walls()]
+        return found
 
     def to_dict(self) -> dict[str, Any]:
         """The job as plain data that `job_from_dict` reads again; of the site its keys, wherever they came from."""
         content = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        site = self.scene_dict()
+        site = self.site_scene.to_dict()
         return content | {"site": {key: value for key, value in site.items() if key in _SITE_KEYS}}
 
 
@@ -103,6 +107,7 @@ def job_from_dict(
     content: Mapping[str, Any],
     *,
     folder: str | Path = ".",
+    site_folder: str | Path | None = None,
     file: Path | None = None,
     lines: Mapping[KeyPath, int] | None = None,
 ) -> Job:
@@ -112,6 +117,7 @@ def job_from_dict(
     ----------
     content: keys and values as in a job file.
     folder: where files that the job names are looked for.
+    site_folder: where files that the keys of its site name are; by default the same.
     file, lines: for messages: the file it came from, and the line of every key.
 
     Raises
@@ -126,11 +132,11 @@ def job_from_dict(
     except ValidationError as error:
         raise SceneError(explain(error, content, root=Job, lines=lines), file=file) from None
     job._folder, job._file = folder, file
-    job._site = _site(job)
+    job._site = _site(job, folder if site_folder is None else check_path(site_folder, key="site_folder"))
     return job
 
 
-def _site(job: Job) -> Scene:
+def _site(job: Job, folder: Path) -> Scene:
     """The scene of the site, whose task and start say nothing."""
     if isinstance(job.site, str):
         try:
@@ -142,6 +148,6 @@ def _site(job: Job) -> Scene:
         raise SceneError.unknown_name("there is no such key", unknown, names=_SITE_KEYS, file=job.file, key="site")
     idle = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0.0, 0.0, 0.0]}}}
     try:
-        return scene_from_dict({**idle, **job.site}, folder=job.folder, file=job.file)
+        return scene_from_dict({**idle, **job.site}, folder=folder, file=job.file)
     except SceneError as error:
         raise SceneError(error.problem, file=job.file, key="site") from None

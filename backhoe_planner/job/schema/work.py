@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
@@ -14,6 +14,7 @@ _LARGEST = 1e3  # m or m^3; no bucket, trench or truck is larger
 _STEEPEST = 1.0  # m per m of a trench's bottom; chosen, no bucket follows a steeper one
 _Length = Annotated[float, Field(strict=True, gt=0.0, le=_LARGEST, allow_inf_nan=False)]
 _Point = tuple[Finite, Finite]
+_WALL = 0.08  # m, thickness of the walls of a truck's bed; chosen
 _ONE_POINT = 0.05  # m: a trench is at least as long as a cell of the ground
 
 
@@ -114,6 +115,21 @@ class TruckBed(Record):
     """Inner length along its own x, width along its own y, height of its walls [m]."""
     yaw: Annotated[float, Field(strict=True, ge=-2.0 * math.pi, le=2.0 * math.pi)] = 0.0
     """Its turn about z [rad]."""
+
+    def walls(self) -> list[dict[str, Any]]:
+        """The four walls, as obstacles of a scene: outside of the inner size, from the floor up."""
+        (x, y, z), (length, width, height) = self.position, self.size
+        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
+        found = []
+        for name, off, size in (
+            ("front wall of the truck", (0.5 * (length + _WALL), 0.0), (_WALL, width + 2.0 * _WALL, height)),
+            ("rear wall of the truck", (-0.5 * (length + _WALL), 0.0), (_WALL, width + 2.0 * _WALL, height)),
+            ("left wall of the truck", (0.0, 0.5 * (width + _WALL)), (length + 2.0 * _WALL, _WALL, height)),
+            ("right wall of the truck", (0.0, -0.5 * (width + _WALL)), (length + 2.0 * _WALL, _WALL, height)),
+        ):
+            place = [x + cosine * off[0] - sine * off[1], y + sine * off[0] + cosine * off[1], z + 0.5 * height]
+            found.append({"name": name, "shape": "box", "size": list(size), "position": place, "rpy": [0, 0, self.yaw]})
+        return found
 
 
 class Truck(Record):

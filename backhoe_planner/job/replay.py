@@ -1,0 +1,159 @@
+"""A job's plan file read again: ground, volumes and certificates are computed anew from the motions."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from backhoe_planner.errors import InputError, PlanFileError, RobotError, SceneError, check_path
+from backhoe_planner.job.cut_leg import cut_problem
+from backhoe_planner.job.cycle_planning import CyclePlanner, dig_and_spill
+from backhoe_planner.job.dumping import SiteState, dump_of
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.lanes import allowed_heights, lanes_of
+from backhoe_planner.job.result.cycles import Cycle, Leg, Load
+from backhoe_planner.job.result.job_plan import JobPlan, PatternEstimate
+from backhoe_planner.job.result.job_plan_file import CycleRecord, JobPlanRecord, LegRecord, read_job_plan_file
+from backhoe_planner.job.schema.job_file import Job, job_from_dict
+from backhoe_planner.job.transfers import make_leg
+from backhoe_planner.job.undug import find_undug
+from backhoe_planner.job.worksite import build_worksite, plain_soil
+from backhoe_planner.site import load_scene
+
+_SAME_VOLUME = 1e-9  # m^3
+
+
+def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> JobPlan:
+    """Read the plan of a job. Ground, volumes and certificates are computed anew, not believed.
+
+    Parameters
+    ----------
+    path: the file.
+    urdf: path of the machine's URDF, where it no longer lies where the file says.
+
+    Raises
+    ------
+    PlanFileError: not the plan of a job, or damaged; names the key.
+    RobotError: the URDF is missing or has changed since the plan was made.
+    SceneError: a file that the job names is missing.
+    """
+    file = check_path(path, key="path")
+    urdf = None if urdf is None else check_path(urdf, key="urdf")
+    record = read_job_plan_file(file)
+    try:
+        job = _job(record, file, urdf)
+    except SceneError as error:
+        raise PlanFileError(str(error), file=file, key="job") from None
+    try:
+        terrain = Terrain(
+            np.array(record.ground.low), record.ground.cell, record.ground.grid("bank"), record.ground.grid("loose"),
+            plain_soil(job), job.soil.swell, job.soil.repose,
+        )  # fmt: skip
+    except (InputError, ValueError) as error:
+        raise PlanFileError(str(error), file=file, key="ground") from None
+    site = build_worksite(job, terrain=terrain)
+    if site.robot.urdf.sha256 != record.sha256:
+        raise RobotError(
+            "the URDF is not the one with which the job was planned", file=file, key="sha256",
+            found=f"{site.robot.urdf.path} has {site.robot.urdf.sha256[:12]}...", allowed=f"{record.sha256[:12]}...",
+        )  # fmt: skip
+    lanes = lanes_of(site)
+    design = site.design_heights()
+    allowed, by = allowed_heights(site, lanes, design)
+    replay = _Replay(CyclePlanner(site, dump_of(site), effort="quick", seed=record.seed), file)
+    cycles = tuple(replay.cycle(number, one) for number, one in enumerate(record.cycles, start=1))
+    end = cycles[-1].after if cycles else site.ground
+    hard = record.message if record.reason == "too_hard" else ""
+    problems = [*replay.problems]
+    note = record.message if not problems else "; ".join(problems)
+    return JobPlan(
+        job=job, robot=site.robot, start=site.ground, design=design, allowed=allowed, outline=site.design.outline,
+        cycles=cycles,
+        undug=() if record.reason == "interrupted" else find_undug(site, lanes, (design, allowed, by), end, hard=hard),
+        compared=tuple(PatternEstimate(**one.model_dump()) for one in record.compared),
+        capacity=site.bucket.capacity, effort=record.effort, seed=record.seed,
+        failure="not_done" if problems else (record.reason if record.reason not in ("blocked", "not_done") else ""),
+        note=note, planning_time=record.planning_time,
+    )  # fmt: skip
+
+
+def same_job(plan: JobPlan, job: Job) -> bool:
+    """Whether a plan is one of this very job."""
+    return plan.job.to_dict() == job.to_dict()
+
+
+def _job(record: JobPlanRecord, file: Path, urdf: Path | None) -> Job:
+    content: Mapping[str, object] = record.job
+    machine = record.machine if urdf is None else str(urdf)
+    if urdf is None and not machine.startswith("example:"):
+        beside = [path for path in (file.parent / machine, Path(machine)) if path.is_file()]
+        if not beside:
+            raise RobotError(
+                "the URDF with which the job was planned is not there", file=file, key="machine", found=machine,
+                hint="say where it lies now: --urdf FILE, in the library load_job_plan(..., urdf=FILE)",
+            )  # fmt: skip
+        machine = str(beside[0].resolve())
+    elif not machine.startswith("example:"):
+        machine = str(Path(machine).resolve())
+    return job_from_dict(
+        {**content, "machine": machine}, folder=file.parent / record.folder, site_folder=file.parent / record.site_folder
+    )
+
+
+class _Replay:
+    """Cycles made again from their motions, one after the other."""
+
+    def __init__(self, planner: CyclePlanner, file: Path) -> None:
+        self._planner, self._site, self._file = planner, planner.site, file
+        self._state = planner.first(planner.site.ground)
+        self._at = planner.site.problem.start_q
+        self.problems: list[str] = []
+
+    def cycle(self, number: int, record: CycleRecord) -> Cycle:
+        """The cycle of a record, against the ground that the cycles before leave."""
+        site, planner, before = self._site, self._planner, self._state
+        motions = {leg.name: leg for leg in record.legs}
+        if "cut" not in motions:
+            raise PlanFileError("has no cut", file=self._file, key=f"cycles[{number - 1}].legs")
+        load = Load(record.load.swing, np.array(record.load.r), np.array(record.load.mass))
+        try:
+            cut_motion = motions["cut"].trajectory
+            across = planner.across(load.swing)
+            dug = dig_and_spill(site, cut_motion, across, before.ground)
+            after_cut = planner.after_cut(dug.ground, before)
+            after = planner.dumped(dug.ground, after_cut, np.array(record.place[:2]), dug.held, record.truck)
+        except InputError as error:
+            raise PlanFileError(str(error), file=self._file, key=f"cycles[{number - 1}]") from None
+        if isinstance(after, str):
+            self.problems.append(f"cycle {number}: {after}")
+            after = after_cut
+        for name, found, said in (("bank", dug.bank, record.bank), ("held", dug.held, record.held)):
+            if abs(found - said) > _SAME_VOLUME:
+                self.problems.append(f"cycle {number}: the file says {said:.6f} m^3 {name}, the cut takes {found:.6f}")
+        legs = []
+        for one in record.legs:
+            state = {"approach": before, "cut": before, "swing": after_cut}.get(one.name, after)
+            legs.append(self._leg(number, one, load, state.ground, state))
+        self._state = after
+        return Cycle(
+            number, tuple(legs), dug.digging, load, before=before.ground, dug=dug.ground, after=after.ground,
+            bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=np.array(record.place),
+            truck=record.truck, step=record.step, filled=dug.held / site.bucket.capacity, depth=record.depth,
+        )  # fmt: skip
+
+    def _leg(self, number: int, record: LegRecord, load: Load, ground: Terrain, state: SiteState) -> Leg:
+        motion = record.trajectory
+        problem = self._planner.leg_problem(record.name, motion, state, record.payload)
+        if record.name == "cut":
+            problem = cut_problem(self._site, load, problem, ground)
+        if self._at is not None and float(np.max(np.abs(motion.q[0] - self._at))) > 1e-9:
+            self.problems.append(f"cycle {number}: the {record.name} does not begin where the machine stands")
+        self._at = motion.q[-1]
+        leg = make_leg(record.name, problem, motion)
+        if not leg.certificate.verified:
+            self.problems.append(f"cycle {number}, {record.name}: {'; '.join(leg.certificate.problems)}")
+        return replace(leg, payload=record.payload)

@@ -1,0 +1,384 @@
+"""The file of a job's plan: the ground at the beginning, and every motion of every cycle.
+
+What follows from these is not believed when the file is read: ground, volumes and certificates are
+computed anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import json
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, StrictInt, ValidationError
+
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.errors import PlanFileError
+from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.files.records import Figure, Record, explain
+from backhoe_planner.files.text_file import read_text
+from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.result.cycles import Cycle, Leg, LegName
+from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, Undug, UndugReason
+from backhoe_planner.machine import Robot, shipped_folder
+from backhoe_planner.motion import Trajectory
+from backhoe_planner.site import Finite
+
+FORMAT: Literal["backhoe-planner/job"] = "backhoe-planner/job"
+VERSION: Literal[1] = 1
+
+
+class GroundRecord(Record):
+    """Heights of the ground; one number stands for a whole grid of it."""
+
+    low: tuple[Finite, Finite]
+    """x, y of the first column [m]."""
+    cell: Finite
+    """Between columns [m]."""
+    shape: tuple[int, int]
+    """Rows and columns."""
+    bank: Finite | list[list[Finite]]
+    """Undisturbed soil up to this z [m]."""
+    loose: Finite | list[list[Finite]]
+    """Thickness of the loose soil on it [m]."""
+
+    @classmethod
+    def of(cls, terrain: Terrain) -> GroundRecord:
+        """The record of a terrain."""
+        return cls(
+            low=(float(terrain.low[0]), float(terrain.low[1])),
+            cell=terrain.cell,
+            shape=terrain.shape,
+            bank=_briefly(terrain.bank),
+            loose=_briefly(terrain.loose),
+        )
+
+    def grid(self, name: Literal["bank", "loose"]) -> Matrix:
+        """(rows, columns) one of the two grids; ValueError where it has another shape."""
+        found = getattr(self, name)
+        if isinstance(found, float):
+            return np.full(self.shape, found)
+        values = np.array(found, dtype=float)
+        if values.shape != self.shape:
+            raise ValueError(f"{name} has the shape {values.shape}, allowed: {self.shape}")
+        return values
+
+
+class LegRecord(Record):
+    """One motion."""
+
+    name: LegName
+    payload: Finite
+    """In the bucket [kg]."""
+    time: list[Finite]
+    """(T,) [s], from 0."""
+    q: list[list[Finite]]
+    """(T, n) joints [rad or m]."""
+    verdict: Literal["verified", "failed"]
+    clearance: Figure
+    """The least margin beyond any clearance [m]; null where nothing can be touched."""
+    work: Figure
+    """Of the joints [J]."""
+    hydraulic: Figure
+    """What the pump gives [J]."""
+    pump: Figure
+    """Mean use of its flow, 0 to 1."""
+    engine: Figure
+    """Mean use of its power, 0 to 1."""
+
+    @classmethod
+    def of(cls, leg: Leg) -> LegRecord:
+        """The record of a leg."""
+        tightest = leg.certificate.min_clearance
+        return cls(
+            name=leg.name, payload=leg.payload, time=leg.trajectory.time.tolist(), q=leg.trajectory.q.tolist(),
+            verdict="verified" if leg.certificate.verified else "failed",
+            clearance=float("nan") if tightest is None else tightest.margin,
+            work=leg.work, hydraulic=leg.hydraulic, pump=leg.pump, engine=leg.engine,
+        )  # fmt: skip
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The motion; InputError where the samples make none."""
+        return Trajectory.from_steps(np.array(self.time, dtype=float), np.array(self.q, dtype=float))
+
+
+class LoadRecord(Record):
+    """What the bucket holds while it digs, by where the teeth are."""
+
+    swing: Finite
+    """Angle of the arm's plane [rad]."""
+    r: list[Finite]
+    """Distances of the teeth from the swing axis, not increasing [m]."""
+    mass: list[Finite]
+    """Held there [kg]."""
+
+
+class CycleRecord(Record):
+    """One cycle."""
+
+    step: str
+    """Part of the pattern."""
+    legs: tuple[LegRecord, ...]
+    load: LoadRecord
+    place: tuple[Finite, Finite, Finite]
+    """Where the soil is dumped, the top of what lies there afterwards [m]."""
+    truck: StrictInt
+    """Its number, from 1; 0 for a heap."""
+    bank: Figure
+    """Undisturbed soil that left the ground [m^3]."""
+    taken: Figure
+    """Loose soil taken with it [m^3]."""
+    held: Figure
+    """Loose soil in the bucket [m^3]."""
+    spilt: Figure
+    """Loose soil that fell back [m^3]."""
+    filled: Figure
+    """Part of the bucket's capacity."""
+    depth: Figure
+    """Greatest depth of the teeth below the ground [m]."""
+    duration: Figure
+    """[s]"""
+    work: Figure
+    """Of the joints [J]."""
+
+
+class UndugRecord(Record):
+    """Soil that stays above the design."""
+
+    reason: UndugReason
+    by: str
+    volume: Figure
+    """[m^3]"""
+    low: tuple[Finite, Finite]
+    """Least x, y [m]."""
+    high: tuple[Finite, Finite]
+    """Greatest x, y [m]."""
+    words: str
+
+
+class PatternRecord(Record):
+    """The estimate of a pattern."""
+
+    name: str
+    cycles: StrictInt
+    bank: Figure
+    """[m^3]"""
+    duration: Figure
+    """[s]"""
+    work: Figure
+    """[J]"""
+    cost: Figure
+    """Of the objective per bank m^3 [s/m^3 or J/m^3]."""
+    finished: bool
+    chosen: bool
+
+
+class JobFigures(Record):
+    """The figures of the whole job."""
+
+    cycles: StrictInt
+    bank: Figure
+    """Soil that left the ground, as it lay there [m^3]."""
+    loose: Figure
+    """Loose soil that was dumped [m^3]."""
+    duration: Figure
+    """Of all cycles, with the exchange of trucks [s]."""
+    waits: Figure
+    """Of it the exchange of trucks [s]."""
+    seconds_per_cycle: Figure
+    joules_per_cycle: Figure
+    """Work of the joints [J]."""
+    production: Figure
+    """Bank m^3 per hour, without the exchange of trucks."""
+    work: Figure
+    """Of the joints [J]."""
+    hydraulic: Figure
+    """What the pump gives [J]."""
+    kwh_per_m3: Figure
+    """What the pump gives per bank m^3; of a machine without hydraulics the work of the joints."""
+    litres: Figure
+    """Of diesel, at 0.25 l for a kWh of the engine."""
+    pump: Figure
+    """Mean use of its flow, 0 to 1."""
+    engine: Figure
+    """Mean use of its power, 0 to 1."""
+    undug: Figure
+    """Soil that stays above the design by more than its tolerance [m^3]."""
+    left: Figure
+    """Greatest height left above what may be dug [m]."""
+    below: Figure
+    """Greatest depth below the design [m]."""
+
+    @classmethod
+    def of(cls, plan: JobPlan) -> JobFigures:
+        """The figures of a plan."""
+        count = len(plan.cycles)
+        digging = plan.duration - plan.waits
+        oil = plan.hydraulic if plan.robot.hydraulics is not None else plan.work
+        nothing = float("nan")
+        return cls(
+            cycles=count, bank=plan.bank, loose=plan.loose, duration=plan.duration, waits=plan.waits,
+            seconds_per_cycle=digging / count if count else nothing,
+            joules_per_cycle=plan.work / count if count else nothing,
+            production=plan.production, work=plan.work, hydraulic=plan.hydraulic if count else nothing,
+            kwh_per_m3=oil / 3.6e6 / plan.bank if plan.bank > 0.0 else nothing, litres=plan.fuel,
+            pump=plan.mean_use("pump"), engine=plan.mean_use("engine"),
+            undug=sum(one.volume for one in plan.undug), left=plan.over, below=plan.under,
+        )  # fmt: skip
+
+
+class JobPlanRecord(Record):
+    """A job's plan file."""
+
+    format: Literal["backhoe-planner/job"] = FORMAT
+    version: Literal[1] = VERSION
+    verdict: Literal["verified", "failed"]
+    reason: JobReason
+    message: str
+    machine: str
+    """``example:NAME``, or a path relative to the file."""
+    sha256: str
+    """Of the URDF's bytes."""
+    job: dict[str, Any]
+    """The job, whole."""
+    folder: str = "."
+    """Where the files lie that the job names, relative to this one."""
+    site_folder: str = "."
+    """The same of the site."""
+    effort: str
+    seed: StrictInt
+    versions: dict[str, str] = Field(default_factory=dict)
+    """Of the program and its libraries."""
+    figures: JobFigures
+    compared: tuple[PatternRecord, ...]
+    """Patterns of cuts, the one that is planned first."""
+    undug: tuple[UndugRecord, ...]
+    ground: GroundRecord
+    """Before the first cycle."""
+    cycles: tuple[CycleRecord, ...]
+    planning_time: Figure = float("nan")
+    """Of the processor [s]."""
+
+
+def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
+    """The record of a plan, for a file in `folder`; with None paths stay as they are."""
+    return JobPlanRecord(
+        verdict=plan.verdict,
+        reason=plan.reason,
+        message=plan.note,
+        machine=_machine(plan.robot, folder),
+        sha256=plan.robot.urdf.sha256,
+        job=plan.job.to_dict(),
+        folder=_relative(plan.job.folder, folder),
+        site_folder=_relative(plan.job.site_scene.folder, folder),
+        effort=plan.effort,
+        seed=plan.seed,
+        versions=_versions(),
+        figures=JobFigures.of(plan),
+        compared=tuple(_pattern(one) for one in plan.compared),
+        undug=tuple(_undug(one) for one in plan.undug),
+        ground=GroundRecord.of(plan.start),
+        cycles=tuple(_cycle(one) for one in plan.cycles),
+        planning_time=plan.planning_time,
+    )
+
+
+def save_job_plan(plan: JobPlan, path: Path) -> None:
+    """Write a job's plan file, whole or not at all.
+
+    Raises
+    ------
+    OutputError: the folder does not exist or cannot be written; or the file is one of the job's.
+    """
+    check_output(path, (*plan.job.files, *plan.robot.files))
+    with whole_file(path) as stream:
+        stream.write(job_plan_record(plan, path.parent).model_dump_json() + "\n")
+
+
+def read_job_plan_file(file: Path) -> JobPlanRecord:
+    """Read a job's plan file.
+
+    Raises
+    ------
+    PlanFileError: it is none, or damaged; names key, what was found and what is allowed.
+    """
+    text = read_text(file, what="plan", error=PlanFileError)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise PlanFileError(f"is not a plan file: not JSON: {error}", file=file) from None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        found = content.get("format") if isinstance(content, dict) else type(content).__name__
+        raise PlanFileError("is not the plan of a job", file=file, key="format", found=repr(found), allowed=FORMAT)
+    try:
+        return JobPlanRecord.model_validate(content)
+    except ValidationError as error:
+        raise PlanFileError(explain(error, content, root=JobPlanRecord), file=file) from None
+
+
+def is_job_plan(file: Path) -> bool:
+    """Whether a file begins as the plan of a job does; false where it cannot be read."""
+    try:
+        with file.open(encoding="utf-8") as stream:
+            return FORMAT in stream.read(200)
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def _briefly(values: Matrix) -> float | list[list[float]]:
+    first = float(values.flat[0])
+    return first if (values == first).all() else values.tolist()
+
+
+def _cycle(cycle: Cycle) -> CycleRecord:
+    return CycleRecord(
+        step=cycle.step, legs=tuple(LegRecord.of(leg) for leg in cycle.legs),
+        load=LoadRecord(swing=cycle.load.swing, r=cycle.load.r.tolist(), mass=cycle.load.mass.tolist()),
+        place=tuple(cycle.place.tolist()), truck=cycle.truck, bank=cycle.bank, taken=cycle.taken, held=cycle.held,
+        spilt=cycle.spilt, filled=cycle.filled, depth=cycle.depth, duration=cycle.duration, work=cycle.work,
+    )  # fmt: skip
+
+
+def _pattern(one: PatternEstimate) -> PatternRecord:
+    return PatternRecord(
+        name=one.name, cycles=one.cycles, bank=one.bank, duration=one.duration, work=one.work, cost=one.cost,
+        finished=one.finished, chosen=one.chosen,
+    )  # fmt: skip
+
+
+def _undug(one: Undug) -> UndugRecord:
+    low, high = one.low.tolist(), one.high.tolist()
+    return UndugRecord(
+        reason=one.reason, by=one.by, volume=one.volume, low=(low[0], low[1]), high=(high[0], high[1]), words=one.words
+    )
+
+
+def _machine(robot: Robot, folder: Path | None) -> str:
+    path = robot.urdf.path.resolve()
+    if robot.urdf.source.startswith("example:"):
+        return robot.urdf.source
+    return f"example:{path.stem}" if path.parent == shipped_folder("models").resolve() else _relative(path, folder)
+
+
+def _relative(path: Path, folder: Path | None) -> str:
+    if folder is None:
+        return str(path)
+    try:
+        return os.path.relpath(path.resolve(), folder.resolve())
+    except ValueError:  # another drive
+        return str(path.resolve())
+
+
+def _versions(names: Sequence[str] = ("backhoe_planner", "pin", "coal", "numpy")) -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in names:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
