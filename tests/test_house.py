@@ -78,6 +78,7 @@ SUITES = {
     "motion": ["", "timing"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "", "sequence"],
     "live": ["braking", "recovery", "servo", ""],
+    "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],
     "show": ["drawing", "plots", "page", "viewer", "teleop"],
 }
 

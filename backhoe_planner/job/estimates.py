@@ -11,13 +11,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job.cut_leg import CutPath, cut_path
-from backhoe_planner.job.dumping import travel_time
+from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
+from backhoe_planner.job.cycles.dumping import travel_time
+from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
-from backhoe_planner.job.lanes import Lane
-from backhoe_planner.job.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.result.job_plan import PatternEstimate
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.lanes import Lane
+from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import Dynamics
 
 _MOST_CYCLES = 2000

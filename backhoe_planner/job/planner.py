@@ -10,19 +10,19 @@ import numpy as np
 
 from backhoe_planner.arrays import as_count
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.job.checks import check_job
 from backhoe_planner.job.cuts.cut import NoCut
-from backhoe_planner.job.cycle_planning import CyclePlanner, Failed
-from backhoe_planner.job.dumping import dump_of
+from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
+from backhoe_planner.job.cycles.dumping import dump_of
+from backhoe_planner.job.cycles.patterns import NextCut, next_cut, patterns_to_compare
 from backhoe_planner.job.estimates import choose, estimate_pattern
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.lanes import allowed_heights, lanes_of
-from backhoe_planner.job.patterns import NextCut, next_cut, patterns_to_compare
 from backhoe_planner.job.result.cycles import Cycle
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.undug import find_undug
-from backhoe_planner.job.worksite import Worksite, build_worksite
+from backhoe_planner.job.worksite.checks import check_job
+from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
+from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
 from backhoe_planner.planning import EFFORTS
 
 _MOST_CYCLES = 5000
@@ -175,4 +175,3 @@ class _Run:
 
 def _of_no_cut(found: NoCut) -> JobReason:
     return {"cylinder": "too_hard", "reach": "unreachable", "back": "blocked", "nothing": ""}[found.kind]  # type: ignore[return-value]
-

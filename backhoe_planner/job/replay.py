@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from backhoe_planner.errors import InputError, PlanFileError, RobotError, SceneError, check_path
-from backhoe_planner.job.cut_leg import cut_problem
-from backhoe_planner.job.cycle_planning import CyclePlanner, dig_and_spill
-from backhoe_planner.job.dumping import SiteState, dump_of
+from backhoe_planner.job.cycles.cut_leg import cut_problem
+from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, dig_and_spill
+from backhoe_planner.job.cycles.dumping import SiteState, dump_of
+from backhoe_planner.job.cycles.transfers import make_leg
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.result.cycles import Cycle, Leg, Load
 from backhoe_planner.job.result.job_plan import JobPlan, PatternEstimate
 from backhoe_planner.job.result.job_plan_file import CycleRecord, JobPlanRecord, LegRecord, read_job_plan_file
 from backhoe_planner.job.schema.job_file import Job, job_from_dict
-from backhoe_planner.job.transfers import make_leg
 from backhoe_planner.job.undug import find_undug
-from backhoe_planner.job.worksite import build_worksite, plain_soil
-from backhoe_planner.site import load_scene
+from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
+from backhoe_planner.job.worksite.worksite import build_worksite, plain_soil
 
 _SAME_VOLUME = 1e-9  # m^3
 
@@ -100,7 +99,9 @@ def _job(record: JobPlanRecord, file: Path, urdf: Path | None) -> Job:
     elif not machine.startswith("example:"):
         machine = str(Path(machine).resolve())
     return job_from_dict(
-        {**content, "machine": machine}, folder=file.parent / record.folder, site_folder=file.parent / record.site_folder
+        {**content, "machine": machine},
+        folder=file.parent / record.folder,
+        site_folder=file.parent / record.site_folder,
     )
 
 
@@ -125,7 +126,7 @@ class _Replay:
             across = planner.across(load.swing)
             dug = dig_and_spill(site, cut_motion, across, before.ground)
             after_cut = planner.after_cut(dug.ground, before)
-            after = planner.dumped(dug.ground, after_cut, np.array(record.place[:2]), dug.held, record.truck)
+            after = planner.dumped(after_cut, np.array(record.place[:2]), dug.held, record.truck)
         except InputError as error:
             raise PlanFileError(str(error), file=self._file, key=f"cycles[{number - 1}]") from None
         if isinstance(after, str):

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Flags, Matrix
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.lanes import ENTRY, LEAVE, Lane
 from backhoe_planner.job.result.job_plan import Undug, UndugReason
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane
+from backhoe_planner.job.worksite.worksite import Worksite
 
 _LEAST = 1e-4  # m^3: less is rounding
 
@@ -83,9 +83,7 @@ _STEEP = (
 )
 
 
-def _undug(
-    site: Worksite, end: Terrain, design: Matrix, columns: Flags, reason: UndugReason, cause: str
-) -> Undug:
+def _undug(site: Worksite, end: Terrain, design: Matrix, columns: Flags, reason: UndugReason, cause: str) -> Undug:
     nodes = site.nodes[columns]
     low, high = nodes.min(axis=0), nodes.max(axis=0)
     volume = float(np.sum((end.surface - design)[columns])) * end.cell**2

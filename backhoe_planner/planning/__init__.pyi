@@ -11,6 +11,7 @@ from .paths.path_resolution import PathResolver as PathResolver
 from .paths.path_resolution import Resolution as Resolution
 from .paths.smoothing import smooth_stretch as smooth_stretch
 from .paths.stretch import Stretch as Stretch
+from .planner import plan_motion as plan_motion
 from .reactive.law_timing import places_on as places_on
 from .reactive.law_timing import speed_up as speed_up
 from .reactive.law_timing import time_iterates as time_iterates

@@ -220,7 +220,6 @@ class JobPlan:
         tolerance = self.job.dig.tolerance + 1e-9
         return self.over <= tolerance and self.under <= tolerance
 
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the job's plan file (JSON), whole or not at all.
 

@@ -78,7 +78,7 @@ class Job(Record):
         found = {"version": 1, "name": self.name} | {key: content[key] for key in _SITE_KEYS if key in content}
         truck = self.dump.truck
         if truck is not None:
-            found["obstacles"] = [*found.get("obstacles", []), *truck.bed.walls()]
+            found["obstacles"] = [*content.get("obstacles", []), *truck.bed.walls()]
         return found
 
     def to_dict(self) -> dict[str, Any]:

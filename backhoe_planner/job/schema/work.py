@@ -206,5 +206,3 @@ class Face(Record):
 
 
 PatternChoice = Literal["auto", "plain"] | Layers | Face
-
-

@@ -9,13 +9,13 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.files.text_file import read_text
-from backhoe_planner.job.arm_clearance import ArmOutline
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
-from backhoe_planner.job.cuts.finding import Digger
-from backhoe_planner.job.design import Design, SurfaceDesign, TrenchDesign, cell_samples
+from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.job_file import Job
+from backhoe_planner.job.worksite.arm_clearance import ArmOutline
+from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign, cell_samples
 from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Soil, scene_from_dict
@@ -161,7 +161,13 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
         return Terrain.level(given.level or 0.0, low, high, given.cell, soil=soil, **loose)
     try:
         return Terrain.from_file(
-            job.folder / given.file, low=given.low, high=given.high, cell=given.cell, soil=soil, fill=given.fill, **loose
+            job.folder / given.file,
+            low=given.low,
+            high=given.high,
+            cell=given.cell,
+            soil=soil,
+            fill=given.fill,
+            **loose,
         )
     except InputError as error:
         raise SceneError(str(error), file=job.file, key="ground.file") from None
@@ -183,8 +189,10 @@ def _height_at(ground: Terrain, point: Vector, job: Job) -> float:
     place = (point - ground.low) / ground.cell
     last = np.array(ground.bank.shape[::-1]) - 1
     if (place < 0).any() or (place > last).any():
-        raise SceneError("lies beyond the ground that the job has", file=job.file, key="dig.trench.from",
-                         found=point.tolist(), allowed=f"{ground.low.tolist()} to {(ground.low + ground.cell * last).tolist()}",
-                         hint="ground.low and ground.high say how far it goes")  # fmt: skip
+        far = (ground.low + ground.cell * last).tolist()
+        raise SceneError(
+            "lies beyond the ground that the job has", file=job.file, key="dig.trench.from", found=point.tolist(),
+            allowed=f"{ground.low.tolist()} to {far}", hint="ground.low and ground.high say how far it goes",
+        )  # fmt: skip
     column, row = np.round(place).astype(int)
     return float(ground.surface[row, column])

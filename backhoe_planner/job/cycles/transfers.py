@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
+from backhoe_planner.job.result.cycles import Leg, LegName
 from backhoe_planner.machine import Kinematics, TipTarget
 from backhoe_planner.motion import Goal, Keep, PitchBand, Problem, Trajectory, trajectory_energy
-from backhoe_planner.job.result.cycles import Leg, LegName
 from backhoe_planner.planning import EFFORTS, Effort, plan_motion
 from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.site import Obstacle

@@ -19,9 +19,9 @@ from backhoe_planner.job.cuts.finding import find_cut
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.lanes import LEAVE, Lane
 from backhoe_planner.job.schema.work import Face, Layers
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.lanes import LEAVE, Lane
+from backhoe_planner.job.worksite.worksite import Worksite
 
 PLAIN = 0.15  # m, layers of the plain pattern: what an operator's manual has for cuts after the first
 _LEFT = 0.6  # of the tolerance: what is left above the floor and not worth a cut; chosen
@@ -136,7 +136,7 @@ def _best(
                 site.digger, profile, swing=lane.swing, start=start, end=lane.end, depth=part * depth,
                 floor=(lane.r, floor), volume=site.volume, leave=LEAVE,
             )  # fmt: skip
-            if isinstance(found, Cut) and not arm.clears(found.q[:: _EVERY], raised).all():
+            if isinstance(found, Cut) and not arm.clears(found.q[::_EVERY], raised).all():
                 found = NoCut("reach", f"boom or stick would touch the ground with the teeth at r {start:.2f} m", start)
             if isinstance(found, NoCut):
                 refused = refused or found
@@ -149,9 +149,7 @@ def _best(
     return best
 
 
-def _filled(
-    site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, cut: Cut
-) -> Cut:
+def _filled(site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, cut: Cut) -> Cut:
     """The cut, longer where the sweep over the columns of the ground takes less than the profile says.
 
     Under the ends of the edge the profile counts columns that are cut in part as soil that is still there.
@@ -217,4 +215,4 @@ def _left(site: Worksite, lane: Lane, profile: Profile, floor: Vector) -> Vector
     upper = np.max([np.interp(lane.r + off, lane.r, floor) for off in (-step, 0.0, step)], axis=0)
     above = np.interp(lane.r, profile.r, middle) - upper
     inside = (lane.r >= lane.end - 1e-9) & (lane.r <= lane.start + 1e-9)
-    return lane.r[inside & (above > _LEFT * site.job.dig.tolerance)]
+    return np.asarray(lane.r[inside & (above > _LEFT * site.job.dig.tolerance)])

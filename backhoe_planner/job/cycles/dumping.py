@@ -15,7 +15,7 @@ from backhoe_planner.job.ground.obstacle import terrain_obstacle
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.work import Heap
 from backhoe_planner.job.schema.work import Truck as Trucks
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import Cluster, JointLimits
 from backhoe_planner.site import Obstacle
 
@@ -97,7 +97,7 @@ class DumpSite(Protocol):
         """The site before the first cycle."""
 
     def near(self, start: Vector) -> tuple[Vector, Vector] | None:
-        """(n,), (n,) postures, level and open, in which soil is dumped, soon reached from `start` (n,); for estimates."""
+        """(n,), (n,) postures, level and open, over a place to dump, soon reached from `start` (n,); for estimates."""
 
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
         """Places at which `volume` [m^3] of loose soil can be dumped, the soonest reached from `start` (n,) first.
@@ -227,7 +227,9 @@ class TruckDump:
         assert state.truck is not None
         truck = state.truck if number == state.truck.number else Truck(number, self._empty)
         if truck.loaded + volume > self._trucks.capacity + 1e-9:
-            return f"truck {number} takes {self._trucks.capacity:.2f} m^3, with this bucketful it would hold {truck.loaded + volume:.2f} m^3"
+            would = truck.loaded + volume
+            most = self._trucks.capacity
+            return f"truck {number} takes {most:.2f} m^3, with this bucketful it would hold {would:.2f} m^3"
         local = (np.array([*place, 0.0]) - self._placement.translation) @ self._placement.rotation
         return self._with(state, Truck(number, poured(truck.bed, local[:2], volume)))
 
@@ -239,7 +241,8 @@ class TruckDump:
         if truck.number < given.count:
             return Truck(truck.number + 1, self._empty)
         which = "the truck is" if given.count == 1 else f"all {given.count} trucks are"
-        return f"{which} full: {truck.loaded:.2f} of {given.capacity:.2f} m^3, and a bucketful is {volume:.2f} m^3 (a greater `count`)"
+        what = f"{which} full: {truck.loaded:.2f} of {given.capacity:.2f} m^3, and a bucketful is {volume:.2f} m^3"
+        return f"{what} (dump.truck.count says how many trucks come)"
 
     def _with(self, state: SiteState, truck: Truck) -> SiteState:
         found = terrain_obstacle(truck.bed, _TRUCK, self._site.problem.scene.clearance)
@@ -323,9 +326,7 @@ def dump_of(site: Worksite) -> DumpSite:
     return TruckDump(site, truck)
 
 
-def _soonest(
-    site: Worksite, tops: Sequence[tuple[Vector, float]], start: Vector
-) -> tuple[Vector, Vector] | None:
+def _soonest(site: Worksite, tops: Sequence[tuple[Vector, float]], start: Vector) -> tuple[Vector, Vector] | None:
     """Postures, level and open, over one of several places with their tops."""
     found = []
     for place, top in tops:

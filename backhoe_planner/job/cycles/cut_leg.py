@@ -11,7 +11,7 @@ from backhoe_planner.job.cuts.cut import Cut, CutGround
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Load
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import Problem, Trajectory, time_along
 
 _STEP = 0.05  # m between places of the edge above the ground; chosen
@@ -113,11 +113,11 @@ def _down(site: Worksite, cut: Cut, top: float) -> Matrix | None:
             return None
         part = (heights - z) / (top - z)
         found = site.plane.joints(cut.swing, np.full(len(heights), r), heights, pitch + part * (upper - pitch))
-    return None if np.isnan(found).any() else found[:-1]
+    return None if np.isnan(found).any() else np.asarray(found[:-1])
 
 
 def _up(site: Worksite, cut: Cut, lift: int, top: float) -> Matrix | None:
-    """(M, n) from where the teeth leave the ground up to `top` [m] or higher, inward as far as the level bucket needs."""
+    """(M, n) from where the teeth leave the ground up to `top` [m] or higher, inward as the level bucket needs."""
     r, z = float(cut.r[lift]), float(cut.z[lift])
     level, plane, begin = cut.bucket.level_pitch, site.plane, cut.q[lift]
     top = max(top, z + _STEP)
@@ -130,16 +130,14 @@ def _up(site: Worksite, cut: Cut, lift: int, top: float) -> Matrix | None:
     count = max(int(np.ceil(np.max(np.abs(goal - begin)) / 0.1)), 4)
     straight = begin + np.linspace(0.0, 1.0, count + 1)[1:, None] * (goal - begin)
     if _clears(site, cut, straight):
-        return straight
+        return np.asarray(straight)
     # straight up first, then inward
     heights = np.linspace(z, top, int(np.ceil((top - z) / _STEP)) + 1)[1:]
-    rising = plane.joints(
-        cut.swing, np.full(len(heights), r), heights, np.full(len(heights), float(cut.pitch[lift]))
-    )
+    rising = plane.joints(cut.swing, np.full(len(heights), r), heights, np.full(len(heights), float(cut.pitch[lift])))
     if np.isnan(rising).any():
         return None
     over = rising[-1] + np.linspace(0.0, 1.0, count + 1)[1:, None] * (goal - rising[-1])
-    return np.vstack((rising, over))
+    return np.asarray(np.vstack((rising, over)))
 
 
 def _clears(site: Worksite, cut: Cut, q: Matrix) -> bool:

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job.cut_leg import CutPath, cut_motion, cut_path, cut_problem, load_of
 from backhoe_planner.job.cuts.cut import Cut
-from backhoe_planner.job.dumping import Dumping, DumpSite, SiteState, ground_obstacle
+from backhoe_planner.job.cycles.cut_leg import CutPath, cut_motion, cut_path, cut_problem, load_of
+from backhoe_planner.job.cycles.dumping import Dumping, DumpSite, SiteState, ground_obstacle
+from backhoe_planner.job.cycles.patterns import NextCut
+from backhoe_planner.job.cycles.transfers import Transfers, level_band, make_leg
 from backhoe_planner.job.ground.heaps import poured
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.patterns import NextCut
 from backhoe_planner.job.result.cycles import Cycle, Digging, Leg, LegName
-from backhoe_planner.job.transfers import Transfers, level_band, make_leg
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import Keep, Problem, Trajectory
 from backhoe_planner.proof import certify_problem
 
@@ -98,7 +98,9 @@ class CyclePlanner:
         ends = (motion.q[0], [motion.q[-1]])
         return self._transfers.problem(*ends, ground=ground, payload=payload, keep=keep)
 
-    def plan(self, number: int, start: Vector | None, state: SiteState, chosen: NextCut) -> tuple[Cycle, SiteState] | Failed:
+    def plan(
+        self, number: int, start: Vector | None, state: SiteState, chosen: NextCut
+    ) -> tuple[Cycle, SiteState] | Failed:
         """One cycle, and the site after it.
 
         Parameters
@@ -116,9 +118,7 @@ class CyclePlanner:
             cut_leg, path = made
             legs: list[Leg] = []
             if start is not None:
-                approach = self._transfers.to(
-                    "approach", start, [path.q[0]], ground=state.obstacles, payload=0.0
-                )
+                approach = self._transfers.to("approach", start, [path.q[0]], ground=state.obstacles, payload=0.0)
                 if approach.leg is None:
                     failed = Failed("approach", approach.why)
                     continue

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.job.cuts.edge_path import Descent, Underground
 from backhoe_planner.job.cuts.profile import Profile
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.site import ClearanceScreen, Proximity
 
 ENTRY, LEAVE = 1.4, 1.2  # rad: 80 degrees as of the cuts; and 69, chosen: a steeper edge pushes the soil out again
@@ -160,7 +160,7 @@ def _stopped(
     proximity: Proximity,
     raised: tuple[Vector, Vector],
 ) -> tuple[str, str] | None:
-    """What keeps the teeth from a swing, radius and height at every pitch, as kind and name; None where nothing does."""
+    """What keeps the teeth from a swing, radius and height at every pitch, as kind and name; None where nothing."""
     swing, r, z = place
     q = site.plane.joints(swing, np.full(len(_PITCHES), r), np.full(len(_PITCHES), z), _PITCHES)
     q = q[~np.isnan(q[:, 0])]

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.errors import SceneError
-from backhoe_planner.job.lanes import Lane
-from backhoe_planner.job.worksite import Worksite
+from backhoe_planner.job.worksite.lanes import Lane
+from backhoe_planner.job.worksite.worksite import Worksite
 
 _ENOUGH = 0.02  # m^3 that may be dug: less is no job
 
@@ -93,9 +93,9 @@ def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
     """A trench of which nothing, or not its whole length, can be dug."""
     trench, job = site.job.dig.trench, site.job
     assert trench is not None
-    volume = max(float(np.sum(np.maximum(lane.floor - lane.line, 0.0))) for lane in lanes)
-    del volume
-    reached = np.concatenate([lane.r[np.isfinite(lane.design) & (lane.line < lane.floor.max() - 0.05)] for lane in lanes])
+    reached = np.concatenate(
+        [lane.r[np.isfinite(lane.design) & (lane.line < lane.floor.max() - 0.05)] for lane in lanes]
+    )
     lane = lanes[0]
     asked = lane.r[np.isfinite(lane.design)]
     out = asked[(lane.cause[np.isfinite(lane.design)] > 0) & _is_out(lane)[np.isfinite(lane.design)]]
@@ -117,7 +117,7 @@ def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
         )  # fmt: skip
 
 
-def _is_out(lane: Lane) -> Matrix:
+def _is_out(lane: Lane) -> Flags:
     kinds = np.array([kind == "out_of_reach" for kind, _ in lane.causes])
     return np.asarray(kinds[lane.cause])
 
