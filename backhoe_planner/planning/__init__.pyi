@@ -50,6 +50,7 @@ from .search.effort import DEFAULT_BUDGET as DEFAULT_BUDGET
 from .search.effort import EFFORTS as EFFORTS
 from .search.effort import Brake as Brake
 from .search.effort import Effort as Effort
+from .search.effort import EffortName as EffortName
 from .search.effort import OutOfTime as OutOfTime
 from .search.effort import Work as Work
 from .search.motion_check import MotionCheck as MotionCheck

@@ -14,7 +14,7 @@ from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, Trajectory
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.proof import Certificate
 
-_SAME_PLACE = 1e-9  # rad or m: rounding; where two motions are further apart, one does not go on with the other
+_SAME_PLACE = 1e-8  # rad or m: rounding; where two motions are further apart, one does not go on with the other
 
 
 @dataclass(frozen=True, eq=False)

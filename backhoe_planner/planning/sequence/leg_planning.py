@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Goal, Problem, Trajectory
+from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.planner import plan_motion
 from backhoe_planner.planning.reactive.stepping import Watcher
@@ -36,23 +36,23 @@ class LegPlanner:
     brake: Brake
     watch: Watcher | None = None
 
-    def plan(self, leg: Leg, start: Vector | None, *, time: float = 0.0, end: Goal | None = None) -> DoneLeg:
+    def plan(self, leg: Leg, start: Vector | None, *, time: float = 0.0, asked: Leg | None = None) -> DoneLeg:
         """The motion of one leg.
 
         Parameters
         ----------
         start: (n,) where it begins [rad or m]; None for the first leg, whose problem says that.
         time: when it begins [s].
-        end: the posture in which it is to end; None for any that will do.
+        asked: the same leg asking for more, such as one posture at its end; what is proven is the leg itself.
         """
         problem = leg.problem if start is None else leg.problem.beginning(start, time)
         if leg.motion is not None:
             return self._ready(leg.motion, problem)
-        asked = problem if end is None else replace(problem, goals=(end,))
+        more = problem if asked is None else replace(problem, goals=asked.problem.goals, path=asked.problem.path)
         outcome, certificate = plan_motion(
-            asked, self.method, seed=self.seed, effort=self.effort, brake=self.brake, watch=self.watch
+            more, self.method, seed=self.seed, effort=self.effort, brake=self.brake, watch=self.watch
         )
-        if end is not None:  # what is asked is the leg's own goal
+        if more is not problem:
             certificate = certify_motion(problem, outcome.trajectory)
         return DoneLeg(problem, outcome, certificate)
 

@@ -1,4 +1,4 @@
-"""`plan_legs`: legs planned one after the other, each from where the one before has ended."""
+"""`plan_legs`: legs planned together, the end of each chosen with those after it in mind."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.motion import Trajectory
+from backhoe_planner.motion import Trajectory, motion_cost
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort
+from backhoe_planner.planning.sequence.chain import Chain
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, join
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
@@ -24,11 +25,18 @@ class LegsOutcome:
     done: every leg that was begun; only the last of them may have failed.
     trajectory: of all of them, with the samples at which they begin.
     certificate: what is proven of it, in all and by leg.
+    tried: how many ways over other ends of legs were planned.
     """
 
     done: tuple[DoneLeg, ...]
     trajectory: Trajectory
     certificate: Certificate
+    tried: int = 0
+
+    @property
+    def cost(self) -> float:
+        """What its legs cost by their objectives, added up; of use where all have the same."""
+        return sum(motion_cost(leg.problem, leg.motion) for leg in self.done)
 
     @property
     def failed(self) -> DoneLeg | None:
@@ -44,8 +52,11 @@ def plan_legs(
     effort: Effort = EFFORTS["normal"],
     brake: Brake | None = None,
     watch: Watcher | None = None,
+    ahead: bool = True,
 ) -> LegsOutcome:
-    """Plan legs one after the other.
+    """Plan legs one after the other, the end of each chosen with those after it in mind.
+
+    Among obstacles that move or appear, and by the law alone, the ends are those of the legs for themselves.
 
     Parameters
     ----------
@@ -53,6 +64,7 @@ def plan_legs(
     method, seed, effort: of every leg, see `plan`.
     brake: what ends the search; by default it is not ended.
     watch: called with every step while the planner works.
+    ahead: whether ends are chosen with the next legs in mind.
 
     Raises
     ------
@@ -66,7 +78,13 @@ def plan_legs(
         if name in names[:index]:
             raise InputError("is the name of two legs", key=f"legs[{index}]", found=name)
     planner = LegPlanner(method, seed, effort, brake or Brake(), watch)
-    return _outcome(legs, _one_by_one(legs, planner))
+    done = _one_by_one(legs, planner)
+    tried = 0
+    moving = sum(leg.problem.wait is None for leg in legs)
+    if ahead and moving > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
+        chain = Chain(legs, done, planner, most=effort.ways_at_once * moving)
+        done, tried = chain.run(), chain.tried
+    return _outcome(legs, done, tried)
 
 
 def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
@@ -82,7 +100,7 @@ def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
     return done
 
 
-def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg]) -> LegsOutcome:
+def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg], tried: int) -> LegsOutcome:
     motion = join([leg.motion for leg in done])
     ends = (*motion.begins[1:], len(motion) - 1)
     certificates = [
@@ -96,4 +114,4 @@ def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg]) -> LegsOutcome:
         for leg, first, last in zip(done, motion.begins, ends, strict=True)
     ]
     missing = [leg.name for leg in legs[len(done) :]]
-    return LegsOutcome(tuple(done), motion, join_certificates(certificates, missing=missing))
+    return LegsOutcome(tuple(done), motion, join_certificates(certificates, missing=missing), tried)

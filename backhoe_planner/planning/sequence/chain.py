@@ -1,0 +1,283 @@
+"""The posture at the end of every leg, chosen with the legs after it in mind.
+
+The postures in which legs may end are the nodes of a layered graph, a layer a leg; the ways between
+them are its edges, priced by estimates until they are planned. In turn the cheapest chain is sought and
+its ways are planned, which makes their prices known, until the cheapest chain is planned as a whole. A way
+that cannot be planned leaves the graph, so that other ends are tried. What planning leg by leg gives is
+one of the chains: the result is never dearer.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import Kinematics
+from backhoe_planner.motion import Goal, TipPath, motion_cost
+from backhoe_planner.planning.search.effort import Work
+from backhoe_planner.planning.sequence.ends import LegEnds, WayPrices, find_ends
+from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, posture_goal
+from backhoe_planner.planning.sequence.leg_planning import LegPlanner
+from backhoe_planner.planning.world import World
+
+_SAME = 1e-9  # rad or m: rounding; postures nearer than this are one end
+_GAIN = 1e-3  # part of the whole cost by which another chain must promise to be better; chosen
+_MOST_OFF = 3.0  # times its estimate, that a way is taken to cost at most before it is planned; chosen
+_NOTHING = 1e-9  # of a price, in place of 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """A planned way: one edge of the graph."""
+
+    done: DoneLeg
+    cost: float
+
+
+@dataclass(eq=False)
+class _Layer:
+    """One leg that moves: the ends that it may have, and the ways there.
+
+    Attributes
+    ----------
+    leg: the leg.
+    prices: of ways.
+    known: where it may begin and end; the ends of the last leg are left to the planner of motions.
+    ends: (n,) each.
+    planned: by the index of the end before and of its own; None where no way was found.
+    free: from which end before to which goal a way was planned whose end was left to the planner of motions.
+    estimates: (A, B) of the ways that are not planned.
+    unit: of the cost, by which it is divided.
+    off: how many times its estimate a way costs.
+    """
+
+    leg: Leg
+    prices: WayPrices
+    known: LegEnds
+    ends: list[Vector]
+    planned: dict[tuple[int, int], _Way | None] = field(default_factory=dict)
+    free: set[tuple[int, str]] = field(default_factory=set)
+    estimates: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
+    unit: float = 1.0
+    off: float = 1.0
+
+    def estimate(self, begins: Sequence[Vector]) -> None:
+        """Price all ways from `begins`."""
+        if not self.known.entries:
+            self.estimates = self.prices.between(begins, self.known.ends)
+            return
+        to_entries = self.prices.between(begins, self.known.entries)
+        across = self.prices.between(self.known.entries, self.known.ends)
+        self.estimates = np.min(to_entries[:, :, None] + across[None, :, :], axis=1)
+
+
+class Chain:
+    """The search for the cheapest chain of ways through all legs.
+
+    Parameters
+    ----------
+    legs: of which at least two move and none meets what moves or appears.
+    first: what planning leg by leg has given, as far as it came.
+    planner: plans single legs.
+    most: how many ways may be planned at most.
+    """
+
+    def __init__(self, legs: Sequence[Leg], first: Sequence[DoneLeg], planner: LegPlanner, *, most: int) -> None:
+        self._legs, self._first, self._planner, self._left = tuple(legs), tuple(first), planner, most
+        self._moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
+        self._start = first[0].motion.q[0]
+        self._layers: list[_Layer] = []
+        self.tried = 0
+
+    def run(self) -> list[DoneLeg]:
+        """The cheapest chain that was found, waits included; what came first where none is cheaper."""
+        if not self._build():
+            return list(self._first)
+        while self._left > 0 and not self._planner.brake.is_used_up():
+            way = self._cheapest(estimated=True)
+            if way is None or not self._plan_one(way):
+                break
+        best = self._cheapest(estimated=False)
+        return list(self._first) if best is None else self._with_waits(best)
+
+    # --- the graph --------------------------------------------------------------------
+
+    def _build(self) -> bool:
+        """The layers, with what came first in them; False where a leg has no end."""
+        near, effort, brake = self._start, self._planner.effort, self._planner.brake
+        for number, index in enumerate(self._moving):
+            leg = self._legs[index]
+            world = World(leg.problem.beginning(near), seed=self._planner.seed, work=Work(effort, brake))
+            known = find_ends(world, leg, near)
+            if known is None:
+                return False
+            if number == len(self._moving) - 1:
+                ends: list[Vector] = [known.ends[0]]  # one node, for any end
+            else:
+                ends = list(known.ends)
+            self._layers.append(_Layer(leg, WayPrices(world), known, ends))
+            near = known.ends[0]
+        self._estimate()
+        self._take_first()
+        return True
+
+    def _estimate(self) -> None:
+        begins: list[Vector] = [self._start]
+        for layer in self._layers:
+            layer.estimate(begins)
+            if layer is self._layers[-1]:
+                layer.estimates = np.min(layer.estimates, axis=1, keepdims=True)
+            layer.off = 1.0
+            begins = layer.ends
+
+    def _take_first(self) -> None:
+        """What came first is a chain of planned ways, and says how far estimates are off."""
+        before = 0
+        totals: defaultdict[str, float] = defaultdict(float)
+        for layer, index in zip(self._layers, self._moving, strict=True):
+            name = layer.leg.problem.objective.name
+            if index >= len(self._first) or self._first[index].failed:
+                totals[name] += float(np.min(layer.estimates))
+                continue
+            done = self._first[index]
+            guess = float(np.min(layer.estimates[min(before, len(layer.estimates) - 1)]))
+            number = done.certificate.goal
+            if number is not None:
+                layer.free.add((before, done.problem.goals[number - 1].name))
+            before, cost = self._note(layer, before, done)
+            layer.off = float(np.clip(cost / max(guess, _NOTHING), 1.0, _MOST_OFF))
+            totals[name] += cost
+        for layer in self._layers:
+            name = layer.leg.problem.objective.name
+            share = sum(other.leg.problem.objective.name == name for other in self._layers)
+            layer.unit = max(totals[name], _NOTHING) / share
+
+    def _note(self, layer: _Layer, before: int, done: DoneLeg) -> tuple[int, float]:
+        """Take a planned way in; the index of its end, and its cost."""
+        end, cost = done.motion.q[-1], motion_cost(done.problem, done.motion)
+        index = 0
+        if layer is not self._layers[-1]:
+            index = next((k for k, q in enumerate(layer.ends) if np.max(np.abs(q - end)) < _SAME), len(layer.ends))
+            if index == len(layer.ends):
+                layer.ends.append(end)
+                column = np.full((len(layer.estimates), 1), np.inf)
+                layer.estimates = np.hstack((layer.estimates, column))
+                after = self._layers[self._layers.index(layer) + 1]
+                own = _Layer(after.leg, after.prices, after.known, after.ends)
+                own.estimate([end])
+                row = own.estimates
+                if after is self._layers[-1]:
+                    row = np.min(row, axis=1, keepdims=True)
+                else:
+                    missing = after.estimates.shape[1] - row.shape[1]
+                    row = np.hstack((row, np.full((1, missing), np.inf)))
+                after.estimates = np.vstack((after.estimates, row))
+        known = layer.planned.get((before, index))
+        if known is None or cost < known.cost:
+            layer.planned[before, index] = _Way(done, cost)
+        return index, cost
+
+    # --- chains -----------------------------------------------------------------------
+
+    def _weights(self, layer: _Layer, *, estimated: bool) -> Matrix:
+        """(A, B) of all ways of a leg, in parts of the whole cost."""
+        found = layer.off * layer.estimates if estimated else np.full(layer.estimates.shape, np.inf)
+        found = found.copy()
+        for (a, b), way in layer.planned.items():
+            found[a, b] = np.inf if way is None else way.cost
+        return np.asarray(found / layer.unit)
+
+    def _cheapest(self, *, estimated: bool) -> list[tuple[int, int]] | None:
+        """The cheapest chain, as the ends before and after each leg; None where there is none."""
+        cost, back = np.zeros(1), []
+        for layer in self._layers:
+            through = cost[:, None] + self._weights(layer, estimated=estimated)
+            back.append(np.argmin(through, axis=0))
+            cost = np.min(through, axis=0)
+        if not np.isfinite(cost[0]):
+            return None
+        chain, end = [], 0
+        for rows in reversed(back):
+            chain.append((int(rows[end]), end))
+            end = int(rows[end])
+        return chain[::-1]
+
+    def _cost(self, chain: Sequence[tuple[int, int]], *, estimated: bool) -> float:
+        weights = (self._weights(layer, estimated=estimated) for layer in self._layers)
+        return float(sum(matrix[way] for matrix, way in zip(weights, chain, strict=True)))
+
+    def _plan_one(self, chain: Sequence[tuple[int, int]]) -> bool:
+        """Plan the first way of a chain that is not; False where all are, or nothing would be gained."""
+        best = self._cheapest(estimated=False)
+        if best is not None:
+            known = self._cost(best, estimated=False)
+            if self._cost(chain, estimated=True) > (1.0 - _GAIN) * known:
+                return False
+        for layer, (a, b) in zip(self._layers, chain, strict=True):
+            if (a, b) in layer.planned:
+                continue
+            self._plan(layer, a, b)
+            return True
+        return False
+
+    def _plan(self, layer: _Layer, a: int, b: int) -> None:
+        """Plan one way, from the end `a` of the leg before to the end `b`."""
+        number = self._layers.index(layer)
+        start = self._layers[number - 1].ends[a] if number else None
+        leg, last = layer.leg, layer is self._layers[-1]
+        self._left -= 1
+        self.tried += 1
+        wanted = None if last else layer.ends[b]
+        if wanted is None or leg.motion is not None:
+            done = self._planner.plan(leg, start)
+        elif leg.problem.path is not None:
+            done = self._planner.plan(leg, start, asked=_ending_at(leg, wanted))
+        elif b < len(layer.known.goals) and (a, layer.known.goals[b].name) not in layer.free:
+            # first anywhere on that goal: mostly this is as good for the next leg, and better for this one
+            layer.free.add((a, layer.known.goals[b].name))
+            done = self._planner.plan(leg, start, asked=_ending_on(leg, layer.known.goals[b]))
+            if not done.failed:
+                self._note(layer, a, done)
+                return
+        else:
+            done = self._planner.plan(leg, start, asked=_ending_on(leg, posture_goal(leg.problem, wanted)))
+        layer.planned.setdefault((a, b), None)
+        if not done.failed:
+            self._note(layer, a, done)
+
+    def _with_waits(self, chain: Sequence[tuple[int, int]]) -> list[DoneLeg]:
+        """The planned legs of a chain, with the waits between them."""
+        ways = iter(zip(self._layers, chain, strict=True))
+        found: list[DoneLeg] = []
+        for leg in self._legs:
+            if leg.problem.wait is not None:
+                start = found[-1].motion.q[-1] if found else None
+                found.append(self._planner.plan(leg, start))
+                continue
+            layer, way = next(ways)
+            planned = layer.planned[way]
+            assert planned is not None
+            found.append(planned.done)
+        return found
+
+
+def _ending_on(leg: Leg, goal: Goal) -> Leg:
+    """The same leg to one goal alone."""
+    return replace(leg, problem=replace(leg.problem, goals=(goal,)))
+
+
+def _ending_at(leg: Leg, q: Vector) -> Leg:
+    """The same leg along a path, with the pitch of a posture `q` (n,) asked for at its end where any would do."""
+    problem = leg.problem
+    assert problem.path is not None
+    last = problem.path.waypoints[-1]
+    if not problem.robot.has_pitch or last.rotation is not None:
+        return leg
+    pitch = float(Kinematics(problem.robot).at(q).pitch)
+    waypoints = [*problem.path.waypoints[:-1], last.model_copy(update={"pitch": (pitch, pitch)})]
+    numbers = [problem.path.number(index) for index in range(len(waypoints))]
+    return replace(leg, problem=replace(problem, path=TipPath(waypoints, numbers=numbers)))

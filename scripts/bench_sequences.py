@@ -1,0 +1,50 @@
+#!/usr/bin/env python
+"""What it saves to choose the end of a leg with the next leg in mind, over random sequences.
+
+Each sequence has four legs (see validation/sequences.py) and is planned twice: leg by leg, and with
+the ends chosen with the legs after them in mind. Costs are those of the objective, with a stop
+between legs both times.
+
+    python scripts/bench_sequences.py --count 50 --objective time
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"  # one sequence to a core; before numpy is imported
+
+import argparse
+import itertools
+import sys
+from collections.abc import Sequence
+
+from backhoe_planner.planning import EFFORTS
+from validation.sequences import describe, run_all
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=50, help="how many sequences")
+    parser.add_argument("--objective", nargs="+", default=["time", "work"])
+    parser.add_argument("--places", type=int, nargs="+", default=[3, 1], help="goals a leg, any of which will do")
+    parser.add_argument("--effort", choices=list(EFFORTS), default="normal")
+    parser.add_argument("--seed", type=int, default=0, help="of the sequences")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
+    options = parser.parse_args(arguments)
+    if min(options.count, *options.places) < 1 or options.seed < 0 or options.jobs == 0:
+        parser.error("--count, --places and --jobs must be greater than 0, --seed not negative")
+    worse = False
+    for places, objective in itertools.product(options.places, options.objective):
+        rows = run_all(
+            options.count, seed=options.seed, objective=objective, places=places, effort=options.effort,
+            jobs=options.jobs,
+        )  # fmt: skip
+        print(f"{places} goals a leg, {describe(rows)}", flush=True)
+        worse |= any(row.is_worse for row in rows)
+    return int(worse)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
