@@ -242,6 +242,7 @@ def calls() -> dict[str, Call]:
         "Goal": call(
             lambda **keys: bp.Goal(**keys).error(at()), target=(target, THING), q=(Q, optional(vector(4))),
             name=("goal", only(None, {"a": 1}, OBJECT, [], 3.0)), rotation_tolerance=(0.1, optional(POSITIVE)),
+            tolerance=(0.1, optional(POSITIVE)),
         ),
         "Keep": call(
             lambda **keys: len(bp.Keep(**keys).conditions), robot=(the, THING), conditions=(keep().conditions, THING),

@@ -33,6 +33,8 @@ from .timing.drive import Drive as Drive
 from .timing.drive import LimitUsage as LimitUsage
 from .timing.drive import drive_of as drive_of
 from .timing.drive import limit_usage as limit_usage
+from .timing.joining import overlap as overlap
+from .timing.joining import slow_where_needed as slow_where_needed
 from .timing.time_optimal import Rows as Rows
 from .timing.time_optimal import TimeLaw as TimeLaw
 from .timing.time_optimal import fastest as fastest

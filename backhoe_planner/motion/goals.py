@@ -32,6 +32,8 @@ class Goal:
     name: in sentences: ``goal``, or ``goal 2`` where there are several, counted from 1.
     rotation_tolerance: how far the tip may be turned from the asked orientation [rad]; None
         where the scene does not say. Then 0.01 rad will do for a motion, and a search is exact.
+    tolerance: how far the tip may be off the asked position [m]; None where the scene does not say. Then 1 mm
+        will do. A search is exact.
 
     Raises
     ------
@@ -42,6 +44,7 @@ class Goal:
     q: Vector | None = None
     name: str = "goal"
     rotation_tolerance: float | None = None
+    tolerance: float | None = None
 
     def __post_init__(self) -> None:
         check_kind(self.target, TipTarget, key="target")
@@ -50,6 +53,8 @@ class Goal:
             object.__setattr__(self, "q", as_vector(self.q, max(np.size(self.q), 1), key="q"))
         if self.rotation_tolerance is not None:
             as_number(self.rotation_tolerance, key="rotation_tolerance", above=0.0)
+        if self.tolerance is not None:
+            as_number(self.tolerance, key="tolerance", above=0.0)
 
     @property
     def search_target(self) -> TipTarget:
@@ -91,7 +96,7 @@ class Goal:
         position, angle = self.distances(at)
         allowed = ANGLE_TOLERANCE if self.rotation_tolerance is None else self.rotation_tolerance
         missing = []
-        if position > GOAL_TOLERANCE:
+        if position > (GOAL_TOLERANCE if self.tolerance is None else self.tolerance):
             missing.append(f"the tip ends {position:.3f} m from the {self.name}")
         if angle > allowed:
             missing.append(f"the bucket ends {np.degrees(angle):.1f} deg from the asked angle")

@@ -235,7 +235,9 @@ def _goals(robot: Robot, scene: Scene) -> tuple[Goal, ...]:
             at = Kinematics(robot).at(q)
             found.append(Goal(TipTarget(at.tip_position, rotation=at.tip_rotation), q=q, name=name))
         else:
-            found.append(Goal(_target(robot, scene, spec, key), name=name, rotation_tolerance=spec.rotation_tolerance))
+            target = _target(robot, scene, spec, key)
+            turned, off = spec.rotation_tolerance, spec.tolerance
+            found.append(Goal(target, name=name, rotation_tolerance=turned, tolerance=off))
     return tuple(found)
 
 

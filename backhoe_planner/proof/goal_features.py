@@ -60,10 +60,10 @@ class GoalRegion(Protocol):
 
 
 class _TipGoal:
-    """The tip on a position, with its pitch within a range where one is asked for, and `turned` more [rad]."""
+    """The tip within `off` [m] of a position, with its pitch in the range asked for, and `turned` more [rad]."""
 
-    def __init__(self, robot: Robot, target: TipTarget, turned: float) -> None:
-        self._turned = turned
+    def __init__(self, robot: Robot, target: TipTarget, turned: float, off: float) -> None:
+        self._turned, self._off = turned, off
         self._kinematics = BatchKinematics(robot)
         self._target = target
         self._hinge = np.where(robot.prismatic, 0.0, 1.0)
@@ -78,7 +78,7 @@ class _TipGoal:
         arms = at.tip_position[:, None, :] - at.origins
         terms = _point(at.axes, arms, half, hinge=self._hinge, bound=self._reach)
         error, J, H = target.position - at.tip_position, terms.J, terms.H
-        slack = (GOAL_TOLERANCE + terms.rest + _ROUNDING)[:, None]
+        slack = (self._off + terms.rest + _ROUNDING)[:, None]
         if self._pitch_row is not None:
             assert target.pitch is not None
             low, high = target.pitch
@@ -103,9 +103,9 @@ class _PoseGoal:
     about an eighth.
     """
 
-    def __init__(self, robot: Robot, target: TipTarget, turned: float) -> None:
+    def __init__(self, robot: Robot, target: TipTarget, turned: float, off: float) -> None:
         assert target.rotation is not None
-        self._turned = turned
+        self._turned, self._off = turned, off
         self._kinematics = BatchKinematics(robot)
         self._position, self._rotation = target.position, target.rotation
         self._hinge = np.where(robot.prismatic, 0.0, 1.0)
@@ -131,7 +131,7 @@ class _PoseGoal:
         back_arms = _turned(turn, point[:, None, :] - at.origins[:, outer])
         back = [_point(back_axes, back_arms, half[:, outer], hinge=back_hinge)]
         away = np.linalg.norm(lever, axis=1) + np.einsum("bn,bn->b", back[0].longest, half[:, outer])
-        slack = [GOAL_TOLERANCE + self._turned * away + front[0].rest + back[0].rest + _ROUNDING]
+        slack = [self._off + self._turned * away + front[0].rest + back[0].rest + _ROUNDING]
         for own in self._directions:
             direction = at.rotations[:, meet] @ own
             goal = _turned(turn, direction)
@@ -176,11 +176,12 @@ def _region_of(robot: Robot, goal: Goal) -> GoalRegion:
     if goal.q is not None:
         return _JointGoal(goal.q)
     allowed = ANGLE_TOLERANCE if goal.rotation_tolerance is None else goal.rotation_tolerance
+    off = GOAL_TOLERANCE if goal.tolerance is None else goal.tolerance
     if goal.target.rotation is None:
-        return _TipGoal(robot, goal.target, allowed)
+        return _TipGoal(robot, goal.target, allowed, off)
     if allowed > _LOOSE or robot.n < 2:
-        return _TipGoal(robot, TipTarget(goal.target.position), allowed)
-    return _PoseGoal(robot, goal.target, allowed)
+        return _TipGoal(robot, TipTarget(goal.target.position), allowed, off)
+    return _PoseGoal(robot, goal.target, allowed, off)
 
 
 def _constant_pitch_row(kinematics: BatchKinematics) -> Vector | None:

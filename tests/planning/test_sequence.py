@@ -20,6 +20,7 @@ from backhoe_planner import (
     plan,
     scene_from_dict,
 )
+from backhoe_planner.motion import overlap
 from backhoe_planner.planning import Leg, plan_legs
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
@@ -137,3 +138,39 @@ def test_a_ready_motion_is_a_leg_after_the_way_to_its_beginning(backhoe: Robot, 
     assert last.duration > ready.duration
     with pytest.raises(InputError, match="is the name of two legs"):
         plan_legs([Leg(problem.legs[0]), Leg(problem.legs[0])])
+
+
+def test_legs_go_over_into_each_other_within_their_tolerances(backhoe: Robot) -> None:
+    up = {"name": "up", "goal": {"position": [4.0, 0.0, 1.2]}}
+    round_ = {"name": "round", "goal": {"position": [2.6, 2.6, 1.2]}, "payload": 200.0}
+
+    def of(tolerance: float) -> Plan:
+        goal = up["goal"] | {"tolerance": tolerance}  # type: ignore[operator]
+        return plan(backhoe, scene_of(up | {"goal": goal}, round_), effort="quick")
+
+    stops, goes_on = of(0.001), of(0.25)
+    assert stops.verified, stops.message
+    assert goes_on.verified, goes_on.message
+    at = stops.legs[0].last
+    assert np.max(np.abs(stops.trajectory.segment_velocities()[at - 1 : at + 1])) < 0.05
+    at = goes_on.legs[0].last
+    assert np.max(np.abs(goes_on.trajectory.segment_velocities()[at - 1 : at + 1])) > 0.1
+    assert goes_on.metrics.duration < stops.metrics.duration - 0.1
+    assert 1e-3 < np.linalg.norm(goes_on.tip_path()[at] - [4.0, 0.0, 1.2]) <= 0.25
+    assert certify(backhoe, goes_on.scene, goes_on.trajectory).verified
+    strict = scene_of(up | {"goal": up["goal"] | {"tolerance": 0.001}}, round_)  # type: ignore[operator]
+    assert not certify(backhoe, strict, goes_on.trajectory).verified
+
+
+def test_a_motion_that_begins_before_another_ends_is_their_sum() -> None:
+    ramp = np.linspace(0.0, 1.0, 51)
+    smooth = ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2)
+    first = Trajectory.from_steps(ramp, np.outer(smooth, [1.0, 0.0]))
+    second = Trajectory.from_steps(ramp, np.array([1.0, 0.0]) + np.outer(smooth, [0.0, 2.0]))
+    joined, shared = overlap(first, second, 0.4)
+    assert joined.duration == pytest.approx(1.6)
+    assert np.allclose(joined.q[[0, -1]], [[0.0, 0.0], [1.0, 2.0]])
+    middle = joined.at(0.8)  # 0.2 s before the first ends, after 0.2 s of the second
+    part = 0.2**3 * (10.0 - 15.0 * 0.2 + 6.0 * 0.2**2)
+    assert np.allclose(middle, [1.0 - part, 2.0 * part], atol=1e-4)
+    assert joined.time[shared][[0, -1]] == pytest.approx([0.6, 1.0])

@@ -69,16 +69,23 @@ class DoneLeg:
     problem: with where it begins, on its own clock.
     outcome: the motion from rest to rest, or why there is none.
     certificate: what is proven of it.
+    is_ready: whether it has a ready motion, which is driven as it is.
     """
 
     problem: Problem
     outcome: Outcome
     certificate: Certificate
+    is_ready: bool = False
 
     @property
     def motion(self) -> Trajectory:
         """Of the leg, on its own clock."""
         return self.outcome.trajectory
+
+    @property
+    def may_go_over(self) -> bool:
+        """Whether it may go over into another leg without a stop: none that waits, or is driven as it is."""
+        return not (self.failed or self.is_ready) and self.problem.wait is None
 
     @property
     def failed(self) -> bool:

@@ -61,7 +61,7 @@ class LegPlanner:
         start = problem.start_q
         if start is None or float(np.max(np.abs(start - motion.q[0]))) <= _THERE:
             exact = motion if start is None else Trajectory.from_steps(motion.time, np.vstack((start, motion.q[1:])))
-            return DoneLeg(problem, Outcome(exact), certify_motion(problem, exact))
+            return DoneLeg(problem, Outcome(exact), certify_motion(problem, exact), is_ready=True)
         to_it = replace(problem, goals=(posture_goal(problem, motion.q[0], "beginning of the motion"),), path=None)
         outcome, certificate = plan_motion(
             to_it, self.method, seed=self.seed, effort=self.effort, brake=self.brake, watch=self.watch
@@ -71,4 +71,5 @@ class LegPlanner:
         last = outcome.trajectory
         exact = Trajectory.from_steps(motion.time, np.vstack((last.q[-1], motion.q[1:])))
         whole = replace(join([last, exact]), begins=())
-        return DoneLeg(problem, replace(outcome, trajectory=whole), certify_motion(problem, whole))
+        certificate = certify_motion(problem, whole)
+        return DoneLeg(problem, replace(outcome, trajectory=whole), certificate, is_ready=True)

@@ -6,12 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.motion import Trajectory, motion_cost
+from backhoe_planner.motion import Problem, Trajectory, motion_cost
 from backhoe_planner.planning.reactive.stepping import Watcher
 from backhoe_planner.planning.result.plan_file import Method
 from backhoe_planner.planning.search.effort import EFFORTS, Brake, Effort
 from backhoe_planner.planning.sequence.chain import Chain
-from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, join
+from backhoe_planner.planning.sequence.going_over import go_over
+from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
 
@@ -101,7 +102,7 @@ def _one_by_one(legs: tuple[Leg, ...], planner: LegPlanner) -> list[DoneLeg]:
 
 
 def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg], tried: int) -> LegsOutcome:
-    motion = join([leg.motion for leg in done])
+    motion = go_over(done)
     ends = (*motion.begins[1:], len(motion) - 1)
     certificates = [
         LegCertificate(
@@ -109,9 +110,16 @@ def _outcome(legs: tuple[Leg, ...], done: list[DoneLeg], tried: int) -> LegsOutc
             first,
             last,
             float(motion.time[first]),
-            certify_motion(leg.problem, motion.part(first, last)),
+            certify_motion(_begun(leg, index, motion, first), motion.part(first, last)),
         )
-        for leg, first, last in zip(done, motion.begins, ends, strict=True)
+        for index, (leg, first, last) in enumerate(zip(done, motion.begins, ends, strict=True))
     ]
     missing = [leg.name for leg in legs[len(done) :]]
     return LegsOutcome(tuple(done), motion, join_certificates(certificates, missing=missing), tried)
+
+
+def _begun(leg: DoneLeg, index: int, motion: Trajectory, first: int) -> Problem:
+    """A leg's problem with where and when its part of the motion begins."""
+    if index == 0 and leg.problem.wait is None:
+        return leg.problem
+    return leg.problem.beginning(motion.q[first])

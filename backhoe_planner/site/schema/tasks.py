@@ -77,6 +77,8 @@ class Goal(Pose):
 
     rotation_tolerance: Angle | None = None
     """How far the orientation may be off rpy or quaternion [rad]; 0.01 by default."""
+    tolerance: Positive | None = None
+    """How far the tip may be off the position [m]; 0.001 by default. More lets a sequence go on without a stop."""
 
     @model_validator(mode="after")
     def _something_to_be_off(self) -> Goal:

@@ -1,0 +1,125 @@
+"""Two motions that go over into each other without a stop.
+
+The second begins while the first still slows down: for the time tau in which both move, the joints are at
+
+    q(t) = q_1(t) + q_2(t - t_2) - q_E,        t_2 = T_1 - tau,
+
+with q_E where the first ends and the second begins. The velocities add up, and so do the accelerations;
+where the sum is more than the joints may do, the motion is slowed down there, as little as possible. The
+joints pass q_E by: the shorter tau, the nearer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.machine import JointLimits
+from backhoe_planner.motion.timing.path_limits import PathShape, time_path
+from backhoe_planner.motion.timing.time_optimal import TimeLaw
+from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
+
+_CLOSE = 0.4  # part of the time between samples; chosen: of two that are nearer to each other one is left out
+_TIGHTER = 1.01  # factor; chosen: samples show up to some percent more than the law between them
+_MOST_TIGHTER = 1.1  # the same in one round
+_ROUNDS = 12  # chosen: places at the rim of what was slowed come to light one after the other
+_ELSEWHERE = 0.999  # chosen, so that where a motion is at its limits it counts as within them
+_BESIDE = 3  # samples before and behind, in which it is slowed already; chosen
+_WITHIN = 1e-7  # part of a limit: rounding
+_ROUNDING = 1e-9  # s
+
+
+def overlap(first: Trajectory, second: Trajectory, duration: float) -> tuple[Trajectory, slice]:
+    """The second motion begun `duration` [s] before the first ends, and the samples between which both move.
+
+    Parameters
+    ----------
+    first, second: from rest to rest, the one ending where the other begins; neither is shorter than `duration`.
+    """
+    begins = first.duration - duration
+    before = first.time < begins
+    shared = first.time[~before]
+    gap = _CLOSE * float(np.min(np.diff(first.time[-2:]), initial=np.inf))
+    if before.any() and shared[0] - first.time[before][-1] < gap:
+        before[np.count_nonzero(before) - 1] = False
+        shared = first.time[~before]
+    own = second.time + begins
+    after = own > first.duration + gap
+    q = first.q[~before] + _smooth(second, shared - begins) - second.q[0]
+    time = np.concatenate((first.time[before], shared, own[after]))
+    motion = Trajectory.from_steps(
+        time, np.vstack((first.q[before], q, second.q[after])), begins=first.begins
+    )  # fmt: skip
+    return motion, slice(int(np.count_nonzero(before)), int(np.count_nonzero(before)) + len(shared))
+
+
+def _smooth(motion: Trajectory, time: Vector) -> Matrix:
+    """(K, n) the joints at `time` (K,) [s], by cubics between the samples; at rest before the start."""
+    t, q, v = motion.time, motion.q, motion.v
+    time = np.clip(time, 0.0, t[-1])
+    row = np.clip(np.searchsorted(t, time, side="right") - 1, 0, len(t) - 2)
+    h = (t[row + 1] - t[row])[:, None]
+    s = ((time - t[row])[:, None]) / h
+    cubic: Array = (
+        (1.0 + 2.0 * s) * (1.0 - s) ** 2 * q[row] + s * (1.0 - s) ** 2 * h * v[row]
+        + s**2 * (3.0 - 2.0 * s) * q[row + 1] + s**2 * (s - 1.0) * h * v[row + 1]
+    )  # fmt: skip
+    return np.asarray(cubic)
+
+
+def slow_where_needed(motion: Trajectory, shared: slice, limits: JointLimits) -> tuple[Trajectory, slice] | None:
+    """The motion on the same way, slower where joints exceed a limit among the samples `shared`.
+
+    Returns
+    -------
+    The motion, and the samples in it that lie on the same part of the way; None where that is not found.
+    """
+    if float(np.max(_use(motion, limits))) <= 1.0 + _WITHIN:
+        return motion, shared
+    segment, v, a = motion.segment_velocities(), motion.v.copy(), motion.accelerations()
+    v[0], v[-1] = segment[0], segment[-1]
+    a[0], a[-1] = a[1], a[-2]
+    # steeper by a factor is the same as tighter limits; where the motion is at its limits it keeps its speed
+    factor = np.full((len(motion), 1), _ELSEWHERE)
+    factor[max(shared.start - _BESIDE, 0) : shared.stop + _BESIDE] = _TIGHTER
+    for _ in range(_ROUNDS):
+        shape = PathShape(motion.time, motion.q, factor * v, (factor * a)[:-1], (factor * a)[1:])
+        law = time_path(shape, limits, drive=None, most=1.0, rests=False)
+        if law is None:
+            return None
+        found = _with_law(motion, law, shared)
+        over = _use(found[0], limits)
+        wrong = np.flatnonzero(over > 1.0 + _WITHIN)
+        if not len(wrong):
+            return found
+        for row in wrong.tolist():
+            place = int(np.searchsorted(law.time, float(found[0].time[row])))
+            beside = slice(max(place - _BESIDE, 0), place + _BESIDE + 1)
+            factor[beside] = np.maximum(factor[beside], min(over[row], _MOST_TIGHTER) * _TIGHTER)
+    return None
+
+
+def _with_law(motion: Trajectory, law: TimeLaw, shared: slice) -> tuple[Trajectory, slice]:
+    """The motion with the times of a law, with new samples where it is slower."""
+    slow = np.flatnonzero(np.diff(law.time) > np.diff(motion.time) * (1.0 + _WITHIN))
+    if not len(slow):
+        return motion, shared
+    first, last = int(slow[0]), int(slow[-1]) + 1
+    count = max(int(np.ceil((law.time[last] - law.time[first]) / SAMPLE_PERIOD)), 1)
+    inner = np.linspace(law.time[first], law.time[last], count + 1)[1:-1]
+    # samples before and behind keep their distances in time, to the last digit
+    behind = law.time[last] + (motion.time[last:] - motion.time[last])
+    time = np.concatenate((motion.time[: first + 1], inner, behind))
+    q = np.vstack((motion.q[: first + 1], _smooth(motion, np.asarray(law.at(inner))), motion.q[last:]))
+    ends = [
+        int(np.searchsorted(time, float(law.time[row]) - 1e-9))
+        for row in (shared.start, min(shared.stop, len(motion)) - 1)
+    ]
+    return Trajectory.from_steps(time, q), slice(ends[0], ends[1] + 1)
+
+
+def _use(motion: Trajectory, limits: JointLimits) -> Vector:
+    """(T,) the greatest use of a limit of the joints at every sample."""
+    velocity = np.max(np.abs(motion.segment_velocities()) / limits.velocity, axis=1)
+    acceleration = np.max(np.abs(motion.corner_accelerations()) / limits.acceleration, axis=1)
+    return np.asarray(np.maximum(acceleration, np.maximum(np.append(velocity, 0.0), np.append(0.0, velocity))))

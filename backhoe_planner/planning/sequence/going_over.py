@@ -1,0 +1,109 @@
+"""Legs that go over into each other without a stop, where both allow it.
+
+A leg may pass the end of the one before by as far as both tolerate: the tolerance of a goal, or that of a
+path. What is accepted is proven: each leg on its own part, and both of them on all of the time in which
+one has begun while the other still slows down, with the payload, soil, obstacles and conditions of each.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from backhoe_planner.machine import BatchKinematics
+from backhoe_planner.motion import GOAL_TOLERANCE, Problem, Trajectory, overlap, slow_where_needed
+from backhoe_planner.planning.sequence.leg import DoneLeg, join
+from backhoe_planner.proof import certify_motion
+
+_PART = 0.5  # of a leg, that may go over into another at either end; chosen
+_SHORTEST = 0.06  # s: chosen, three samples; to go over within less gains nothing that counts
+_HALVINGS = 7  # of the time within which two legs go over; chosen, finds it to a hundredth
+_SHARES = (1.0, 0.6, 0.3)  # of the longest time that the tolerance allows, tried in turn; chosen
+_SPARE = 0.9  # part of a tolerance that is used; chosen: samples are not exactly where the tip is nearest
+
+
+def go_over(legs: Sequence[DoneLeg]) -> Trajectory:
+    """The whole motion of planned legs, with a stop between two of them only where it must be.
+
+    Where anything moves or appears, every leg stops: it was planned for when it begins.
+    """
+    stops = any(leg.problem.is_dynamic for leg in legs)
+    whole, free_from = replace(join([legs[0].motion]), begins=(0,)), 0.0
+    for before, leg in itertools.pairwise(legs):
+        motion = join([leg.motion])  # of two samples at least
+        found = None if stops else _without_stop(whole, before, leg, motion, free_from)
+        if found is None:
+            time = np.concatenate((whole.time, whole.duration + motion.time[1:]))
+            begins = (*whole.begins, len(whole) - 1)
+            found = Trajectory.from_steps(time, np.vstack((whole.q, motion.q[1:])), begins=begins), whole.duration
+        whole, free_from = found
+    return whole
+
+
+def _without_stop(
+    whole: Trajectory, before: DoneLeg, leg: DoneLeg, motion: Trajectory, free_from: float
+) -> tuple[Trajectory, float] | None:
+    """The whole motion with one more leg, and when it is that leg's alone [s]; None where it must stop before it."""
+    first, second = before.problem, leg.problem
+    if not (before.may_go_over and leg.may_go_over):
+        return None
+    longest = _PART * min(whole.duration - free_from, motion.duration)
+    allowed = _SPARE * min(_tolerance(first), _tolerance(second, at_end=False))
+    kinematics = BatchKinematics(first.robot)
+    corner = kinematics.at(whole.q[-1:]).tip_position[0]
+
+    def nearest(joined: Trajectory, shared: slice) -> tuple[float, int]:
+        """How far the tip passes the end of the leg by [m], and at which sample."""
+        away = np.linalg.norm(kinematics.at(joined.q[shared]).tip_position - corner, axis=1)
+        row = int(np.argmin(away))
+        return float(away[row]), shared.start + row
+
+    def off(duration: float) -> float:
+        return nearest(*overlap(whole, motion, duration))[0]
+
+    low, high = (longest, longest) if longest > 0.0 and off(longest) <= allowed else (0.0, longest)
+    for _ in range(_HALVINGS if high > low else 0):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if off(middle) <= allowed else (low, middle)
+    for share in _SHARES:
+        duration = share * low
+        if duration < _SHORTEST:
+            return None
+        slower = slow_where_needed(*overlap(whole, motion, duration), first.limits)
+        if slower is None or slower[0].duration >= whole.duration + motion.duration:
+            continue
+        joined, shared = slower
+        joined = replace(joined, begins=(*whole.begins, nearest(joined, shared)[1]))
+        if _is_proven(joined, shared, first, second):
+            return joined, float(joined.time[shared.stop - 1])
+    return None
+
+
+def _tolerance(problem: Problem, *, at_end: bool = True) -> float:
+    """How far the tip may pass the end, or the beginning, of a leg [m]."""
+    path = problem.scene.task.path
+    if problem.path is not None and path is not None:
+        return path.tolerance
+    if not at_end:
+        return np.inf
+    given = [goal.tolerance for goal in problem.goals]
+    return min(GOAL_TOLERANCE if one is None else one for one in given)
+
+
+def _is_proven(motion: Trajectory, shared: slice, first: Problem, second: Problem) -> bool:
+    """Whether both legs hold on their own parts, and both while they go over into each other."""
+    begun, meet, last = motion.begins[-2], motion.begins[-1], len(motion) - 1
+    parts = [(first, begun, meet, len(motion.begins) > 2), (second, meet, last, True)]
+    for problem, low, high, moved in parts:
+        part = motion.part(low, high)
+        own = problem.beginning(part.q[0]) if moved else problem
+        if not certify_motion(own, part).verified:
+            return False
+    for problem in (first, second):
+        both = certify_motion(problem, motion.part(max(shared.start - 1, 0), shared.stop - 1))
+        if not (both.safe and all(use.kept for use in both.keep)):
+            return False
+    return True
