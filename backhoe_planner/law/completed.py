@@ -43,7 +43,7 @@ _EPSILON = 2e-2  # (m/rad)^2; chosen: rows weaker than its root, 0.14 m/rad, fad
 _LARGEST_PUSH = 3.0  # times nominal; chosen
 _NEAREST_PUSH = math.sqrt(1.0 + _LARGEST_PUSH)  # unity distance over the distance at which the push is largest
 _NEAR_LIMIT = 0.15  # part of a joint's range; chosen: within this it counts as near its limit
-_FEW = 12  # rows, up to which plain numbers are faster than arrays; measured
+_FEW = 32  # rows, up to which plain numbers are faster than arrays; measured
 _STANDING = 1e-9  # rad/s or m/s: a slower joint moves towards no limit
 
 

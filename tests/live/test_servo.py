@@ -621,7 +621,7 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
     faster = bent = 0
     for _ in range(500):
         at = kinematics.at(backhoe.random_q(rng))
-        J, xdot, count = at.jacobian[:3], rng.normal(size=3), int(rng.integers(0, 25))
+        J, xdot, count = at.jacobian[:3], rng.normal(size=3), int(rng.integers(0, 45))
         nearby = Nearby(
             pair=np.arange(count), distance=np.zeros(count), margin=rng.uniform(-0.05, 0.4, count),
             normal=np.zeros((count, 3)), point_link=np.zeros((count, 3)), point_obstacle=np.zeros((count, 3)),
@@ -629,6 +629,8 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
             moves=np.zeros((count, count), dtype=bool),
         )  # fmt: skip
         plain, found = law.wish(at, J, xdot, nearby), law.wish_on_null_line(at.q, J, xdot, nearby)
+        primary, null = law.terms_unchecked(at, J, xdot, nearby)
+        np.testing.assert_allclose([primary, null], [plain.primary, plain.null], rtol=1e-8, atol=1e-8)
         if found is None:
             continue
         assert plain.task.damping == 0.0

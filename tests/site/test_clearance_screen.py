@@ -100,3 +100,20 @@ def test_a_machine_without_shapes_keeps_clear(tmp_path: Path) -> None:
     robot = bp.load_robot(file)
     screen = ClearanceScreen(bp.Proximity(robot, []))
     assert screen.keeps(np.zeros((3, 1))).all()
+
+
+def test_agrees_where_most_are_out_of_reach(backhoe: bp.Robot) -> None:
+    """More obstacles than are given to coal at once; what no posture brings near is not looked at."""
+    rng = np.random.default_rng(6)
+    places = [rng.normal(size=3) * [3.0, 3.0, 1.0] * (1.0 if k % 13 == 0 else 15.0) for k in range(520)]
+    balls = [
+        {"name": f"b{k}", "shape": "sphere", "radius": 0.4, "position": place.tolist(), "clearance": 0.1}
+        for k, place in enumerate(places)
+    ]
+    balls[7] |= {"velocity": [0.0, -1.0, 0.0]}
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "obstacles": balls})
+    proximity = bp.Proximity(backhoe, build_obstacles(scene, backhoe))
+    q = np.array([backhoe.random_q(rng) for _ in range(30)])
+    expected = [bool((proximity.distances(joints, time=2.0) >= proximity.clearance).all()) for joints in q]
+    assert 3 <= sum(expected) <= 27
+    assert ClearanceScreen(proximity, time=2.0).keeps(q).tolist() == expected

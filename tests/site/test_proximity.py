@@ -185,7 +185,11 @@ SHAPES: dict[str, dict[str, Any]] = {
 
 def shifted(obstacle: Obstacle, shift: Vector) -> Obstacle:
     pieces = [
-        replace(piece, placement=pin.SE3(piece.placement.rotation, piece.placement.translation + shift))
+        replace(
+            piece,
+            placement=pin.SE3(piece.placement.rotation, piece.placement.translation + shift),
+            hull=piece.hull + shift,
+        )
         for piece in obstacle.pieces
     ]
     return replace(obstacle, pieces=tuple(pieces))
@@ -375,6 +379,7 @@ def test_1000_obstacles_are_those_of_one_by_one(backhoe: Robot) -> None:
         np.testing.assert_allclose(found.distance, truth[found.pair], atol=1e-9)
         near += len(found)
     assert near > 50
+    assert (proximity.floor > 1.0).mean() > 0.5
     assert proximity.measured < 0.3 * 6 * len(proximity.pairs)
     np.testing.assert_allclose(proximity.distances(q, time=5.0), truth, atol=1e-9)
 

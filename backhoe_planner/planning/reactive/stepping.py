@@ -128,7 +128,7 @@ class Stepper:
         keep = self.problem.keep
         kept = None if keep is None else Kept(keep.margins(self.q), keep.gradients(self.q))
         for _ in range(_HALVINGS):
-            extra = np.full(len(nearby), _BUFFER)
+            extra: Vector | float = _BUFFER
             # two half steps beside each other share the change of velocity
             span = 0.5 * (dt + self._last_dt)
             for _ in range(_CORRECTIONS):
