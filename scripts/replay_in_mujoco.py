@@ -89,8 +89,12 @@ def _sites(count: int, seed: int) -> Iterator[tuple[str, Replay]]:
 
 def _verified(name: str, robot: bp.Robot, scene: bp.Scene) -> Iterator[tuple[str, Replay]]:
     plan = bp.plan(robot, scene, budget=_LONGEST)
-    if plan.verified:
+    if not plan.verified:
+        return
+    if not plan.legs:
         yield name, replay(plan.robot, plan.scene, plan.trajectory)
+    for leg in plan.legs:
+        yield f"{name}, {leg.name}", replay(plan.robot, leg.problem.scene, leg.trajectory)
 
 
 def _attacks(count: int, seed: int) -> Iterator[tuple[str, Replay]]:
