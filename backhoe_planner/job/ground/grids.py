@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError
 
+CELL = 0.05  # m, edge of a column by default; chosen: a twelfth of a bucket's width
+_FINEST, _COARSEST = 0.005, 5.0  # m; chosen: finer or coarser says nothing about a trench
+_MOST_COLUMNS = 4_000_000  # as of a height map in a scene
 _NO_FURTHER = 1e-6  # cells: a point on the border of a grid lies in it, whatever rounding says
 
 
@@ -53,6 +58,34 @@ class HeightGrid:
             # a corner without weight may be a hole
             found += np.where(weight > _NO_FURTHER, weight * self.z[r + dr, c + dc], 0.0)
         return np.where(off, np.nan, found)
+
+
+def as_cell(cell: float) -> float:
+    """`cell`, the distance between nodes [m]; InputError where it is none."""
+    return as_number(cell, key="cell", least=_FINEST, most=_COARSEST)
+
+
+def empty_grid(low: Sequence[float] | Vector, high: Sequence[float] | Vector, cell: float) -> HeightGrid:
+    """A grid without any height from `low` to about `high` (2,) [m].
+
+    Raises
+    ------
+    InputError: it has less than 2 x 2 columns, or too many.
+    """
+    start, end, cell = as_vector(low, 2, key="low"), as_vector(high, 2, key="high"), as_cell(cell)
+    counts = np.round((end - start) / cell) + 1
+    if (counts < 2).any():
+        raise InputError("holds less than 2 x 2 columns", key="high", found=end.tolist(), allowed="beyond low")
+    check_counts((int(counts[1]), int(counts[0])), key="cell")
+    return HeightGrid(start, cell, np.full((int(counts[1]), int(counts[0])), np.nan))
+
+
+def check_counts(shape: tuple[int, ...], *, key: str) -> None:
+    """InputError where `shape` is less than 2 x 2 columns, or too many."""
+    if min(shape) < 2:
+        raise InputError("holds less than 2 x 2 columns", key=key, found=str(shape))
+    if math.prod(shape) > _MOST_COLUMNS:
+        raise InputError("has too many columns", key=key, found=f"{math.prod(shape)}", allowed=f"{_MOST_COLUMNS}")
 
 
 def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:

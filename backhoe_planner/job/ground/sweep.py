@@ -11,12 +11,14 @@ that is dug in many layers stays as wide as the blade, and two passes side by si
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector, as_array, as_number, as_rows
 from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.job.ground.heaps import poured
 from backhoe_planner.job.ground.slumping import slumped
 from backhoe_planner.job.ground.terrain import Terrain
 
@@ -64,25 +66,38 @@ class Sweep:
 
     Attributes
     ----------
-    terrain: the ground after it; loose soil that lost its hold has slumped.
+    terrain: the ground after it; loose soil that lost its hold has slumped, and what was spilt lies on it.
     bank, loose: (K,) undisturbed and loose soil taken until each moment [m^3].
+    room: loose volume that the bucket had room for [m^3].
     """
 
     terrain: Terrain
     bank: Vector
     loose: Vector
+    room: float = math.inf
 
     @property
     def volume(self) -> Vector:
         """(K,) loose volume of all that was taken until each moment [m^3]: what is in the bucket, and what it spilt."""
         return self.terrain.swell * self.bank + self.loose
 
+    @property
+    def held(self) -> Vector:
+        """(K,) loose volume in the bucket at each moment, beyond what was in it before [m^3]."""
+        return np.minimum(self.volume, self.room)
 
-def swept(terrain: Terrain, blade: BladeSweep, *, slump: bool = True) -> Sweep:
+    @property
+    def spilt(self) -> float:
+        """Loose volume that found no room and lies where the blade was last in the ground [m^3]."""
+        return float(self.volume[-1] - self.held[-1])
+
+
+def swept(terrain: Terrain, blade: BladeSweep, *, room: float = math.inf, slump: bool = True) -> Sweep:
     """The ground after a blade went through it.
 
     Parameters
     ----------
+    room: loose volume that the bucket behind it takes [m^3]; what is more is spilt.
     slump: whether loose soil that lost its hold comes to rest.
 
     Raises
@@ -91,6 +106,7 @@ def swept(terrain: Terrain, blade: BladeSweep, *, slump: bool = True) -> Sweep:
     """
     check_kind(terrain, Terrain, key="terrain")
     check_kind(blade, BladeSweep, key="blade")
+    room = as_number(room, key="room", least=0.0, finite=False)
     moments = len(blade.edge)
     reach = 0.5 * blade.width * np.abs(blade.across[:, :2])
     low, high = (blade.edge[:, :2] - reach).min(axis=0), (blade.edge[:, :2] + reach).max(axis=0)
@@ -99,7 +115,7 @@ def swept(terrain: Terrain, blade: BladeSweep, *, slump: bool = True) -> Sweep:
     patch = surface[rows, columns]
     if not patch.size or blade.edge[:, 2].min() - 0.5 * blade.width > patch.max():
         nothing = np.zeros(moments)
-        return Sweep(terrain, nothing, nothing)
+        return Sweep(terrain, nothing, nothing, room)
     crossings = _crossings(blade, *_parts(terrain, rows, columns), terrain.cell / _PARTS)
     number = crossings.part // _PARTS**2
     flat = patch.ravel()
@@ -116,7 +132,12 @@ def swept(terrain: Terrain, blade: BladeSweep, *, slump: bool = True) -> Sweep:
     after = terrain.with_layers(new_bank, new_loose)
     if slump:
         after = slumped(after, low - terrain.cell, high + terrain.cell)
-    return Sweep(after, bank.sum(axis=0) * terrain.cell**2, loose.sum(axis=0) * terrain.cell**2)
+    found = Sweep(after, bank.sum(axis=0) * terrain.cell**2, loose.sum(axis=0) * terrain.cell**2, room)
+    if found.spilt > 0.0:
+        last = int(np.argmax(found.volume))  # the first moment at which all is taken
+        place = np.clip(blade.edge[last, :2], terrain.low, terrain.high)
+        found = replace(found, terrain=poured(after, place, found.spilt))
+    return found
 
 
 def _parts(terrain: Terrain, rows: slice, columns: slice) -> tuple[Matrix, Indices]:

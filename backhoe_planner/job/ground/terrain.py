@@ -6,7 +6,6 @@ that nothing is lost or won between them.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,14 +14,21 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind, check_path
-from backhoe_planner.job.ground.grids import HeightGrid, column_means, filled, refuse_holes, resampled
-from backhoe_planner.site import Soil, read_height_grid, read_points
+from backhoe_planner.job.ground.grids import (
+    CELL,
+    HeightGrid,
+    as_cell,
+    check_counts,
+    column_means,
+    empty_grid,
+    filled,
+    refuse_holes,
+)
+from backhoe_planner.job.ground.surveys import read_survey
+from backhoe_planner.site import Soil
 
-CELL = 0.05  # m, edge of a column by default; chosen: a twelfth of a bucket's width
 SWELL = 1.25  # loose volume per bank volume of common earth, by default; published 1.2 to 1.3
 REPOSE = 0.6  # rad by default, 34 degrees; usual for common earth 30 to 40
-_FINEST, _COARSEST = 0.005, 5.0  # m; chosen: finer or coarser says nothing about a trench
-_MOST_COLUMNS = 4_000_000  # as of a height map in a scene
 _STEEPEST = 1.5  # rad of repose: steeper nothing loose stands
 
 
@@ -54,10 +60,10 @@ class Terrain:
     repose: float = REPOSE
 
     def __post_init__(self) -> None:
-        cell = as_number(self.cell, key="cell", least=_FINEST, most=_COARSEST)
+        cell = as_cell(self.cell)
         bank = as_array(self.bank, None, None, key="bank")
         loose = as_array(self.loose, *bank.shape, key="loose")
-        _check_counts(bank.shape, key="bank")
+        check_counts(bank.shape, key="bank")
         if (loose < 0.0).any():
             raise InputError("is negative", key="loose", found=f"{float(loose.min()):g}", allowed="0 m or more")
         fields = {"low": as_vector(self.low, 2, key="low"), "bank": bank, "loose": loose}
@@ -93,9 +99,9 @@ class Terrain:
         InputError: one of them is not such a number, or the grid has less than 2 x 2 or too many nodes.
         """
         z = as_number(z, key="z")
-        low, counts = _frame(low, high, cell)
-        bank = np.full(counts, z)
-        return cls(low, cell, bank, np.zeros_like(bank), _soil(soil), swell, repose)
+        grid = empty_grid(low, high, cell)
+        bank = np.full(grid.z.shape, z)
+        return cls(grid.low, cell, bank, np.zeros_like(bank), _soil(soil), swell, repose)
 
     @classmethod
     def from_points(
@@ -115,8 +121,7 @@ class Terrain:
         InputError: a column without a point is left, or an argument is not such a number; it says where.
         """
         points = as_array(points, None, 3, key="points")
-        low, counts = _frame(low, high, cell)
-        heights = column_means(points, HeightGrid(low, cell, np.full(counts, np.nan)))
+        heights = column_means(points, empty_grid(low, high, cell))
         return cls._of(heights, fill=fill, soil=soil, swell=swell, repose=repose, file=None)
 
     @classmethod
@@ -142,8 +147,7 @@ class Terrain:
         InputError: the file is missing or malformed, or a height is missing; it says which, and where.
         """
         file = check_path(file, key="file")
-        wanted = None if cell is None else as_number(cell, key="cell", least=_FINEST, most=_COARSEST)
-        heights = read_survey(file, low=low, high=high, cell=wanted)
+        heights = read_survey(file, low=low, high=high, cell=cell)
         return cls._of(heights, fill=fill, soil=soil, swell=swell, repose=repose, file=file)
 
     @classmethod
@@ -225,69 +229,5 @@ class Terrain:
         return np.asarray(self.surface != other.surface)
 
 
-def read_survey(
-    file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None
-) -> HeightGrid:
-    """The heights in a file, see `Terrain.from_file`; NaN where there is none.
-
-    Raises
-    ------
-    InputError: the file is missing or malformed, or says not where it lies.
-    """
-    start = None if low is None else as_vector(low, 2, key="low")
-    end = None if high is None else as_vector(high, 2, key="high")
-    if file.suffix.lower() in _POINTS:
-        points = read_points(file)
-        start = points[:, :2].min(axis=0) if start is None else start
-        end = points[:, :2].max(axis=0) if end is None else end
-        start, counts = _frame(start, end, CELL if cell is None else cell)
-        return column_means(points, HeightGrid(start, CELL if cell is None else cell, np.full(counts, np.nan)))
-    table = read_height_grid(file)
-    if table.low is None:
-        if start is None or cell is None:
-            raise InputError(
-                "does not say where its heights lie", file=file, key="low" if start is None else "cell",
-                hint="give low, x and y of its first height, and cell, the distance between heights",
-            )  # fmt: skip
-        grid = HeightGrid(start, cell, table.heights)
-        if end is None:
-            return grid
-    else:
-        grid = HeightGrid(table.low, table.cell, table.heights)
-        if start is not None and end is None:
-            grid = replace(grid, low=start)
-    start = grid.low if start is None else start
-    end = grid.high if end is None else end
-    step = CELL if cell is None else cell
-    if math.isclose(step, grid.cell, rel_tol=1e-9) and (start == grid.low).all() and (end == grid.high).all():
-        return grid
-    start, counts = _frame(start, end, step)
-    return resampled(grid, HeightGrid(start, step, np.full(counts, np.nan)))
-
-
-_POINTS = (".ply", ".obj", ".stl", ".xyz", ".txt", ".pts")
-
-
 def _soil(soil: Soil | None) -> Soil:
     return Soil() if soil is None else check_kind(soil, Soil, key="soil")
-
-
-def _frame(
-    low: Sequence[float] | Vector, high: Sequence[float] | Vector, cell: float
-) -> tuple[Vector, tuple[int, int]]:
-    """The first node, and rows and columns, of a grid from `low` to about `high` (2,) [m]."""
-    start, end = as_vector(low, 2, key="low"), as_vector(high, 2, key="high")
-    cell = as_number(cell, key="cell", least=_FINEST, most=_COARSEST)
-    counts = np.round((end - start) / cell) + 1
-    if (counts < 2).any():
-        raise InputError("holds less than 2 x 2 columns", key="high", found=end.tolist(), allowed="beyond low")
-    if counts.prod() > _MOST_COLUMNS:
-        raise InputError("has too many columns", key="cell", found=f"{counts.prod():.0f}", allowed=f"{_MOST_COLUMNS}")
-    return start, (int(counts[1]), int(counts[0]))
-
-
-def _check_counts(shape: tuple[int, ...], *, key: str) -> None:
-    if min(shape) < 2:
-        raise InputError("holds less than 2 x 2 columns", key=key, found=str(shape))
-    if math.prod(shape) > _MOST_COLUMNS:
-        raise InputError("has too many columns", key=key, found=f"{math.prod(shape)}", allowed=f"{_MOST_COLUMNS}")

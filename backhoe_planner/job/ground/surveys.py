@@ -1,0 +1,71 @@
+"""Heights of a site from a file, on the grid that is wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector, as_vector
+from backhoe_planner.errors import InputError
+from backhoe_planner.job.ground.grids import CELL, HeightGrid, as_cell, column_means, empty_grid, resampled
+from backhoe_planner.site import read_height_grid, read_points
+
+_POINTS = (".ply", ".obj", ".stl", ".xyz", ".txt", ".pts")
+
+
+def read_survey(
+    file: Path, *, low: Sequence[float] | Vector | None, high: Sequence[float] | Vector | None, cell: float | None
+) -> HeightGrid:
+    """The heights in a file, see `Terrain.from_file`; NaN where there is none.
+
+    Raises
+    ------
+    InputError: the file is missing or malformed, or does not say where it lies.
+    """
+    if file.suffix.lower() in _POINTS:
+        points = read_points(file)
+        start = points[:, :2].min(axis=0) if low is None else low
+        end = points[:, :2].max(axis=0) if high is None else high
+        return column_means(points, empty_grid(start, end, CELL if cell is None else cell))
+    grid = _read_table(file, low, cell, moved=high is None)
+    if high is None and (cell is None or cell == grid.cell):
+        return grid
+    start = grid.low if low is None else low
+    step = CELL if cell is None else cell
+    return resampled(grid, empty_grid(start, grid.high if high is None else high, step))
+
+
+def survey_on(
+    file: Path, onto: HeightGrid, *, low: Sequence[float] | Vector | None = None, cell: float | None = None
+) -> HeightGrid:
+    """The heights in a file at the nodes of a grid; NaN where the file does not reach.
+
+    Parameters
+    ----------
+    low, cell: where the heights lie, as of `Terrain.from_file`; points and a GeoTIFF need neither.
+
+    Raises
+    ------
+    InputError: as of `read_survey`.
+    """
+    if file.suffix.lower() in _POINTS:
+        return column_means(read_points(file), onto)
+    return resampled(_read_table(file, low, cell, moved=True), onto)
+
+
+def _read_table(file: Path, low: Sequence[float] | Vector | None, cell: float | None, *, moved: bool) -> HeightGrid:
+    """The heights as they stand in a file; `moved`: to `low`, wherever the file says that they lie."""
+    table = read_height_grid(file)
+    start = None if low is None else as_vector(low, 2, key="low")
+    if table.low is not None:
+        grid = HeightGrid(table.low, as_cell(table.cell), table.heights)
+        return grid if start is None or not moved else replace(grid, low=start)
+    if start is None or cell is None:
+        raise InputError(
+            "does not say where its heights lie", file=file, key="low" if start is None else "cell",
+            hint="give low, x and y of its first height, and cell, the distance between heights",
+        )  # fmt: skip
+    return HeightGrid(start, as_cell(cell), np.asarray(table.heights))

@@ -1,0 +1,190 @@
+"""Ground from files: heights where the file puts them, holes named or filled, scans on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+from backhoe_planner.arrays import Array, Matrix
+from backhoe_planner.errors import InputError
+from backhoe_planner.job import BladeSweep, Terrain, deposited, scanned, swept
+from backhoe_planner.site import build_obstacle, obstacle_from_dict, read_heights
+
+NAN = float("nan")
+
+
+def plane(points: Array) -> Array:
+    return np.asarray(0.1 * points[..., 0] - 0.2 * points[..., 1] + 0.3)
+
+
+def nodes(low: tuple[float, float], counts: tuple[int, int], cell: float) -> Array:
+    x, y = np.meshgrid(low[0] + cell * np.arange(counts[1]), low[1] + cell * np.arange(counts[0]))
+    return np.stack((x, y), axis=-1)
+
+
+def write_geotiff(
+    path: Path, heights: Matrix, *, corner: tuple[float, float] | None, cell: float = 0.5, **more: Any
+) -> Path:
+    """Heights with ascending rows, as a file whose first row is the northmost; `corner` in the north-west."""
+    tags = ImageFileDirectory_v2()
+    keys = {1024: 1, 1025: 1} | more.pop("keys", {})
+    if corner is not None:
+        tags[33550], tags.tagtype[33550] = (cell, more.pop("cell_y", cell), 0.0), 12
+        tags[33922], tags.tagtype[33922] = (0.0, 0.0, 0.0, *corner, 0.0), 12
+        tags[34735], tags.tagtype[34735] = (
+            tuple(v for key in ((1, 1, 0, len(keys)), *((k, 0, 1, keys[k]) for k in sorted(keys))) for v in key),
+            3,
+        )
+    if "no_data" in more:
+        tags[42113], tags.tagtype[42113] = more.pop("no_data"), 2
+    Image.fromarray(heights[::-1].astype(np.float32)).save(path, tiffinfo=tags, **more)
+    return path
+
+
+def test_a_geotiff_says_where_it_lies(tmp_path: Path) -> None:
+    # pixels are areas: the north-west corner is half a cell off the first height
+    low, counts = (500_001.0, 4_100_003.0), (5, 7)
+    heights = plane(nodes((0.0, 0.0), counts, 0.5))
+    corner = (low[0] - 0.25, low[1] + 2.0 + 0.25)
+    for compression in (None, "tiff_lzw", "tiff_adobe_deflate"):
+        file = write_geotiff(tmp_path / "site.tif", heights, corner=corner, compression=compression)
+        found = Terrain.from_file(file)
+        np.testing.assert_allclose(found.low, low, atol=1e-9)
+        assert found.cell == 0.5
+        np.testing.assert_allclose(found.surface, heights, atol=1e-6)
+    # pixels are points
+    file = write_geotiff(tmp_path / "site.tiff", heights, corner=(1.0, 5.0), keys={1025: 2})
+    np.testing.assert_allclose(Terrain.from_file(file).low, [1.0, 3.0], atol=1e-9)
+    # brought to where the machine stands, and finer: between heights of a plane lies the plane
+    moved = Terrain.from_file(file, low=(-1.0, -2.0))
+    np.testing.assert_allclose(moved.low, [-1.0, -2.0])
+    part = Terrain.from_file(file, low=(1.3, 3.2), high=(3.3, 4.4), cell=0.1)
+    assert part.shape == (13, 21)
+    np.testing.assert_allclose(part.surface, plane(nodes((0.3, 0.2), (13, 21), 0.1)), atol=1e-6)
+
+
+def test_an_obstacle_takes_a_geotiff_too(tmp_path: Path) -> None:
+    heights = np.arange(12.0).reshape(3, 4)
+    write_geotiff(tmp_path / "hill.tif", heights, corner=None)
+    np.testing.assert_allclose(read_heights(tmp_path / "hill.tif"), heights)
+    record = {"name": "hill", "shape": "heightmap", "file": "hill.tif", "size": [3.0, 2.0]}
+    found = build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
+    assert max(piece.hull[:, 2].max() for piece in found.pieces) == pytest.approx(11.0)
+    write_geotiff(tmp_path / "hill.tif", np.where(heights == 6.0, -9999.0, heights), corner=None, no_data="-9999")
+    with pytest.raises(InputError, match=r"hill\.tif: row 2, column 3: a height is not finite"):
+        build_obstacle(obstacle_from_dict(record), folder=tmp_path, clearance=0.1)
+
+
+@pytest.mark.parametrize(
+    ("keys", "parts"),
+    [
+        ({"keys": {1024: 2}}, ["is in degrees", "UTM"]),
+        ({"keys": {3076: 9002}}, ["is not in metres", "9002"]),
+        ({"cell_y": 0.7}, ["no squares", "0.5 x 0.7 m"]),
+    ],
+)
+def test_geotiffs_that_cannot_be_used(tmp_path: Path, keys: dict[str, Any], parts: list[str]) -> None:
+    file = write_geotiff(tmp_path / "a.tif", np.zeros((3, 3)), corner=(0.0, 0.0), **keys)
+    with pytest.raises(InputError) as caught:
+        Terrain.from_file(file)
+    assert all(part in str(caught.value) for part in [*parts, str(file)])
+
+
+def test_files_that_are_no_geotiff(tmp_path: Path) -> None:
+    file = tmp_path / "a.tif"
+    with pytest.raises(InputError, match="no such height map file"):
+        Terrain.from_file(file)
+    file.write_bytes(b"1,2\n3,4\n")
+    with pytest.raises(InputError, match="is not a TIFF that can be read"):
+        Terrain.from_file(file)
+    write_geotiff(file, np.zeros((40, 40)), corner=(0.0, 0.0))
+    file.write_bytes(file.read_bytes()[:2000])
+    with pytest.raises(InputError, match=r"a\.tif"):
+        Terrain.from_file(file)
+    Image.new("RGB", (4, 4)).save(file)
+    with pytest.raises(InputError, match="is no map of heights; found an image of mode RGB"):
+        Terrain.from_file(file)
+
+
+def test_holes_are_named_or_filled(tmp_path: Path) -> None:
+    file = tmp_path / "ground.csv"
+    heights = plane(nodes((2.0, 1.0), (21, 31), 0.1))
+    holes = heights.copy()
+    holes[8:12, 10:13] = NAN
+    lines = [",".join("" if np.isnan(z) else f"{z:.12g}" for z in row) for row in holes]
+    file.write_text("\n".join(lines), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        Terrain.from_file(file, low=(2.0, 1.0), cell=0.1)
+    for part in (str(file), "row 9, column 11 (x 3.00 m, y 1.80 m)", "12 of 651 columns", "fill"):
+        assert part in str(caught.value)
+    with pytest.raises(InputError, match="a height is missing"):  # two columns from the rim
+        Terrain.from_file(file, low=(2.0, 1.0), cell=0.1, fill=0.15)
+    found = Terrain.from_file(file, low=(2.0, 1.0), cell=0.1, fill=0.25)
+    np.testing.assert_allclose(found.surface, heights, atol=1e-9)
+    for keys, missing in (({"cell": 0.1}, "low"), ({"low": (0.0, 0.0)}, "cell")):
+        with pytest.raises(InputError, match=f"{missing}: does not say where its heights lie"):
+            Terrain.from_file(file, **keys)
+    file.write_text("1,2,\n3,nan,\n", encoding="utf-8")
+    with pytest.raises(InputError, match="row 2, column 2"):
+        Terrain.from_file(file, low=(0.0, 0.0), cell=1.0)
+    file.write_text("1,2\n3,deep\n", encoding="utf-8")
+    with pytest.raises(InputError, match="row 2, column 2: is not a number; found deep"):
+        Terrain.from_file(file, low=(0.0, 0.0), cell=1.0, fill=5.0)
+
+
+def test_points_become_the_mean_height_of_their_column(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    points = rng.uniform([0.0, 0.0, 0.0], [3.0, 2.0, 0.0], (30_000, 3))
+    points[:, 2] = plane(points[:, :2])
+    np.savetxt(tmp_path / "scan.xyz", points, fmt="%.9f")
+    found = Terrain.from_file(tmp_path / "scan.xyz", low=(0.1, 0.1), high=(2.9, 1.9), cell=0.1)
+    assert found.shape == (19, 29)
+    np.testing.assert_allclose(found.surface, plane(nodes((0.1, 0.1), (19, 29), 0.1)), atol=0.01)
+    apart = points[np.hypot(*(points[:, :2] - [1.0, 1.0]).T) > 0.2]
+    with pytest.raises(InputError, match=r"\(x 0\.90 m, y 0\.90 m\)"):
+        Terrain.from_points(apart, (0.1, 0.1), (2.9, 1.9), 0.1)
+    filled = Terrain.from_points(apart, (0.1, 0.1), (2.9, 1.9), 0.1, fill=0.3)
+    np.testing.assert_allclose(filled.surface, found.surface, atol=0.02)
+
+
+def test_a_scan_says_what_was_dug_and_heaped(tmp_path: Path) -> None:
+    before = Terrain.level(0.0, (0.0, -2.0), (6.0, 2.0))
+    dug = swept(before, BladeSweep([[4.0, 0.0, -0.5], [2.0, 0.0, -0.5]], (0.0, 1.0, 0.0), 0.6)).terrain  # type: ignore[arg-type]
+    after = deposited(dug, (3.0, 1.3), 0.1)
+    assert isinstance(after, Terrain)
+    file = tmp_path / "scan.csv"
+    rng = np.random.default_rng(6)
+    z = after.surface + rng.uniform(-0.01, 0.01, after.shape)
+    z[:10] = NAN  # where the scanner did not look
+    np.savetxt(file, z, delimiter=",")
+    found = scanned(before, file, low=(0.0, -2.0), cell=0.05)
+    assert (found.unknown == np.isnan(z)).all()
+    assert found.terrain.bank_volume_below(before) == pytest.approx(2.0 * 0.6 * 0.5, rel=0.01)
+    assert found.terrain.loose_volume == pytest.approx(0.1, rel=0.05)
+    # the same ground, on another grid: a trench's walls are then drawn out over a cell
+    coarse = nodes((0.5, -1.0), (14, 34), 0.15)
+    np.savetxt(file, after.height_at(coarse), delimiter=",")
+    found = scanned(dug, file, low=(0.5, -1.0), cell=0.15, noise=0.1)
+    assert found.unknown[0, 0]
+    assert not found.unknown[40, 60]
+    assert found.terrain.bank_volume_below(dug) == pytest.approx(0.0, abs=0.06)
+    with pytest.raises(InputError, match="lies nowhere on the ground"):
+        scanned(before, file, low=(50.0, 0.0), cell=0.15)
+
+
+def test_what_a_bucket_has_no_room_for_is_spilt() -> None:
+    before = Terrain.level(0.0, (0.0, -2.0), (6.0, 2.0))
+    blade = BladeSweep(np.linspace([4.5, 0.0, -0.15], [3.0, 0.0, -0.15], 40), np.array([0.0, 1.0, 0.0]), 0.6)
+    found = swept(before, blade, room=0.12)
+    taken = 1.25 * 1.5 * 0.6 * 0.15
+    assert found.volume[-1] == pytest.approx(taken, rel=0.01)
+    assert found.held[-1] == 0.12
+    assert found.held[10] == found.volume[10]
+    assert found.spilt == pytest.approx(found.terrain.loose_volume, rel=1e-9)
+    assert found.volume[-1] == pytest.approx(0.12 + found.terrain.loose_volume, rel=1e-9)
+    assert found.terrain.loose[:, 55:65].sum() > 0.5 * found.terrain.loose.sum()  # about x = 3 m
