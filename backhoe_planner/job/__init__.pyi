@@ -10,7 +10,6 @@ from .ground.heaps import Refusal as Refusal
 from .ground.heaps import deposited as deposited
 from .ground.heaps import heap_room as heap_room
 from .ground.obstacle import terrain_obstacle as terrain_obstacle
-from .ground.scanned import Scanned as Scanned
 from .ground.scanned import scanned as scanned
 from .ground.slumping import slumped as slumped
 from .ground.sweep import BladeSweep as BladeSweep
