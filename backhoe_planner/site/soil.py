@@ -42,6 +42,7 @@ LIP = 0.73  # rad: from the line bucket pin to tip down to the cutting plate; th
 _FLATTEST = np.radians(10.0)  # rad of rake; chosen: a flatter blade slides rather than cuts
 _CREEP = 0.01  # m/s; chosen: the force fades below it, so that it is continuous where the motion turns round
 _SHALLOWEST = 1e-9  # m, in place of 0: at depth 0 the terms per depth have no value, and the force is 0
+_HOLDS = 0.9  # part of the friction angle; chosen, below 1, where the longest wedge is as easily moved as any
 _STEEPEST = 0.9  # part of the rakes at which a wedge can slide up the blade; chosen, since F grows without bound at 1
 
 
@@ -57,10 +58,13 @@ def blade_force(
         degrees and upright: in front of a blade beyond these a body of soil stands still.
     soil: what is cut.
     width: w [m].
-    slope: sigma, by which the ground rises in the direction of the cut [rad].
+    slope: sigma, by which the ground rises in the direction of the cut [rad]. Downhill it counts at most
+        as 0.9 of the soil's friction angle: on steeper ground a long enough wedge slides by itself.
     surcharge: load on the ground besides the soil's own [Pa].
     """
-    depth, alpha, sigma, load = np.broadcast_arrays(np.maximum(depth, 0.0), _usable(rake, soil), slope, surcharge)
+    depth, alpha, sigma, load = np.broadcast_arrays(
+        np.maximum(depth, 0.0), _usable(rake, soil), _holding_slope(slope, soil), surcharge
+    )
     beta = failure_angle(depth, alpha, soil, slope=sigma, surcharge=load)
     return width * depth * _resistance(beta, depth, alpha, soil, sigma, load)
 
@@ -78,7 +82,7 @@ def failure_angle(
     n2 sin x, so that dF/dx = 0 reads P sin x + Q cos x + R = 0.
     """
     depth, alpha, sigma, load = np.broadcast_arrays(
-        np.maximum(depth, _SHALLOWEST), _usable(rake, soil), slope, surcharge
+        np.maximum(depth, _SHALLOWEST), _usable(rake, soil), _holding_slope(slope, soil), surcharge
     )
     phi, delta = soil.friction, _tool_friction(soil)
     K, C, A = _per_depth(depth, soil, load)
@@ -263,6 +267,11 @@ def _per_depth(depth: Array, soil: Soil, load: Array) -> tuple[Array, float, flo
     """Weight with surcharge, cohesion and adhesion, each per depth and width [Pa]."""
     weight = 0.5 * soil.density * GRAVITY * depth + (soil.surcharge + load)
     return weight, soil.cohesion, soil.adhesion
+
+
+def _holding_slope(slope: Array | float, soil: Soil) -> Array:
+    """The slope [rad], brought to where the soil does not slide by itself."""
+    return np.maximum(slope, -_HOLDS * soil.friction)
 
 
 def _tool_friction(soil: Soil) -> float:

@@ -11,7 +11,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array
-from backhoe_planner.job import Bucket, Cut, Digger, NoCut, Profile, find_cut
+from backhoe_planner.job import BladeSweep, Bucket, Cut, Digger, NoCut, Profile, Terrain, find_cut, swept
 from backhoe_planner.motion import Drive, build_problem, limit_usage
 from backhoe_planner.site import Soil
 
@@ -119,6 +119,23 @@ def test_the_edge_stays_above_the_floor_and_within_the_depth(digger: Digger) -> 
     assert np.all(z_at[dug] >= np.interp(r_at[dug], *bed) - 0.01)
 
 
+@pytest.mark.parametrize("swing", [0.0, 0.35])
+def test_a_cut_promises_what_its_sweep_takes(digger: Digger, swing: float) -> None:
+    """Three cuts one below the other at the end of a trench, each by its edge and by the teeth of its motion."""
+    terrain = Terrain.level(0.0, (1.0, -2.0), (6.0, 4.0))
+    for layer in (-0.2, -0.4, -0.6):
+        ground = Profile.of_terrain(terrain, digger.plane, swing, width=digger.bucket.width)
+        bed = (np.array([0.0, 2.0, 2.001, 4.8, 4.801, 9.0]), np.array([0.0, 0.0, layer, layer, 0.0, 0.0]))
+        found = cut(digger, ground, swing=swing, start=4.8, depth=0.3, floor=bed)
+        assert found.is_full
+        teeth = digger.plane.kinematics.at(digger.motion(found).q).tip_position
+        sweep = swept(terrain, BladeSweep(found.position, found.across, found.bucket.width))
+        again = swept(terrain, BladeSweep(teeth, found.across, found.bucket.width))
+        assert sweep.bank[-1] == pytest.approx(found.bank_volume, rel=0.01)
+        assert again.bank[-1] == pytest.approx(found.bank_volume, rel=0.01)
+        terrain = sweep.terrain
+
+
 # --- the forces -------------------------------------------------------------------------------
 
 
@@ -146,6 +163,21 @@ def test_deeper_and_harder_soil_is_harder_and_a_cut_in_it_is_shallower(digger: D
     assert np.all(np.diff(depths) < 0.0)
     more = cut(Digger(digger.robot, Soil(cohesion=90e3), margin=0.3), depth=0.5)
     assert more.greatest_depth < depths[1]
+
+
+def test_the_plate_keeps_its_angle_to_the_path(digger: Digger) -> None:
+    """In the ground the plate stands 6 to 90 degrees above the path, but for corners that are rounded."""
+    some: list[dict[str, Any]] = [{"depth": 0.15}, {"depth": 0.3, "start": 5.0}, {"depth": 0.2, "entry": 0.8}]
+    for asked in some:
+        found = cut(digger, **asked)
+        entry, drag, curl, _ = found.begin
+        plate = found.pitch + math.pi - digger.bucket.lip
+        assert np.all(plate[drag + 4 : curl] > 0.1 - 0.05)
+        assert np.all(plate[drag + 4 : curl] < 0.5 * math.pi + 0.05)
+        rising = np.arctan2(np.diff(found.z), -np.diff(found.r))
+        middle = 0.5 * (plate[1:] + plate[:-1])
+        assert np.all((middle + rising)[entry:drag] > 0.0)
+        assert found.pitch[-1] == pytest.approx(digger.bucket.level_pitch, abs=0.2)  # 11 degrees
 
 
 def test_rock_names_the_cylinder_and_by_how_much(digger: Digger) -> None:
@@ -204,7 +236,8 @@ def test_the_back_stays_clear_of_ground_and_fresh_cut(digger: Digger) -> None:
         at_r, at_z = r + x * np.cos(pitch) - y * np.sin(pitch), z + x * np.sin(pitch) + y * np.cos(pitch)
         behind = (at_r > r) & (at_r < found.r[0]) & (at_r > found.r[-1])
         assert np.all(at_z[behind] > np.interp(at_r[behind], cut_r, np.minimum(cut_z, 0.0)) + 0.01)
-        assert np.all(at_z[~behind] > 0.0)
+        ahead = ~behind & (at_r < r - 0.15)  # nearer, soil is entering the bucket
+        assert np.all(at_z[ahead] > 0.0)
 
 
 def test_out_of_reach_and_nothing_to_dig_are_said(digger: Digger) -> None:

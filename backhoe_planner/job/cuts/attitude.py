@@ -22,7 +22,12 @@ _STEEPEST = 1.8  # rad from the level to the plate; chosen, 103 degrees: down a 
 _FLATTEST_PITCH, _STEEPEST_PITCH = -np.pi + 1e-3, -0.2  # rad; chosen: from a level opening to teeth nearly ahead
 _CANDIDATES = 30  # pitches at every place: 0.1 rad apart
 _CLEAR = 0.03  # m from the back to the ground; chosen, 3 degrees at the heel
-_SPREAD = 3  # places to each side over which the pitch is smoothed, twice: 18 cm
+_CLEARANCE = 0.1  # rad from the path up to the plate at least; chosen, 6 degrees, where cutting tools have 5 to 15
+_UPRIGHT = 0.5 * np.pi  # rad from the path to the plate: in front of a blade beyond it a body of soil stands still
+_LENGTH = 15.0  # places over which the pitch returns to the wanted one, 45 cm; chosen among 3 to 40 for time and work
+_ROUND = 2  # places to each side over which its corners are rounded, twice: 12 cm
+_CLEAR_ROUNDED = 0.01  # m that are left of `_CLEAR` after that; chosen
+_SETS = 40  # of places at bounds that are tried at most; a dozen is usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +58,21 @@ class Stuck:
     in_reach: bool
 
 
-def wanted_pitch(r: Vector, z: Vector, lift: int, bucket: Bucket) -> Vector:
-    """(K,) pitch [rad] that has the plate at one angle to the path; from place `lift` on the opening turns level."""
+def wanted_pitch(r: Vector, z: Vector, lift: int, bucket: Bucket) -> tuple[Vector, Vector, Vector]:
+    """(K,) pitch [rad] that has the plate at one angle to the path, and (K,), (K,) the least and the greatest that cut.
+
+    From place `lift` on the opening turns level, and nothing is cut.
+    """
     along = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(r), np.diff(z)))))
     rising = np.arctan2(np.gradient(z, along), -np.gradient(r, along))
+    most = bucket.lip - np.pi + _UPRIGHT - rising
+    least = np.minimum(bucket.lip - np.pi + _CLEARANCE - rising, bucket.lip - np.pi + _STEEPEST)
+    least[lift:], most[lift:] = -np.inf, np.inf
     plate = np.minimum(_CUTTING - rising, _STEEPEST)
     pitch = bucket.lip - np.pi + plate
     height = z[lift:] - z[lift]
     pitch[lift:] = pitch[lift - 1] + (bucket.level_pitch - pitch[lift - 1]) * height / max(float(height[-1]), 1e-9)
-    return np.asarray(np.clip(pitch, max(bucket.level_pitch, _FLATTEST_PITCH), _STEEPEST_PITCH))
+    return np.clip(pitch, max(bucket.level_pitch, _FLATTEST_PITCH), _STEEPEST_PITCH), least, most
 
 
 def attitude(
@@ -69,17 +80,17 @@ def attitude(
     bucket: Bucket,
     *,
     swing: float,
-    path: tuple[Vector, Vector, Vector],
+    path: tuple[Vector, Vector, Vector, Vector, Vector],
     below: Callable[[Array, Array], Array],
 ) -> Attitude | Stuck:
     """The pitch along a path, as near to the wanted as joints and back allow.
 
     Parameters
     ----------
-    path: (K,) r, z and wanted pitch.
+    path: (K,) r, z, and wanted, least and greatest pitch; these give way to joints and back.
     below: gives the height of the ground (...) [m] under points at radii (...) while the edge is at radii (...).
     """
-    r, z, wanted = path
+    r, z, wanted, least, most = path
     pitches = np.linspace(_FLATTEST_PITCH, _STEEPEST_PITCH, _CANDIDATES)
     at_r, at_z, at_pitch = (a.ravel() for a in np.broadcast_arrays(r[:, None], z[:, None], pitches))
     reached = ~np.isnan(plane.joints(swing, at_r, at_z, at_pitch)[:, 0]).reshape(len(r), -1)
@@ -88,11 +99,14 @@ def attitude(
     if len(none):
         return Stuck(int(none[0]), bool(reached[none[0]].any()))
     lower, upper = _ranges(free, pitches, wanted)
-    pitch = _smoothed(wanted, lower, upper)
-    q = plane.joints(swing, r, z, pitch)
-    if np.isnan(q).any():
-        return Stuck(int(np.argmax(np.isnan(q).any(axis=1))), False)
-    return Attitude(pitch, q, _back(bucket, r, z, pitch, below))
+    most = np.maximum(most, least)
+    lower, upper = np.clip(least, lower, upper), np.clip(most, lower, upper)
+    sharp = _smoothed(np.clip(wanted, lower, upper), lower, upper)
+    for pitch in (_rounded(sharp), sharp):
+        q, back = plane.joints(swing, r, z, pitch), _back(bucket, r, z, pitch, below)
+        if not np.isnan(q).any() and float(np.min(back)) >= _CLEAR_ROUNDED:
+            return Attitude(pitch, q, back)
+    return Stuck(int(np.argmax(np.isnan(q).any(axis=1))), not np.isnan(q).any())
 
 
 def _back(bucket: Bucket, r: Array, z: Array, pitch: Array, below: Callable[[Array, Array], Array]) -> Array:
@@ -114,22 +128,37 @@ def _ranges(free: Flags, pitches: Vector, wanted: Vector) -> tuple[Vector, Vecto
     return pitches[first], pitches[last]
 
 
-def _smoothed(wanted: Vector, lower: Vector, upper: Vector) -> Vector:
-    """(K,) the wanted pitch within its bounds, changes spread over neighbours.
-
-    A mean over neighbours of what is within bounds that hold for all of these stays within each one's own.
-    """
-    low, high = _extreme(lower, np.max), _extreme(upper, np.min)
-    clash = low > high
-    low, high = np.where(clash, lower, low), np.where(clash, upper, high)
-    within = np.clip(wanted, low, high)
+def _rounded(pitch: Vector) -> Vector:
+    """(K,) the pitch with its corners rounded, without which a motion stops there; its ends stay."""
     for _ in range(2):
-        padded = np.pad(within, _SPREAD, mode="edge")
-        within = np.convolve(padded, np.full(2 * _SPREAD + 1, 1.0 / (2 * _SPREAD + 1)), mode="valid")
-    return np.clip(within, lower, upper)
+        padded = np.pad(pitch, _ROUND, mode="reflect", reflect_type="odd")
+        pitch = np.convolve(padded, np.full(2 * _ROUND + 1, 1.0 / (2 * _ROUND + 1)), mode="valid")
+    return pitch
 
 
-def _extreme(values: Vector, choose: Callable[..., Array]) -> Vector:
-    padded = np.pad(values, 2 * _SPREAD, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 4 * _SPREAD + 1)
-    return np.asarray(choose(windows, axis=1))
+def _smoothed(wanted: Vector, lower: Vector, upper: Vector) -> Vector:
+    """(K,) the pitch that changes least and is nearest to the wanted one, within its bounds [rad].
+
+    The least of sum (p_k+1 - p_k)^2 + sum (p_k - w_k)^2 / L^2, the last place as near to its wanted one as it may be.
+    The places at bounds are found by the primal-dual active set method, which ends in a few steps as
+    the matrix is an M-matrix (M. Hintermueller, K. Ito, K. Kunisch, SIAM J. Optim. 13, 2002).
+    """
+    lower, upper = lower.copy(), upper.copy()
+    lower[-1] = upper[-1] = np.clip(wanted[-1], lower[-1], upper[-1])
+    count = len(wanted)
+    matrix = np.diag(np.full(count, 2.0 + _LENGTH**-2)) - np.eye(count, k=1) - np.eye(count, k=-1)
+    matrix[0, 0] = matrix[-1, -1] = 1.0 + _LENGTH**-2
+    pull = wanted / _LENGTH**2
+    pitch, before = np.clip(wanted, lower, upper), None
+    for _ in range(_SETS):
+        ahead = pitch - (matrix @ pitch - pull)
+        low, high = ahead <= lower, ahead >= upper
+        low[-1], high[-1] = True, False
+        sides = low.astype(int) - high
+        if before is not None and np.array_equal(sides, before):
+            break
+        before, free = sides, ~(low | high)
+        pitch = np.where(low, lower, np.where(high, upper, pitch))
+        held = matrix[np.ix_(free, ~free)] @ pitch[~free]
+        pitch[free] = np.linalg.solve(matrix[np.ix_(free, free)], pull[free] - held)
+    return np.clip(pitch, lower, upper)

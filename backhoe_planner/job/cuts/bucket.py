@@ -22,6 +22,7 @@ from backhoe_planner.machine import Robot
 from backhoe_planner.site import LIP, bucket_width
 
 _LIP_LENGTH = 0.15  # m from the teeth: nearer, the shape is that of teeth and lip, which are in the cut; chosen
+_BACK_STEP = 0.1  # m between the points of the back that are looked at; chosen, a sixth of the heel's distance
 _ACROSS = 0.5  # part of the bucket's width: a piece that is wider is a plate from side to side; chosen
 _AT_TEETH = 0.1  # part of the mouth: how far its end may be from the teeth; chosen, half a plate's thickness is 3 %
 _CELLS = 200  # of the grid on which the inside is measured, each way; the area is then right to 0.5 %
@@ -38,7 +39,7 @@ class Bucket:
     length: from the pin to the teeth [m].
     mouth: length of the opening, from the teeth to the upper edge of the back [m].
     lip: angle from the line pin to teeth down to the cutting plate [rad].
-    back: (k, 2) corners of what may press into the ground behind the teeth [m], from the teeth, in the bucket's plane.
+    back: (k, 2) points of what may press into the ground behind the teeth [m], from the teeth, in the bucket's plane.
     level_pitch: at which the opening lies level and holds a heap [rad].
     held_at: (3,) centre of what it holds, in the frame of the last joint [m].
     payload_at: the same from the teeth, in the axes of the tip, as a scene has it.
@@ -134,8 +135,18 @@ class _Section:
         return -float(np.arctan2(along[1], along[0]))
 
     def back(self) -> Matrix:
-        off = self.outline - [self.length, 0.0]
-        return np.asarray(off[np.linalg.norm(off, axis=1) > _LIP_LENGTH])
+        sides = np.stack((self.outline, np.roll(self.outline, -1, axis=0)), axis=1)
+        parts = np.maximum(np.ceil(np.linalg.norm(sides[:, 1] - sides[:, 0], axis=1) / _BACK_STEP), 1.0).astype(int)
+        points = np.vstack(
+            [np.linspace(side[0], side[1], int(part), endpoint=False) for side, part in zip(sides, parts, strict=True)]
+        )
+        along = self.opening[1] - self.opening[0]
+        off = points - self.opening[0]
+        middle = self.outline.mean(axis=0) - self.opening[0]
+        side = (along[0] * off[:, 1] - along[1] * off[:, 0]) * np.sign(along[0] * middle[1] - along[1] * middle[0])
+        off = points - [self.length, 0.0]
+        # not the teeth, and not the opening
+        return np.asarray(off[(np.linalg.norm(off, axis=1) > _LIP_LENGTH) & (side > 0.05 * self.mouth**2)])
 
     def inside(self) -> tuple[float, Vector]:
         """The struck volume [m^3], and its centre (3,) in the frame of the last joint [m]."""

@@ -95,7 +95,7 @@ class Cut:
     depth: (K,) of the edge in the ground as it was [m].
     begin: indices at which penetration, drag, curl and lift begin.
     held: (K,) mass in the bucket [kg].
-    torque: (K, n) that hold the machine and drive it against the soil [N m].
+    torque: (K, n) that hold the machine and drive it against the soil [N m]; inertia left out.
     holding: which cylinder is used most.
     back: the least height of the bucket's back above the ground and the fresh cut [m].
     wanted: of loose soil in the bucket [m^3].

@@ -16,7 +16,7 @@ from backhoe_planner.site import Soil, SoilReaction
 _MARGIN = 0.15  # part of what a cylinder can hold, kept for acceleration and for soil that is harder; chosen
 _SWELL = 1.25  # volume of loose soil over that of the bank: usual are 1.2 to 1.3
 # part of the accelerations, for the path's bend and for the speed each: durations of 60 random cuts were then estimated
-# to 0.5 % on the average, with a spread of 4.5 %
+# to 0.5 % on the average, with a spread of 2 %; on rough ground a motion may take up to a half more
 _OF_ACCELERATION = 0.75
 _INTERVALS = 250  # of the timing: within 1 % of the duration with 1000
 
@@ -68,28 +68,34 @@ class Digger:
         """The drive of the machine along a cut."""
         return Drive(self.robot, effort=self.limits.effort, soil=self.soil, ground=cut.ground)
 
-    def loads(self, q: Matrix, ground: CutGround) -> tuple[Matrix, Matrix]:
-        """(K, n) torques that hold the machine and drive it against the soil from place to place [N m], and
-        (K, n) these over the greatest in their direction.
-        """
-        still = np.zeros_like(q)
-        reaction = SoilReaction(self.robot, self.soil, ground)
-        direction = np.gradient(q, axis=0)
-        fast = direction / np.maximum(np.max(np.abs(direction), axis=1, keepdims=True), 1e-12)
-        torque = self._drive.rigid_torques(q, still, still) - reaction.torques(q, fast)
-        return torque, self._drive.effort_use(q, torque)
+    def loads(self, q: Matrix, ground: CutGround) -> tuple[Matrix, Holding]:
+        """(K, n) torques that hold the machine and drive it through joints q (K, n) against the soil [N m], and
+        which cylinder is used most by the way.
 
-    def holding(self, q: Matrix, torque: Matrix, use: Matrix, at: tuple[Vector, Vector]) -> Holding:
-        """Which cylinder is used most, at the edge's places r, z (K,)."""
-        row, joint = np.unravel_index(int(np.argmax(use)), use.shape)
-        needed, ratio = abs(float(torque[row, joint])), float(use[row, joint])
-        limits = self._drive.torque_limits(q[row])
-        available = (limits.positive if torque[row, joint] > 0.0 else limits.negative)[joint]
+        The soil's force turns with the direction, so that both ends and the middle of every step are looked
+        at in the direction of that step.
+        """
+        step, count = np.diff(q, axis=0), len(q)
+        rows = np.vstack((q, q[:-1], 0.5 * (q[:-1] + q[1:]), q[1:]))
+        direction = np.vstack((np.gradient(q, axis=0), step, step, step))
+        fast = direction / np.maximum(np.max(np.abs(direction), axis=1, keepdims=True), 1e-12)
+        weight = self._drive.rigid_torques(q, 0.0 * q, 0.0 * q)
+        weights = np.vstack((weight, weight[:-1], 0.5 * (weight[:-1] + weight[1:]), weight[1:]))
+        torque = weights - SoilReaction(self.robot, self.soil, ground).torques(rows, fast)
+        use = self._drive.effort_use(rows, torque)
+        row, joint = (int(i) for i in np.unravel_index(int(np.argmax(use)), use.shape))
+        return torque[:count], self._holding(rows[row], torque[row], joint)
+
+    def _holding(self, q: Vector, torque: Vector, joint: int) -> Holding:
+        limits = self._drive.torque_limits(q)
+        needed = abs(float(torque[joint]))
+        available = float((limits.positive if torque[joint] > 0.0 else limits.negative)[joint])
         hydraulics, name = self.robot.hydraulics, self.robot.joint_names[joint]
         if hydraulics is not None:
             own = [c.name for c, index in zip(hydraulics.cylinders, hydraulics.joint_of, strict=True) if index == joint]
             name = " and ".join(own) or name
-        return Holding(name, ratio, needed, float(available), float(at[0][row]), float(at[1][row]))
+        r, z, _ = self.plane.place(q[None, :])
+        return Holding(name, needed / available, needed, available, float(r[0]), float(z[0]))
 
     def estimated_run(self, q: Matrix, torque: Matrix) -> tuple[float, float]:
         """Duration [s] and work [J] of a run from rest to rest through joints q (K, n) under `torque` (K, n) [N m].

@@ -26,7 +26,10 @@ from backhoe_planner.job.cuts.profile import Profile
 _THINNEST = 0.03  # m; chosen: a cut that is less deep scrapes
 _NOTHING = 0.01  # m of depth that is not worth a cut; chosen, a fifth of the usual tolerance
 _IDLE = 2e-3  # m of depth at which the edge only touches the ground; chosen: such ends of a path are left out
+_ENTERING = 0.15  # m ahead of the edge, where soil enters the bucket and presses on no back; chosen
 _ABOVE = 0.1  # m above the ground, where a cut begins; chosen
+_NEARLY_LEVEL = 0.1  # rad beyond a level opening, which still holds the heap; chosen
+_MOST_INWARD = 2.0  # m; chosen: the bucket's pin lies 1 m further out than its teeth when it is level
 _LIFT = 0.7  # m from the ground up to where it ends: the level bucket reaches 0.5 m below its teeth
 _ENTRIES = (1.53, 0.95, 0.6)  # rad, the steepest descents to be tried, in turn: 88, 54, 34 degrees; chosen
 _LEAVES = (0.8, 1.53)  # rad: 46 degrees, quicker by a tenth; and 88 along a wall, 4 cm off it in a trench of 1.2 m
@@ -34,6 +37,7 @@ _AT_END = 0.02  # m: a cut that comes this near to its end may be bounded by it;
 _HALVINGS = 7  # of the depth: to 1 % of it
 _FILLINGS = 9  # evaluations of the length that fills the bucket, at most
 _FILLED = 2e-3  # part of the wanted volume
+_AIM = 0.993  # of the wanted volume: the path's places are right to 0.3 % of it, on rough ground to 0.9 %
 _SHORTENINGS = 5  # of a cut that leaves the reach at its inner end; chosen
 _INWARD = 0.05  # m by which each of them stays further out than where the reach ended
 
@@ -208,19 +212,19 @@ def _cut_to(asked: _Asked, depth: float, descent: Descent, end: float) -> Cut | 
         return NoCut("nothing", reason)
     used = slice(max(int(deep[0]) - 1, 0), int(deep[-1]) + 2)
     r, z = spaced(line_r[used], line_z[used])
-    top = float(np.max(z)) + _LIFT
-    rise = np.linspace(z[-1], top, max(int((top - z[-1]) / 0.03), 2) + 1)[1:]
+    rise_r, rise_z = _lifted(asked, float(r[-1]), float(z[-1]), float(np.max(z)))
     down = np.linspace(z[0] + _ABOVE, z[0], 4)[:-1]
     lift = len(down) + len(r) - 1
-    r = np.concatenate((np.full(len(down), r[0]), r, np.full(len(rise), r[-1])))
-    z = np.concatenate((down, z, rise))
+    r = np.concatenate((np.full(len(down), r[0]), r, rise_r))
+    z = np.concatenate((down, z, rise_z))
     line = under.line(depth, end, descent)
 
     def below(at: Array, edge: Array) -> Array:
-        return np.where(at >= edge, np.interp(at, under.r, line), asked.profile.height(at))
+        ahead = np.where(at > edge - _ENTERING, -np.inf, asked.profile.height(at))
+        return np.where(at >= edge, np.interp(at, under.r, line), ahead)
 
     wanted = wanted_pitch(r, z, lift, digger.bucket)
-    held = attitude(digger.plane, digger.bucket, swing=asked.swing, path=(r, z, wanted), below=below)
+    held = attitude(digger.plane, digger.bucket, swing=asked.swing, path=(r, z, *wanted), below=below)
     if isinstance(held, Stuck):
         at = (float(r[held.index]), float(z[held.index]))
         place = f"with the teeth at r {at[0]:.2f}, z {at[1]:.2f} m"
@@ -232,13 +236,28 @@ def _cut_to(asked: _Asked, depth: float, descent: Descent, end: float) -> Cut | 
     return _finished(asked, r, z, held, lift)
 
 
+def _lifted(asked: _Asked, r: float, z: float, highest: float) -> tuple[Vector, Vector]:
+    """The edge's way out of the ground, from r, z [m] up, and inward where the bucket cannot be level further out."""
+    plane, profile = asked.digger.plane, asked.profile
+    level = asked.digger.bucket.level_pitch + _NEARLY_LEVEL
+    inward: Vector = np.arange(r, max(r - _MOST_INWARD, float(profile.r[0]) - 0.1), -0.1, dtype=float)
+    ground = np.array([float(np.max(profile.height(np.linspace(at, r, 20)))) for at in inward])
+    top = np.maximum(ground, highest) + _LIFT
+    reached = ~np.isnan(plane.joints(asked.swing, inward, top, np.full(len(inward), level))[:, 0])
+    to = int(np.argmax(reached))
+    clear = max(z, float(ground[to]) + 0.05)
+    line = np.array([[r, z], [r, clear], [inward[to], top[to]]])
+    at_r, at_z = spaced(*(line if clear > z else line[1:]).T)
+    return at_r[1:], at_z[1:]
+
+
 def _filling_end(asked: _Asked, depth: float, descent: Descent, end: float) -> float:
     """The radius at which the edge comes out of the ground with the bucket full; `end` where it does not fill."""
 
     def excess(at: float) -> float:
         r, z = asked.under.path(depth, at, descent)
         bank, loose = asked.profile.taken(r, z, width=asked.digger.bucket.width)
-        return (float(bank[-1]) * asked.digger.swell + float(loose[-1])) / asked.wanted - 1.0
+        return (float(bank[-1]) * asked.digger.swell + float(loose[-1])) / (_AIM * asked.wanted) - 1.0
 
     low, high = end, asked.under.start
     at_low, at_high = excess(low), -1.0
@@ -268,7 +287,7 @@ def _finished(asked: _Asked, r: Vector, z: Vector, held: Attitude, lift: int) ->
     turn = plane.heading(asked.swing)
     outward = np.array([np.cos(turn), np.sin(turn)])
     ground = CutGround(asked.profile, plane.axis, outward, r, mass, bucket)
-    torque, use = digger.loads(held.q, ground)
+    torque, holding = digger.loads(held.q, ground)
     depth = np.maximum(asked.profile.depth(r, z), 0.0)
     rising = np.gradient(z) > 0.3 * np.hypot(np.gradient(r), np.gradient(z))
     below = np.flatnonzero(depth > 0.0)
@@ -281,7 +300,7 @@ def _finished(asked: _Asked, r: Vector, z: Vector, held: Attitude, lift: int) ->
         position=plane.world(asked.swing, r, z), across=np.array([-outward[1], outward[0], 0.0]),
         bank=bank, loose=loose, depth=depth,
         begin=(first, lowest, max(int(out[-1]) + 1, lowest) if len(out) else lowest, lift),
-        held=mass, torque=torque, holding=digger.holding(held.q, torque, use, (r, z)),
+        held=mass, torque=torque, holding=holding,
         back=float(np.min(held.back)), wanted=asked.wanted, swell=digger.swell, ground=ground, bucket=bucket,
         time=time, work=work,
     )  # fmt: skip
