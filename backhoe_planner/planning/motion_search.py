@@ -323,12 +323,12 @@ class MotionSearch:
             found = self._bend(
                 curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=self._is_hopeless
             )
-            if found is None or found.missed > 0.5 * spare:
+            if found is None or found.missed > _FAR_OFF:
                 return False
             if self._goes_where_another_ended(found):
                 return True
             ended = FoundMotion(found.motion, found.cost, goal, way)
-            if self._offer(ended):
+            if found.missed <= 0.5 * spare and self._offer(ended):
                 self.ended.append(ended)
                 self._known.add(found.curve, found.cost)
                 return True
@@ -368,9 +368,9 @@ class MotionSearch:
         if rounds in _LOOKS and self._goes_where_another_ended(here):
             return True
         if rounds < _TRIED or self.best is None:
-            return rounds >= _TRIED and here.missed > 2.0 * _FAR_OFF
+            return rounds >= _TRIED and here.missed > 5.0 * _FAR_OFF
         if self._problem.objective.is_time:
-            return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
+            return here.missed > 3.0 * _FAR_OFF or here.cost > _DEARER * self.best.cost
         return here.missed > _FAR_OFF or (rounds >= _TRIED_LONGER and here.cost > _MUCH_DEARER * self.best.cost)
 
     def _goes_where_another_ended(self, here: Timed) -> bool:

@@ -11,7 +11,7 @@ changes, see `fastest_run` and `bend`. What a curve costs is what its fastest ru
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,9 +22,10 @@ from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, TimeLaw, Trajec
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.fastest_run import slope_of_cost
-from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin, find_margins
+from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin
+from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
 from backhoe_planner.planning.search.effort import Brake
-from backhoe_planner.site import Proximity
+from backhoe_planner.site import ClearanceScreen, Proximity
 
 _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
 _MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
@@ -32,12 +33,12 @@ _MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
 _NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
-_GROW, _SHRINK = 1.5, 0.35
+_GROW, _SHRINK = 1.5, 0.4
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
 _ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for longer; chosen
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
 _KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
-_NEAR = 0.08  # m: margins above are not linearised, however far a step moves a link; chosen, 0.25 takes twice as long
+_MENDED = 0.1  # m: a step that misses by less is followed by another before it is judged; chosen
 _TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
 _ON_GOAL = 1e-8  # m and rad
 _ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
@@ -89,6 +90,7 @@ class Descent:
         self._drive = drive_of(problem)
         rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
+        self._screens: dict[float, ClearanceScreen] = {}  # by the spare
         self.rounds = 0
 
     def run(
@@ -117,7 +119,8 @@ class Descent:
         OutOfTime: the budget is used up.
         """
         free = goal if goal.q is None else None
-        here = self._timed(curve, max(duration, SAMPLE_PERIOD), spare, density)
+        looks = self._looks(curve, spare, density)
+        here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
         if here is None:
             return None
         price = _MISSED_WORTH * here.cost
@@ -130,17 +133,24 @@ class Descent:
                 break
             self._brake.check()
             self.rounds += 1
-            worst = here.cost + price * here.missed
-            there = self._step(here, free, spare, density, box, bend, below=worst)
+            worst, known = here.cost + price * here.missed, len(looks.looked_at)
+            there = self._step(here, free, looks, box, bend, below=worst)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
+            if there is not None and gain <= 0.0 and there.missed < _MENDED:
+                self.rounds += 1
+                there = self._step(there, free, looks, box, bend, below=worst)
+                gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
+                if len(looks.looked_at) > known:
+                    least, margins = looks.find_margins(here.curve)
+                    here = replace(here, missed=max(-least, 0.0), margins=margins)
                 box *= _SHRINK
                 bend = None if bend is None else bend.stiffer(1.0 / _SHRINK)
                 if box < (_SMALLEST_BOX if bend is None else _SMALLEST_BENT):
                     break
                 continue
             if bend is None:
-                there = self._in_its_own_time(there, price, spare, density)
+                there = self._in_its_own_time(there, price, looks)
             else:
                 bend = bend.after(self._moved(here, there, free), self._slope(there, free) / unit)
             here, box = there, min(_GROW * box, _LARGEST_BOX)
@@ -159,18 +169,18 @@ class Descent:
         """The step from one curve to another, as for `_slope`."""
         return (there.curve.control - here.curve.control)[1 : here.curve.pieces + (goal is not None)].ravel()
 
-    def _in_its_own_time(self, here: Timed, price: float, spare: float, density: int) -> Timed:
+    def _in_its_own_time(self, here: Timed, price: float, looks: Looks) -> Timed:
         """The same curve over the time of its fastest motion, where that is much shorter than T and costs no more."""
         if here.duration < _UNEVEN * here.motion.duration:
             return here
         curve = JointCurve.fitted(here.motion, here.curve.pieces, self._problem.limits)
-        there = self._timed(curve, here.motion.duration, spare, density)
+        there = self._timed(curve, here.motion.duration, looks)
         if there is None or there.cost + price * there.missed > (1.0 + _ENOUGH) * (here.cost + price * here.missed):
             return here
         return there
 
     def _step(
-        self, here: Timed, goal: Goal | None, spare: float, density: int, box: float, bend: Bend | None, *, below: float
+        self, here: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend | None, *, below: float
     ) -> Timed | None:
         """The curve after the best small step; None where that does not cost less than `below`."""
         curve = here.curve
@@ -178,7 +188,7 @@ class Descent:
         if bend is None:  # else the fastest run keeps them, and its cost counts
             model.keep_joint_limits()
             model.keep_drive_limits(self._drive)
-        model.keep_clear(here.margins, _places(curve, density))
+        model.keep_clear(here.margins, looks.places)
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
         solution = solve_program(model.program(_MISSED_PRICE, bend=bend), most_iterations=_ITERATIONS)
@@ -192,20 +202,29 @@ class Descent:
             limits = self._problem.limits
             # a jump at the end would cost much
             control = np.clip(JointCurve(control).ending_at(end).control, limits.lower, limits.upper)
-        return self._timed(JointCurve(control), duration, spare, density, below=below)
+        return self._timed(JointCurve(control), duration, looks, below=below)
 
-    def _timed(
-        self, curve: JointCurve, duration: float, spare: float, density: int, *, below: float = np.inf
-    ) -> Timed | None:
+    def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
         """The curve with its fastest motion; None where it has none, or where that does not cost less than `below`."""
         grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
         run = run_curve(curve, grid, self._problem.limits, drive=self._drive)
         cost = np.inf if run is None else motion_cost(self._problem, run.motion)
         if run is None or cost >= below:
             return None
-        q, keep = curve(np.linspace(0.0, 1.0, _places(curve, density))), self._problem.keep
-        least, margins = find_margins(self._proximity, keep, q, spare=spare, reach=_NEAR, time=self._time)
+        least, margins = looks.find_margins(curve)
         return Timed(curve, duration, run.motion, run.law, cost, max(-least, 0.0), margins)
+
+    def _looks(self, curve: JointCurve, spare: float, density: int) -> Looks:
+        if spare not in self._screens:
+            self._screens[spare] = ClearanceScreen(self._proximity, time=self._time, spare=KEPT_PART * spare)
+        return Looks(
+            self._proximity,
+            self._screens[spare],
+            self._problem.keep,
+            steps=density * PLACES_PER_PIECE * curve.pieces,
+            spare=spare,
+            time=self._time,
+        )
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:
         """(n,) joints near `q` (n,) on a goal; None where Newton's method does not find them."""
@@ -231,8 +250,3 @@ def step_onto(J: Matrix, error: Vector, q: Vector, limits: JointLimits) -> Vecto
         if not held.any():
             return step
         free &= ~held
-
-
-def _places(curve: JointCurve, density: int) -> int:
-    """At how many places of a curve clearances are looked at."""
-    return density * PLACES_PER_PIECE * curve.pieces + 1
