@@ -128,19 +128,20 @@ class Descent:
         bend = None
         if not self._problem.objective.is_time:
             bend = Bend.smooth(self._slope(here, free) / unit, curve.pieces, self._unit, box)
-        for number in range(most_rounds):
-            if is_hopeless(here, number):
-                break
+        begun, clear, box_then = self.rounds, here, box
+        while self.rounds - begun < most_rounds and not is_hopeless(here, self.rounds - begun):
             self._brake.check()
             self.rounds += 1
             worst, known = here.cost + price * here.missed, len(looks.looked_at)
             there = self._step(here, free, looks, box, bend, below=worst)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
-            if there is not None and gain <= 0.0 and there.missed < _MENDED:
+            if there is not None and gain <= 0.0 and there.missed < _MENDED and bend is None:
                 self.rounds += 1
                 there = self._step(there, free, looks, box, bend, below=worst)
                 gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
+                if bend is None and here.missed > looks.allowed >= clear.missed:
+                    here, box = clear, min(box, box_then)
                 if len(looks.looked_at) > known:
                     least, margins = looks.find_margins(here.curve)
                     here = replace(here, missed=max(-least, 0.0), margins=margins)
@@ -154,9 +155,11 @@ class Descent:
             else:
                 bend = bend.after(self._moved(here, there, free), self._slope(there, free) / unit)
             here, box = there, min(_GROW * box, _LARGEST_BOX)
+            if here.missed <= looks.allowed:
+                clear, box_then = here, box
             if gain < (_ENOUGH if bend is None else _ENOUGH_BENT) * here.cost and here.missed <= _KEPT:
                 break
-        return here
+        return clear if here.missed > looks.allowed >= clear.missed else here
 
     def _slope(self, here: Timed, goal: Goal | None) -> Vector:
         """How the cost changes with the control points that may move, one after the other."""

@@ -37,6 +37,7 @@ class Looks:
     ) -> None:
         self._proximity, self._screen, self._keep = proximity, screen, keep
         self._spare, self._time = spare, time
+        self.allowed = KEPT_PART * spare
         self.places = _FINER * steps + 1
         self._s = np.linspace(0.0, 1.0, self.places)
         self.looked_at = np.arange(0, self.places, _FINER)
