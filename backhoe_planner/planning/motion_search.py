@@ -54,6 +54,7 @@ _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to wh
 _PATIENCE = ((1.4, 4), (1.1, 2))
 _MORE_POSTURES = 4  # times the usual starting points for postures, where the best is that far above the bound; chosen
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
+_ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
@@ -116,6 +117,7 @@ class MotionSearch:
         self._sampling = Work(replace(work.effort, **more), work.brake)
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
+        self._reached: list[Vector] = []  # where sampled ways ended
         self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
         self.best: FoundMotion | None = None
         self.ended: list[FoundMotion] = []
@@ -249,11 +251,31 @@ class MotionSearch:
         found: list[FoundMotion] = []
         for turn in range(number, number + self._world.work.effort.ways_at_once):
             ends = [index for index in self._order if self._is_open(index)]
+            if turn % 2:
+                ends = self._elsewhere(ends) or ends
             way = self._sample(ends, turn) if ends else None
             if way is not None:
                 self._offer(way)
                 found.append(way)
         return sorted(found, key=lambda way: way.cost)
+
+    def _longest_worth(self, turn: int) -> float:
+        """How long a way sampled now may at most seem to take [s]: with some turns much less than the best motion."""
+        assert self.best is not None
+        best = self.best.motion.duration
+        if not self._bound:
+            return best
+        return float(best * (self._bound / best) ** (turn % 3 / 3.0))
+
+    def _elsewhere(self, ends: Sequence[int]) -> list[int]:
+        """Those of the postures `ends` that are far from where sampled ways and descents have ended."""
+        ended = np.array([*self._reached, *(one.motion.q[-1] for one in self.ended)])
+        rate = self._problem.limits.velocity
+        return [
+            index
+            for index in ends
+            if not len(ended) or np.min(np.max(np.abs(self._postures[index] - ended) / rate, axis=1)) > _ELSEWHERE
+        ]
 
     def _sample(self, ends: Sequence[int], turn: int) -> FoundMotion | None:
         """The motion along a sampled and shortened way to one of the postures `ends`."""
@@ -268,7 +290,7 @@ class MotionSearch:
         most, longest = None, np.inf
         if self.best is not None:
             most = min(_MOTIONS, work.effort.motions_per_search)
-            longest = self.best.motion.duration if self._problem.objective.is_time else np.inf
+            longest = self._longest_worth(turn) if self._problem.objective.is_time else np.inf
         path = sample_path(
             check,
             start,
@@ -289,6 +311,7 @@ class MotionSearch:
         path = shorten(check, path, seed=seed)
         motion = time_way(blend(check, path), self._problem.limits, drive=self._drive)
         end = min(range(len(goals)), key=lambda k: float(np.max(np.abs(goals[k] - path.q[-1]))))
+        self._reached.append(goals[end])
         return FoundMotion(motion, motion_cost(self._problem, motion), self._goals[ends[end]], "sampled")
 
     def _is_optimal(self) -> bool:
