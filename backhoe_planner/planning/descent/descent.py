@@ -39,6 +39,7 @@ _ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for 
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
 _KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
 _MENDED = 0.1  # m: a step that misses by less is followed by another before it is judged; chosen
+_STUCK = 2  # steps in a row that fail, after which a curve that is not clear is given up; chosen
 _TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
 _ON_GOAL = 1e-8  # m and rad
 _ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
@@ -128,7 +129,7 @@ class Descent:
         bend = None
         if not self._problem.objective.is_time:
             bend = Bend.smooth(self._slope(here, free) / unit, curve.pieces, self._unit, box)
-        begun, clear, box_then = self.rounds, here, box
+        begun, clear, box_then, rejected = self.rounds, here, box, 0
         while self.rounds - begun < most_rounds and not is_hopeless(here, self.rounds - begun):
             self._brake.check()
             self.rounds += 1
@@ -140,7 +141,8 @@ class Descent:
                 there = self._step(there, free, looks, box, bend, below=worst)
                 gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
-                if bend is None and here.missed > looks.allowed >= clear.missed:
+                rejected += 1
+                if bend is None and here.missed > looks.allowed >= clear.missed and rejected >= _STUCK:
                     here, box = clear, min(box, box_then)
                 if len(looks.looked_at) > known:
                     least, margins = looks.find_margins(here.curve)
@@ -154,6 +156,7 @@ class Descent:
                 there = self._in_its_own_time(there, price, looks)
             else:
                 bend = bend.after(self._moved(here, there, free), self._slope(there, free) / unit)
+            rejected = 0
             here, box = there, min(_GROW * box, _LARGEST_BOX)
             if here.missed <= looks.allowed:
                 clear, box_then = here, box
