@@ -118,6 +118,7 @@ class MotionSearch:
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
         self._reached: list[Vector] = []  # where sampled ways ended
+        self._needed = 0  # motions that sampling looked at until it found the first way
         self._line: Vector | None = None  # (n,) the last posture to which a straight line was found clear
         self.best: FoundMotion | None = None
         self.ended: list[FoundMotion] = []
@@ -289,7 +290,7 @@ class MotionSearch:
         before = self._sampling.motions
         most, longest = None, np.inf
         if self.best is not None:
-            most = min(_MOTIONS, work.effort.motions_per_search)
+            most = min(max(_MOTIONS, self._needed), work.effort.motions_per_search)
             longest = self._longest_worth(turn) if self._problem.objective.is_time else np.inf
         path = sample_path(
             check,
@@ -301,6 +302,8 @@ class MotionSearch:
             longest=longest,
             straight=self._line is None,
         )
+        if path is not None and most is None:
+            self._needed = before - self._sampling.motions
         if path is None:
             self.looked_at += before - self._sampling.motions
             return None

@@ -134,7 +134,7 @@ class Descent:
             self._brake.check()
             self.rounds += 1
             worst, known = here.cost + price * here.missed, len(looks.looked_at)
-            there = self._step(here, free, looks, box, bend, below=worst)
+            tried = there = self._step(here, free, looks, box, bend, below=worst)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is not None and gain <= 0.0 and there.missed < _MENDED and bend is None:
                 self.rounds += 1
@@ -144,7 +144,8 @@ class Descent:
                 rejected += 1
                 if bend is None and here.missed > looks.allowed >= clear.missed and rejected >= _STUCK:
                     here, box = clear, min(box, box_then)
-                if len(looks.looked_at) > known:
+                widened = tried is not None and looks.widen(tried.margins)
+                if widened or len(looks.looked_at) > known:
                     least, margins = looks.find_margins(here.curve)
                     here = replace(here, missed=max(-least, 0.0), margins=margins)
                 box *= _SHRINK

@@ -44,7 +44,7 @@ class Margin:
 
 
 def find_margins(
-    proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float, time: float
+    proximity: Proximity, keep: Keep | None, q: Matrix, *, spare: float, reach: float | Vector, time: float
 ) -> tuple[float, list[Margin]]:
     """The least margin over places q (K, n), infinite where nothing is near, and all margins below `reach` [m].
 
@@ -55,8 +55,9 @@ def find_margins(
     time: the obstacles stand where they are at this time [s].
     """
     least, found = np.inf, []
+    margins = np.broadcast_to(reach + spare, len(q)).tolist()
     for place, row in enumerate(q):
-        nearby = proximity.at(row, time=time, margin=reach + spare)
+        nearby = proximity.at(row, time=time, margin=margins[place])
         if len(nearby):
             margin = nearby.margin - spare
             least = min(least, float(margin.min()))

@@ -14,6 +14,7 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 _FINER = 16  # times more places than equal steps, a power of two
 _APART = 0.04  # m between two places of the point that moves most, at which a link is noticed; chosen
 _NEAR = 0.08  # m: margins above are not linearised, however far a step moves a link; chosen, 0.25 takes twice as long
+_FAR, _MUCH = 0.4, 0.01
 KEPT_PART = 0.5  # of the spare, which is kept between equal steps
 
 
@@ -40,6 +41,7 @@ class Looks:
         self.allowed = KEPT_PART * spare
         self.places = _FINER * steps + 1
         self._s = np.linspace(0.0, 1.0, self.places)
+        self._reach = np.full(self.places, _NEAR)
         self.looked_at = np.arange(0, self.places, _FINER)
 
     def find_margins(self, curve: JointCurve) -> tuple[float, list[Margin]]:
@@ -52,9 +54,17 @@ class Looks:
             least, margins = min(least, less), margins + more
         return least, margins
 
+    def widen(self, margins: list[Margin]) -> bool:
+        """Look further from now on where a curve has missed its clearances by much; whether any place is new."""
+        before = int(np.count_nonzero(self._reach > _NEAR))
+        for found in margins:
+            if found.margin.min() < -_MUCH:
+                self._reach[found.place] = _FAR
+        return int(np.count_nonzero(self._reach > _NEAR)) > before
+
     def _margins_at(self, curve: JointCurve, index: np.ndarray) -> tuple[float, list[Margin]]:
         least, margins = find_margins(
-            self._proximity, self._keep, curve(self._s[index]), spare=self._spare, reach=_NEAR, time=self._time
+            self._proximity, self._keep, curve(self._s[index]), spare=self._spare, reach=self._reach[index], time=self._time
         )
         return least, [replace(found, place=int(index[found.place])) for found in margins]
 
