@@ -17,6 +17,7 @@ from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
+from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.outcome import Outcome
 from backhoe_planner.planning.search.blending import blend
@@ -44,7 +45,9 @@ _SOONEST = 4  # postures of which one is then chosen
 _MOST_BLOCKED = 0.3  # part of the line that may then not be clear; chosen
 _TRIED = 4  # rounds after which a descent is judged
 _LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
-_FAR_OFF = 0.02  # m by which a clearance is then missed: hopeless
+_FAR_OFF = 0.06  # m by which a clearance is then missed: hopeless where another motion is known; chosen
+_FURTHER_OFF = 0.1  # m: the same where none is; chosen
+_NEARLY = 0.02  # m that a curve may miss at the end of a descent, which then goes on
 _DEARER = 1.3  # times the best cost: hopeless then
 _LOOKS_FOR_ONE = 3  # motions looked at for one of `Effort.motions`, which are proven elsewhere; a look takes a tenth
 _TRIED_LONGER, _MUCH_DEARER = 12, 1.5  # the same two for another cost than the time; chosen
@@ -349,12 +352,12 @@ class MotionSearch:
             found = self._bend(
                 curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=self._is_hopeless
             )
-            if found is None or found.missed > _FAR_OFF:
+            if found is None or found.missed > (_NEARLY if self._rounds_left() > 0 else KEPT_PART * spare):
                 return False
             if self._goes_where_another_ended(found):
                 return True
             ended = FoundMotion(found.motion, found.cost, goal, way)
-            if found.missed <= 0.5 * spare and self._offer(ended):
+            if found.missed <= KEPT_PART * spare and self._offer(ended):
                 self.ended.append(ended)
                 self._known.add(found.curve, found.cost)
                 return True
@@ -373,7 +376,7 @@ class MotionSearch:
             curve, best.motion.duration, best.goal, _FINE_ROUNDS,
             spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
         )  # fmt: skip
-        if found is not None and found.missed <= 0.5 * _SPARE:
+        if found is not None and found.missed <= KEPT_PART * _SPARE:
             self._offer(replace(best, motion=found.motion, cost=found.cost))
 
     def _bend(
@@ -382,7 +385,7 @@ class MotionSearch:
     ) -> Timed | None:  # fmt: skip
         work, descent = self._world.work, self._descent
         before = descent.rounds
-        rounds = min(rounds, work.descent_rounds - self._reserved)
+        rounds = min(rounds, self._rounds_left())
         found = descent.run(
             curve, duration, goal,
             most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
@@ -390,14 +393,17 @@ class MotionSearch:
         work.descent_rounds -= descent.rounds - before
         return found
 
+    def _rounds_left(self) -> int:
+        return self._world.work.descent_rounds - self._reserved
+
     def _is_hopeless(self, here: Timed, rounds: int) -> bool:
         if rounds in _LOOKS and self._goes_where_another_ended(here):
             return True
         if rounds < _TRIED or self.best is None:
-            return rounds >= _TRIED and here.missed > 5.0 * _FAR_OFF
+            return rounds >= _TRIED and here.missed > _FURTHER_OFF
         if self._problem.objective.is_time:
-            return here.missed > 3.0 * _FAR_OFF or here.cost > _DEARER * self.best.cost
-        return here.missed > _FAR_OFF or (rounds >= _TRIED_LONGER and here.cost > _MUCH_DEARER * self.best.cost)
+            return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
+        return here.missed > _NEARLY or (rounds >= _TRIED_LONGER and here.cost > _MUCH_DEARER * self.best.cost)
 
     def _goes_where_another_ended(self, here: Timed) -> bool:
         """Whether another descent has ended at a curve like this one, and at less cost."""

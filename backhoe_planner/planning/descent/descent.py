@@ -39,7 +39,7 @@ _ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for 
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
 _KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
 _MENDED = 0.1  # m: a step that misses by less is followed by another before it is judged; chosen
-_STUCK = 2  # steps in a row that fail, after which a curve that is not clear is given up; chosen
+_STUCK = 2  # steps in a row that fail, after which a curve that is not clear is left for the last that was; chosen
 _TO_GOAL_STEPS = 8  # of Newton's method; it doubles its digits with each
 _ON_GOAL = 1e-8  # m and rad
 _ITERATIONS = 2_000  # of the quadratic program at most; it takes some hundred
@@ -80,7 +80,7 @@ class Descent:
 
     Attributes
     ----------
-    rounds: how many were made so far.
+    rounds: how many were made so far; a step that is mended counts as two.
     """
 
     def __init__(
@@ -109,7 +109,7 @@ class Descent:
         spare: to be kept beyond every clearance [m].
         density: places at which clearances are looked at, for each at which limits are.
         box: how far the first step may move a control point [rad or m of the fastest joint].
-        is_hopeless: says from a curve and the number of rounds whether the descent is given up.
+        is_hopeless: says from a curve and the number of steps so far whether the descent is given up.
 
         Returns
         -------
@@ -129,25 +129,22 @@ class Descent:
         bend = None
         if not self._problem.objective.is_time:
             bend = Bend.smooth(self._slope(here, free) / unit, curve.pieces, self._unit, box)
-        begun, clear, box_then, rejected = self.rounds, here, box, 0
-        while self.rounds - begun < most_rounds and not is_hopeless(here, self.rounds - begun):
+        begun, steps, failed = self.rounds, 0, 0
+        clear, box_then = here, box  # the last curve that was clear, and the box of that round
+        while self.rounds - begun < most_rounds and not is_hopeless(here, steps):
             self._brake.check()
-            self.rounds += 1
-            worst, known = here.cost + price * here.missed, len(looks.looked_at)
+            steps, self.rounds = steps + 1, self.rounds + 1
+            worst, known = here.cost + price * here.missed, looks.known
             tried = there = self._step(here, free, looks, box, bend, below=worst)
+            if there is not None and bend is None and worst <= there.cost + price * there.missed:
+                there = self._mended(there, free, looks, box, below=worst)
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
-            if there is not None and gain <= 0.0 and there.missed < _MENDED and bend is None:
-                self.rounds += 1
-                there = self._step(there, free, looks, box, bend, below=worst)
-                gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
-                rejected += 1
-                if bend is None and here.missed > looks.allowed >= clear.missed and rejected >= _STUCK:
+                failed += 1
+                if bend is None and failed >= _STUCK and here.missed > looks.allowed >= clear.missed:
                     here, box = clear, min(box, box_then)
-                widened = tried is not None and looks.widen(tried.margins)
-                if widened or len(looks.looked_at) > known:
-                    least, margins = looks.find_margins(here.curve)
-                    here = replace(here, missed=max(-least, 0.0), margins=margins)
+                looks.widen([] if tried is None else tried.margins)
+                here = here if looks.known == known else self._seen_anew(here, looks)
                 box *= _SHRINK
                 bend = None if bend is None else bend.stiffer(1.0 / _SHRINK)
                 if box < (_SMALLEST_BOX if bend is None else _SMALLEST_BENT):
@@ -157,13 +154,23 @@ class Descent:
                 there = self._in_its_own_time(there, price, looks)
             else:
                 bend = bend.after(self._moved(here, there, free), self._slope(there, free) / unit)
-            rejected = 0
-            here, box = there, min(_GROW * box, _LARGEST_BOX)
+            here, box, failed = there, min(_GROW * box, _LARGEST_BOX), 0
             if here.missed <= looks.allowed:
                 clear, box_then = here, box
             if gain < (_ENOUGH if bend is None else _ENOUGH_BENT) * here.cost and here.missed <= _KEPT:
                 break
         return clear if here.missed > looks.allowed >= clear.missed else here
+
+    def _mended(self, there: Timed, goal: Goal | None, looks: Looks, box: float, *, below: float) -> Timed | None:
+        """The curve after one more step, which takes back what the one before has missed where that is little."""
+        if there.missed >= _MENDED:
+            return there
+        self.rounds += 1
+        return self._step(there, goal, looks, box, None, below=below)
+
+    def _seen_anew(self, here: Timed, looks: Looks) -> Timed:
+        least, margins = looks.find_margins(here.curve)
+        return replace(here, missed=max(-least, 0.0), margins=margins)
 
     def _slope(self, here: Timed, goal: Goal | None) -> Vector:
         """How the cost changes with the control points that may move, one after the other."""
@@ -225,13 +232,9 @@ class Descent:
         if spare not in self._screens:
             self._screens[spare] = ClearanceScreen(self._proximity, time=self._time, spare=KEPT_PART * spare)
         return Looks(
-            self._proximity,
-            self._screens[spare],
-            self._problem.keep,
-            steps=density * PLACES_PER_PIECE * curve.pieces,
-            spare=spare,
-            time=self._time,
-        )
+            self._proximity, self._screens[spare], self._problem.keep,
+            steps=density * PLACES_PER_PIECE * curve.pieces, spare=spare, time=self._time,
+        )  # fmt: skip
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:
         """(n,) joints near `q` (n,) on a goal; None where Newton's method does not find them."""

@@ -48,6 +48,8 @@ def find_margins(
 ) -> tuple[float, list[Margin]]:
     """The least margin over places q (K, n), infinite where nothing is near, and all margins below `reach` [m].
 
+    `reach` is one number, or (K,) of the places.
+
     Parameters
     ----------
     keep: what is to be kept beside the clearances.

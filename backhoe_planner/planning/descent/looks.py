@@ -1,36 +1,45 @@
-"""Where along a curve its clearances are looked at: at equal steps, and between them where a link got in."""
+"""Where along a curve its clearances are looked at: at equal steps, and between them where a link got in.
+
+Between two equal steps the tip may move by half a metre, more than many obstacles are thick. A screen
+that only says yes or no is asked there.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
+from backhoe_planner.arrays import Indices
 from backhoe_planner.motion import Keep
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.linear_model import Margin, find_margins
 from backhoe_planner.site import ClearanceScreen, Proximity
 
-_FINER = 16  # times more places than equal steps, a power of two
-_APART = 0.04  # m between two places of the point that moves most, at which a link is noticed; chosen
+KEPT_PART = 0.5  # of the spare, that is kept between equal steps, and with which a curve counts as clear; chosen
+_FINER = 16  # times more places than equal steps; chosen, a step of the tip by 0.6 m is then looked at every 4 cm
+_APART = 0.04  # m that the point that moves most moves between two questions to the screen; chosen
 _NEAR = 0.08  # m: margins above are not linearised, however far a step moves a link; chosen, 0.25 takes twice as long
-_FAR, _MUCH = 0.4, 0.01
-KEPT_PART = 0.5  # of the spare, which is kept between equal steps
+_FAR = 0.4  # m: the same at places where a step has gone into an obstacle; chosen, a link moves as far in a step
+_MUCH = 0.01  # m that is missed there; chosen
 
 
 class Looks:
-    """The places at which one descent looks; what is noticed between equal steps is looked at from then on.
+    """The places at which one descent looks. What it has once noticed is looked at from then on.
 
     Parameters
     ----------
+    screen: of the same obstacles, with `KEPT_PART` of the spare.
     keep: what is to be kept beside the clearances.
     steps: equal ones over the curve.
-    spare: to be kept beyond every clearance at the places [m]; half of it between them.
+    spare: to be kept beyond every clearance at the places [m].
     time: the obstacles stand where they are at this time [s].
 
     Attributes
     ----------
-    places: how many equally spaced places are told apart, which `Margin.place` counts.
+    places: how many equally spaced places are told apart; `Margin.place` counts these.
+    allowed: a curve that misses the spare by no more counts as clear [m].
     """
 
     def __init__(
@@ -41,51 +50,49 @@ class Looks:
         self.allowed = KEPT_PART * spare
         self.places = _FINER * steps + 1
         self._s = np.linspace(0.0, 1.0, self.places)
+        self._looked_at = np.arange(0, self.places, _FINER)
         self._reach = np.full(self.places, _NEAR)
-        self.looked_at = np.arange(0, self.places, _FINER)
+
+    @property
+    def known(self) -> tuple[int, int]:
+        """How many places are looked at, and at how many of all it is looked further; neither becomes less."""
+        return len(self._looked_at), int(np.count_nonzero(self._reach > _NEAR))
 
     def find_margins(self, curve: JointCurve) -> tuple[float, list[Margin]]:
         """The least margin of a curve, infinite where nothing is near, and all that are small."""
-        least, margins = self._margins_at(curve, self.looked_at)
+        least, margins = self._margins_at(curve, self._looked_at)
         noticed = self._notice(curve)
         if len(noticed):
-            self.looked_at = np.union1d(self.looked_at, noticed)
+            self._looked_at = np.union1d(self._looked_at, noticed)
             less, more = self._margins_at(curve, noticed)
             least, margins = min(least, less), margins + more
         return least, margins
 
-    def widen(self, margins: list[Margin]) -> bool:
-        """Look further from now on where a curve has missed its clearances by much; whether any place is new."""
-        before = int(np.count_nonzero(self._reach > _NEAR))
+    def widen(self, margins: list[Margin]) -> None:
+        """Look further from now on where a curve with these margins goes into an obstacle."""
         for found in margins:
             if found.margin.min() < -_MUCH:
                 self._reach[found.place] = _FAR
-        return int(np.count_nonzero(self._reach > _NEAR)) > before
 
-    def _margins_at(self, curve: JointCurve, index: np.ndarray) -> tuple[float, list[Margin]]:
+    def _margins_at(self, curve: JointCurve, places: Indices) -> tuple[float, list[Margin]]:
         least, margins = find_margins(
-            self._proximity, self._keep, curve(self._s[index]), spare=self._spare, reach=self._reach[index], time=self._time
-        )
-        return least, [replace(found, place=int(index[found.place])) for found in margins]
+            self._proximity, self._keep, curve(self._s[places]),
+            spare=self._spare, reach=self._reach[places], time=self._time,
+        )  # fmt: skip
+        return least, [replace(found, place=int(places[found.place])) for found in margins]
 
-    def _notice(self, curve: JointCurve) -> np.ndarray:
-        """Places that are not clear, one between each two that are and at which it is looked."""
+    def _notice(self, curve: JointCurve) -> Indices:
+        """Places that are not clear, the first between each two at which it is looked."""
         q = curve(self._s)
         self._proximity.cover_unchecked(q)
-        at = self.looked_at
-        travel = np.abs(np.diff(q, axis=0)) @ self._travel()
+        travel = self._proximity.travel
+        if not len(travel):
+            return np.zeros(0, dtype=np.intp)
+        along = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ travel.max(axis=0))))
         noticed = []
-        along = np.concatenate(([0.0], np.cumsum(travel)))
-        for a, b in zip(at[:-1].tolist(), at[1:].tolist(), strict=True):
-            if b == a + 1:
-                continue
-            looks = min(int((along[b] - along[a]) / _APART), b - a - 1)
-            for part in range(1, looks + 1):
-                place = a + (part * (b - a)) // (looks + 1)
-                if a < place < b and not self._screen.keeps_unchecked(q[place]):
-                    noticed.append(place)
-                    break
-        return np.array(noticed, dtype=np.intp)
-
-    def _travel(self) -> np.ndarray:
-        return np.asarray(self._proximity.travel.max(axis=0)) if len(self._proximity.travel) else np.zeros(self._proximity.robot.n)
+        for a, b in pairwise(self._looked_at.tolist()):
+            questions = min(int((along[b] - along[a]) / _APART), b - a - 1)
+            between = (a + part * (b - a) // (questions + 1) for part in range(1, questions + 1))
+            noticed += [next((place for place in between if not self._screen.keeps_unchecked(q[place])), -1)]
+        found = np.array(noticed, dtype=np.intp)
+        return found[found >= 0]
