@@ -2,7 +2,8 @@
 
 First ways are straight lines of the joints to the nearest postures on a goal, clear or not, then
 sampled ways, each from another seed and among the postures that can still be better than the
-best so far. Every motion that counts is proven clear.
+best so far: some of them to postures far from where others have ended, and some among
+configurations through which a motion can be much shorter than the best. Every motion that counts is proven clear.
 """
 
 from __future__ import annotations

@@ -14,7 +14,9 @@ from backhoe_planner.planning import EFFORTS, Work, World
 from backhoe_planner.planning.descent.curve import JointCurve, basis
 from backhoe_planner.planning.descent.descent import Descent
 from backhoe_planner.planning.descent.linear_model import LinearModel, find_margins
+from backhoe_planner.planning.descent.looks import Looks
 from backhoe_planner.planning.outcome import Outcome
+from backhoe_planner.site import ClearanceScreen
 
 Data = dict[str, Any]
 
@@ -207,6 +209,22 @@ def test_the_linear_model_says_what_a_small_step_changes(backhoe: bp.Robot, payl
         assert most["drive"] == pytest.approx(drive_now - 1.0, abs=2e-5)
     assert most["clearance"] == pytest.approx(-after[5], abs=2e-5)
     assert before[5] != after[5]
+
+
+def test_a_thin_post_between_two_places_is_noticed(planar4: bp.Robot) -> None:
+    """The stretched arm turns by 1 rad past a post of 4 mm, which three equal steps of 1/3 rad all leave alone."""
+    tip = bp.Kinematics(planar4).at(np.array([0.5, 0.0, 0.0, 0.0])).tip_position
+    post: Data = {"name": "post", "shape": "cylinder", "radius": 0.002, "length": 1.0, "position": (0.9 * tip).tolist()}
+    problem = build_problem(planar4, planar([1.0, 0.0, 0.0, 0.0], post, clearance=0.001))
+    proximity = bp.Proximity(planar4, problem.obstacles)
+    curve = JointCurve.straight(np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0]), 8)
+    places = np.linspace(0.0, 1.0, 4)
+    assert min(float(np.min(proximity.at(q).margin)) for q in curve(places)) > 0.1
+    looks = Looks(proximity, ClearanceScreen(proximity), None, steps=3, spare=0.003, time=0.0)
+    known = looks.known
+    assert looks.find_margins(curve)[0] < 0.0
+    assert looks.known > known
+    assert len(looks.find_margins(JointCurve.straight(np.zeros(4), np.full(4, 0.01), 8))[1]) == 0
 
 
 def test_a_descent_only_goes_down_and_its_end_stays_on_the_goal(backhoe: bp.Robot) -> None:

@@ -5,7 +5,8 @@ program prefers (sequential convex programming, Schulman et al. 2014), within a 
 where a step has lowered the cost and shrinks where not. For the time the program holds the
 limits, linearised, and the duration. For another cost it holds how the cost of the fastest run
 changes, see `fastest_run` and `bend`. What a curve costs is what its fastest run costs, by
-`run_curve`; what it misses of its clearances is dear.
+`run_curve`; what it misses of its clearances is dear. A step that misses them is judged after
+another that may take that back, and where none helps, the last clear curve goes on with smaller steps.
 """
 
 from __future__ import annotations
