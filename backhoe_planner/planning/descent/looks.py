@@ -6,8 +6,8 @@ that only says yes or no is asked there.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class Looks:
     def find_margins(self, curve: JointCurve) -> tuple[float, list[Margin]]:
         """The least margin of a curve, infinite where nothing is near, and all that are small."""
         least, margins = self._margins_at(curve, self._looked_at)
-        noticed = self._notice(curve)
+        noticed = self._notice(curve, margins)
         if len(noticed):
             self._looked_at = np.union1d(self._looked_at, noticed)
             less, more = self._margins_at(curve, noticed)
@@ -81,18 +81,26 @@ class Looks:
         )  # fmt: skip
         return least, [replace(found, place=int(places[found.place])) for found in margins]
 
-    def _notice(self, curve: JointCurve) -> Indices:
-        """Places that are not clear, the first between each two at which it is looked."""
-        q = curve(self._s)
-        self._proximity.cover_unchecked(q)
-        travel = self._proximity.travel
+    def _notice(self, curve: JointCurve, margins: list[Margin]) -> Indices:
+        """Places that are not clear, the first between each two at which it is looked, whose margins are `margins`."""
+        travel, at = self._proximity.travel, self._looked_at
         if not len(travel):
             return np.zeros(0, dtype=np.intp)
-        along = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ travel.max(axis=0))))
-        noticed = []
-        for a, b in pairwise(self._looked_at.tolist()):
-            questions = min(int((along[b] - along[a]) / _APART), b - a - 1)
-            between = (a + part * (b - a) // (questions + 1) for part in range(1, questions + 1))
-            noticed += [next((place for place in between if not self._screen.keeps_unchecked(q[place])), -1)]
-        found = np.array(noticed, dtype=np.intp)
-        return found[found >= 0]
+        least = self._reach[at]
+        for found in margins:
+            index = np.searchsorted(at, found.place)
+            least[index] = min(least[index], found.margin.min())
+        q = curve(self._s[at])
+        self._proximity.cover_unchecked(q)
+        way = np.abs(np.diff(q, axis=0)) @ travel.max(axis=0)
+        between: list[range] = []
+        for interval in np.flatnonzero(least[:-1] + least[1:] < way).tolist():  # else nothing gets in between
+            a, b = int(at[interval]), int(at[interval + 1])
+            step = math.ceil((b - a) / (min(int(way[interval] / _APART), b - a - 1) + 1))
+            between.append(range(a + step, b, step))
+        asked = [place for places in between for place in places]
+        if not asked:
+            return np.zeros(0, dtype=np.intp)
+        q_at = dict(zip(asked, curve(self._s[asked]), strict=True))
+        noticed = [next((k for k in places if not self._screen.keeps_unchecked(q_at[k])), -1) for places in between]
+        return np.array([place for place in noticed if place >= 0], dtype=np.intp)
