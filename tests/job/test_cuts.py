@@ -285,3 +285,5 @@ def test_a_search_finds_the_same_joints(digger: Digger, backhoe: bp.Robot) -> No
     r, z = np.linspace(4.5, 3.0, 12), np.full(12, -0.4)
     pitch = np.linspace(-1.2, -1.8, 12)
     np.testing.assert_allclose(other.plane.joints(0.2, r, z, pitch), digger.plane.joints(0.2, r, z, pitch), atol=1e-6)
+    same, searched = cut(digger, depth=0.3), cut(other, depth=0.3)
+    np.testing.assert_allclose(searched.q, same.q, atol=1e-6)

@@ -93,7 +93,7 @@ def attitude(
     r, z, wanted, least, most = path
     pitches = np.linspace(_FLATTEST_PITCH, _STEEPEST_PITCH, _CANDIDATES)
     at_r, at_z, at_pitch = (a.ravel() for a in np.broadcast_arrays(r[:, None], z[:, None], pitches))
-    reached = ~np.isnan(plane.joints(swing, at_r, at_z, at_pitch)[:, 0]).reshape(len(r), -1)
+    reached = plane.reaches(swing, at_r, at_z, at_pitch).reshape(len(r), -1)
     free = reached & (_back(bucket, r[:, None], z[:, None], pitches[None, :], below) >= _CLEAR)
     none = np.flatnonzero(~free.any(axis=1))
     if len(none):

@@ -243,7 +243,7 @@ def _lifted(asked: _Asked, r: float, z: float, highest: float) -> tuple[Vector, 
     inward: Vector = np.arange(r, max(r - _MOST_INWARD, float(profile.r[0]) - 0.1), -0.1, dtype=float)
     ground = np.array([float(np.max(profile.height(np.linspace(at, r, 20)))) for at in inward])
     top = np.maximum(ground, highest) + _LIFT
-    reached = ~np.isnan(plane.joints(asked.swing, inward, top, np.full(len(inward), level))[:, 0])
+    reached = plane.reaches(asked.swing, inward, top, np.full(len(inward), level))
     to = int(np.argmax(reached))
     clear = max(z, float(ground[to]) + 0.05)
     line = np.array([[r, z], [r, clear], [inward[to], top[to]]])
