@@ -13,6 +13,7 @@ import yaml
 
 import backhoe_planner
 from backhoe_planner.cli import app
+from backhoe_planner.job import job_from_dict
 from backhoe_planner.site import scene_from_dict
 
 ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
@@ -55,7 +56,8 @@ def test_scenes_load(page: Path) -> None:
         content = yaml.safe_load(snippet)
         if "version" in content:
             whole = content
-        scene_from_dict({**whole, **content})
+        read = job_from_dict if "dig" in whole else scene_from_dict
+        read({**whole, **content})
 
 
 @pages_with("sh")

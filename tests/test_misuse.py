@@ -131,6 +131,7 @@ def vector(n: int) -> Kind:
 
 
 ROWS = Kind((None, "text", {"a": 1}, OBJECT, [], [0.1], [[0.1] * 4, [0.1] * 3], [NAN] * 4, np.full((2, 4), NAN), 3.0))
+GRID = Kind((None, "text", {"a": 1}, OBJECT, [], [0.1], np.full((5, 5), NAN), 3.0))
 MATRIX = Kind((None, "text", {"a": 1}, OBJECT, [], [0.1], np.full((3, 4), NAN), np.zeros((3, 7)), 3.0))
 SAMPLES = Kind((None, "text", {"a": 1}, OBJECT, [], [0.1], np.full((3, 4), NAN), np.zeros((2, 4)), 3.0))
 NUMBER = Kind((*NO_NUMBER, NAN, [0.1, 0.2], "0.3", True, 10**400))
@@ -172,6 +173,11 @@ def call(function: Callable[..., Any], *, lists: bool = True, **arguments: Any) 
 @cache
 def calls() -> dict[str, Call]:
     the = robot()
+    frame: dict[str, Any] = {
+        "low": (np.zeros(2), vector(2)),
+        "high": (np.full(2, 2.0), vector(2)),
+        "cell": (0.5, POSITIVE),
+    }
     target = bp.TipTarget(np.array([4.0, 0.0, 0.5]), pitch=(-1.0, -0.5))
     J, xdot = at().jacobian[:3], np.array([0.1, 0.0, -0.05])
     prox, oil, shield = proximity(), hydraulics(), bp.Shield(the.limits)
@@ -414,8 +420,91 @@ def calls() -> dict[str, Call]:
             bp.PlanFollower, servo=(servo(), THING), plan=(motion(), THING), executor=(None, optional(THING)),
             seed=(0, COUNT), allow_failed=(False, FLAG), lists=False,
         ),
+        # jobs
+        "Terrain": call(
+            lambda **keys: bp.Terrain(**keys).surface, low=(np.zeros(2), vector(2)), cell=(0.5, POSITIVE),
+            bank=(np.zeros((3, 4)), GRID), loose=(np.zeros((3, 4)), GRID), soil=(terrain().soil, THING),
+            swell=(1.2, POSITIVE), repose=(0.6, POSITIVE),
+        ),
+        "Terrain.level": call(lambda **keys: bp.Terrain.level(**keys).surface, z=(0.5, NUMBER), **frame),
+        "Terrain.from_points": call(
+            lambda **keys: bp.Terrain.from_points(**keys).surface, **frame,
+            points=(np.random.default_rng(0).uniform(-0.2, 2.2, (4000, 3)), MATRIX), fill=(0.5, NUMBER),
+        ),
+        "Terrain.from_file": call(
+            bp.Terrain.from_file, file=("no/such.csv", PATH), cell=(0.5, optional(POSITIVE)), lists=False
+        ),
+        "Terrain.bank_volume_below": call(terrain().bank_volume_below, other=(terrain(), THING)),
+        "Terrain.unlike": call(terrain().unlike, other=(terrain(), THING)),
+        "Terrain.with_layers": call(
+            lambda **keys: terrain().with_layers(**keys).surface, bank=(np.zeros((5, 5)), GRID),
+            loose=(np.zeros((5, 5)), GRID),
+        ),
+        "Terrain.height_at": call(
+            terrain().height_at, points=(np.ones((3, 2)), only(None, "text", {}, OBJECT, 3.0, [1.0]))
+        ),
+        "Terrain.columns_within": call(
+            terrain().columns_within, low=(np.zeros(2), vector(2)), high=(np.ones(2), vector(2)),
+            margin=(0.1, NUMBER), lists=False,
+        ),
+        "load_job": call(bp.load_job, path=("no/such/job", PATH), lists=False),
+        "job_from_dict": call(
+            bp.job_from_dict, content=(job().to_dict(), only(None, "text", OBJECT, [], 3.0)),
+            folder=(".", only(None, 3.0, OBJECT, [])), lists=False,
+        ),
+        "load_job_plan": call(
+            bp.load_job_plan, path=("no/such/plan", PATH), urdf=("a.urdf", optional(only(3.0, OBJECT, []))), lists=False
+        ),
+        "plan_job": call(
+            bp.plan_job, job=(buried_job(), THING), effort=("quick", TEXT), seed=(0, COUNT),
+            terrain=(None, optional(THING)), resume=(None, optional(THING)),
+            watch=(None, only("text", {"a": 1}, OBJECT, [], 3.0)), lists=False,
+        ),
+        "JobPlan.save": call(lambda path: job_plan().save(path), path=("no/such/folder/a.json", PATH), lists=False),
+        "JobPlan.mean_use": call(job_plan().mean_use, name=("pump", TEXT), lists=False),
+        "Cycle.leg": call(lambda name: cycle().leg(name), name=("cut", TEXT), lists=False),
         "Plan.save": call(lambda path: recording().save(path), path=("no/such/folder/a.json", PATH), lists=False),
     }  # fmt: skip
+
+
+@cache
+def terrain() -> bp.Terrain:
+    return bp.Terrain.level(0.0, (0.0, 0.0), (2.0, 2.0), 0.5)
+
+
+def job_content() -> dict[str, Any]:
+    trench = {"from": [4.0, 0.0], "to": [3.0, 0.0], "width": 0.6, "depth": 0.3}
+    return {"version": 1, "dig": {"trench": trench}, "dump": {"heap": {"at": [2.2, -3.0]}}}
+
+
+@cache
+def job() -> bp.Job:
+    return bp.job_from_dict(job_content())
+
+
+@cache
+def buried_job() -> bp.Job:
+    """A job that is refused at once: its design lies above the ground."""
+    return bp.job_from_dict(job_content() | {"ground": {"level": -2.0}} | {"machine": "no_such.urdf"})
+
+
+@cache
+def job_plan() -> bp.JobPlan:
+    grid = np.full((5, 5), NAN)
+    return bp.JobPlan(
+        job(), robot(), terrain(), design=grid, allowed=grid, outline=np.zeros((4, 2)), cycles=(), undug=(),
+        compared=(), capacity=0.2, effort="quick", seed=0,
+    )  # fmt: skip
+
+
+@cache
+def cycle() -> bp.Cycle:
+    none = np.zeros(0)
+    return bp.Cycle(
+        1, (), bp.Digging(none, np.zeros((0, 3)), np.zeros(3), 0.6, none, none), bp.Load(0.0, none, none),
+        before=terrain(), dug=terrain(), after=terrain(), bank=0.0, taken=0.0, held=0.0, spilt=0.0,
+        place=np.zeros(3), truck=0, step="", filled=0.0, depth=0.0,
+    )  # fmt: skip
 
 
 @cache
@@ -431,6 +520,7 @@ RESULTS = {
     "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
     "LegCertificate", "Obstruction", "Piece", "Plan", "PlannedLeg",
     "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "SpotTurn",
+    "Cycle", "CycleLeg", "Digging", "JobPlan", "JobStep", "Load", "PatternEstimate", "Undug",
     "Step", "TaskInverse", "Tracking", "Transgression", "WaypointStep", "Wish",
 }  # fmt: skip
 PUBLIC = {name: getattr(bp, name) for name in dir(bp) if not name.startswith("_")}

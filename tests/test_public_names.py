@@ -23,7 +23,14 @@ PUBLIC = {name: getattr(backhoe_planner, name) for name in dir(backhoe_planner) 
 # what a scene file holds is described by `scene_schema`, a machine by its URDF, a scan by its file
 FILE_ENTRIES = tuple(
     f"backhoe_planner.{part}"
-    for part in ("site.scene_file", "site.schema", "machine.description", "machine.robot", "machine.clusters.cluster")
+    for part in (
+        "site.scene_file",
+        "site.schema",
+        "machine.description",
+        "machine.robot",
+        "machine.clusters.cluster",
+        "job.schema",
+    )
 )
 
 

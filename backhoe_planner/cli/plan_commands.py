@@ -13,7 +13,8 @@ import typer
 from rich.status import Status
 
 import backhoe_planner as bp
-from backhoe_planner import motion, planning, show, site
+from backhoe_planner import job, motion, planning, show, site
+from backhoe_planner.cli.job_command import check_job
 from backhoe_planner.cli.plan_summary import print_certificate, print_plan, print_recording
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, PlanFile, PlanUrdf, SceneFile, Urdf, print_warnings
 from backhoe_planner.files.output_file import check_ending, check_output
@@ -111,6 +112,8 @@ def view(
 def check(plan_file: PlanFile, urdf: PlanUrdf = None) -> int:
     """Compute the certificate of a plan anew."""
     begun = clock.monotonic()
+    if job.is_job_plan(plan_file):
+        return check_job(plan_file, urdf)
     loaded = bp.load_plan(plan_file, urdf=urdf)
     print_certificate(loaded)
     OUT.print(f"{'checked in':<13}{clock.monotonic() - begun:.2f} s")
@@ -133,7 +136,12 @@ def export(
     ],
     urdf: PlanUrdf = None,
 ) -> int:
-    """Write a plan's motion for other tools."""
+    """Write a plan's motion for other tools; of a job's every cycle."""
+    if job.is_job_plan(plan_file):
+        check_output(file, [plan_file])
+        job.export_job(bp.load_job_plan(plan_file, urdf=urdf), file)
+        OUT.print(f"wrote {file}")
+        return VERIFIED
     return _write(planning.export_plan, plan_file, urdf, file)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -76,8 +77,10 @@ def plan_job(
     """
     check_kind(job, Job, key="job")
     seed = as_count(seed, key="seed")
-    if effort not in EFFORTS:
+    if not isinstance(effort, str) or effort not in EFFORTS:
         raise InputError.unknown_name("no such effort", effort, names=EFFORTS, key="effort")
+    if watch is not None and not callable(watch):
+        raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
     if terrain is not None:
         check_kind(terrain, Terrain, key="terrain")
     if resume is not None:

@@ -15,7 +15,7 @@ from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, dig_and_spil
 from backhoe_planner.job.cycles.dumping import SiteState, dump_of
 from backhoe_planner.job.cycles.transfers import make_leg
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.result.cycles import Cycle, Leg, Load
+from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Load
 from backhoe_planner.job.result.job_plan import JobPlan, PatternEstimate
 from backhoe_planner.job.result.job_plan_file import CycleRecord, JobPlanRecord, LegRecord, read_job_plan_file
 from backhoe_planner.job.schema.job_file import Job, job_from_dict
@@ -146,7 +146,7 @@ class _Replay:
             truck=record.truck, step=record.step, filled=dug.held / site.bucket.capacity, depth=record.depth,
         )  # fmt: skip
 
-    def _leg(self, number: int, record: LegRecord, load: Load, ground: Terrain, state: SiteState) -> Leg:
+    def _leg(self, number: int, record: LegRecord, load: Load, ground: Terrain, state: SiteState) -> CycleLeg:
         motion = record.trajectory
         problem = self._planner.leg_problem(record.name, motion, state, record.payload)
         if record.name == "cut":

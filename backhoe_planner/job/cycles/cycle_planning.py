@@ -15,7 +15,7 @@ from backhoe_planner.job.cycles.transfers import Transfers, level_band, make_leg
 from backhoe_planner.job.ground.heaps import poured
 from backhoe_planner.job.ground.sweep import BladeSweep, swept
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.result.cycles import Cycle, Digging, Leg, LegName
+from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Digging, LegName
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import Keep, Problem, Trajectory
 from backhoe_planner.proof import certify_problem
@@ -116,7 +116,7 @@ class CyclePlanner:
             if isinstance(made, Failed):
                 return made if not failed.words else failed
             cut_leg, path = made
-            legs: list[Leg] = []
+            legs: list[CycleLeg] = []
             if start is not None:
                 approach = self._transfers.to("approach", start, [path.q[0]], ground=state.obstacles, payload=0.0)
                 if approach.leg is None:
@@ -131,7 +131,7 @@ class CyclePlanner:
                 break
         return failed
 
-    def _cut(self, cut: Cut, state: SiteState, higher: float) -> tuple[Leg, CutPath] | Failed:
+    def _cut(self, cut: Cut, state: SiteState, higher: float) -> tuple[CycleLeg, CutPath] | Failed:
         site = self._site
         path = cut_path(site, cut, state.ground, higher=higher)
         if isinstance(path, str):
@@ -145,7 +145,7 @@ class CyclePlanner:
         return replace(leg, payload=float(cut.held[-1])), path
 
     def _after(
-        self, number: int, legs: list[Leg], path: CutPath, state: SiteState, chosen: NextCut
+        self, number: int, legs: list[CycleLeg], path: CutPath, state: SiteState, chosen: NextCut
     ) -> tuple[Cycle, SiteState] | Failed:
         """The swing and the dump after a cut."""
         site, cut, motion = self._site, chosen.cut, legs[-1].trajectory
@@ -179,7 +179,7 @@ class CyclePlanner:
             return cycle, after
         return failed
 
-    def _open(self, q: Vector, option: Dumping, after: SiteState, payload: float) -> Leg | Failed:
+    def _open(self, q: Vector, option: Dumping, after: SiteState, payload: float) -> CycleLeg | Failed:
         """The bucket opens over what then lies there."""
         reached = int(np.argmin(np.max(np.abs(option.arrivals - q), axis=1)))
         found = self._transfers.to("dump", q, [option.openings[reached]], ground=after.obstacles, payload=payload)

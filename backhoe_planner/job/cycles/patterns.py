@@ -57,7 +57,7 @@ class Pattern:
         """In words."""
         if self.kind == "layers":
             return f"level layers of {self.depth:.2f} m"
-        return f"far end first, cuts up to {self.depth:.2f} m deep"
+        return f"far end first, up to {self.depth:.2f} m deep"
 
 
 @dataclass(frozen=True, eq=False)

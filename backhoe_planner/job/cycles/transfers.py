@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.job.result.cycles import Leg, LegName
+from backhoe_planner.job.result.cycles import CycleLeg, LegName
 from backhoe_planner.machine import Kinematics, TipTarget
 from backhoe_planner.motion import Goal, Keep, PitchBand, Problem, Trajectory, trajectory_energy
 from backhoe_planner.planning import EFFORTS, Effort, plan_motion
@@ -29,7 +29,7 @@ class Transfer:
     why: in words; empty where there is one.
     """
 
-    leg: Leg | None
+    leg: CycleLeg | None
     why: str = ""
 
 
@@ -133,7 +133,7 @@ def level_band(problem: Problem) -> PitchBand:
     return PitchBand(problem.robot, LEVEL - _TILT, LEVEL + _TILT)
 
 
-def make_leg(name: LegName, problem: Problem, motion: Trajectory, certificate: Certificate | None = None) -> Leg:
+def make_leg(name: LegName, problem: Problem, motion: Trajectory, certificate: Certificate | None = None) -> CycleLeg:
     """A leg with its figures.
 
     Parameters
@@ -143,7 +143,7 @@ def make_leg(name: LegName, problem: Problem, motion: Trajectory, certificate: C
     energy = trajectory_energy(problem, motion)
     hydraulic = float("nan") if energy.hydraulic is None else float(energy.hydraulic[-1])
     pump, engine = mean_use(problem, motion, hydraulic)
-    return Leg(
+    return CycleLeg(
         name,
         problem,
         motion,

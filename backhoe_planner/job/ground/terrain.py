@@ -213,20 +213,50 @@ class Terrain:
         Parameters
         ----------
         points: (..., 2) x, y [m].
+
+        Raises
+        ------
+        InputError: they are no such numbers.
         """
+        found = check_points(points)
         grid = HeightGrid(self.low, self.cell, self.surface)
-        return grid.at(np.asarray(points, dtype=float))
+        return grid.at(found)
 
     def columns_within(self, low: Vector, high: Vector, margin: float = 0.0) -> tuple[slice, slice]:
         """Rows and columns of the nodes in the rectangle from `low` to `high` (2,) [m], and `margin` [m] around it."""
+        low, high = as_vector(low, 2, key="low"), as_vector(high, 2, key="high")
+        margin = as_number(margin, key="margin")
         last = np.array(self.shape[::-1])
         first = np.clip(np.ceil((low - margin - self.low) / self.cell), 0, last).astype(int)
         end = np.clip(np.floor((high + margin - self.low) / self.cell) + 1, first, last).astype(int)
         return slice(int(first[1]), int(end[1])), slice(int(first[0]), int(end[0]))
 
     def unlike(self, other: Terrain) -> Flags:
-        """(rows, columns) where the surface differs from that of another terrain on the same grid."""
+        """(rows, columns) where the surface differs from that of another terrain on the same grid.
+
+        Raises
+        ------
+        InputError: the other is none, or stands on another grid.
+        """
+        if check_kind(other, Terrain, key="other").shape != self.shape:
+            raise InputError("is on another grid", key="other", allowed="a terrain made from the same one")
         return np.asarray(self.surface != other.surface)
+
+
+def check_points(points: Array) -> Array:
+    """(..., 2) `points` as numbers.
+
+    Raises
+    ------
+    InputError: they are none.
+    """
+    try:
+        found = np.asarray(points, dtype=float)
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if found.ndim == 0 or found.shape[-1] != 2:
+        raise InputError("are no places", key="points", found=str(np.shape(found)), allowed="(..., 2) x, y [m]")
+    return found
 
 
 def _soil(soil: Soil | None) -> Soil:

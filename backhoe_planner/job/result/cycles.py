@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.errors import InputError
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate
@@ -14,7 +15,7 @@ LegName = Literal["approach", "cut", "swing", "dump", "return"]
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class CycleLeg:
     """One motion of a cycle, from rest to rest.
 
     Attributes
@@ -108,7 +109,7 @@ class Cycle:
     """
 
     number: int
-    legs: tuple[Leg, ...]
+    legs: tuple[CycleLeg, ...]
     digging: Digging
     load: Load
     before: Terrain
@@ -144,6 +145,13 @@ class Cycle:
         """Whether the certificates of all legs hold."""
         return all(leg.certificate.verified for leg in self.legs)
 
-    def leg(self, name: LegName) -> Leg | None:
-        """The leg of that name, where the cycle has one."""
+    def leg(self, name: LegName) -> CycleLeg | None:
+        """The leg of that name, where the cycle has one.
+
+        Raises
+        ------
+        InputError: no leg has such a name.
+        """
+        if not isinstance(name, str) or name not in get_args(LegName):
+            raise InputError.unknown_name("is no leg", name, names=get_args(LegName), key="name")
         return next((leg for leg in self.legs if leg.name == name), None)

@@ -187,7 +187,7 @@ class JobPlan:
         ------
         InputError: there is no such name.
         """
-        if name not in ("pump", "engine"):
+        if not isinstance(name, str) or name not in ("pump", "engine"):
             raise InputError.unknown_name("is not measured", name, names=("pump", "engine"), key="name")
         legs = [leg for cycle in self.cycles for leg in cycle.legs]
         whole = sum(leg.duration for leg in legs)

@@ -24,7 +24,7 @@ from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.result.cycles import Cycle, Leg, LegName
+from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, Undug, UndugReason
 from backhoe_planner.machine import Robot, shipped_folder
 from backhoe_planner.motion import Trajectory
@@ -93,7 +93,7 @@ class LegRecord(Record):
     """Mean use of its power, 0 to 1."""
 
     @classmethod
-    def of(cls, leg: Leg) -> LegRecord:
+    def of(cls, leg: CycleLeg) -> LegRecord:
         """The record of a leg."""
         tightest = leg.certificate.min_clearance
         return cls(
@@ -288,6 +288,17 @@ def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
         cycles=tuple(_cycle(one) for one in plan.cycles),
         planning_time=plan.planning_time,
     )
+
+
+def job_figures(plan: JobPlan) -> JobFigures:
+    """The figures of a plan."""
+    return JobFigures.of(plan)
+
+
+def job_plan_to_dict(plan: JobPlan) -> dict[str, Any]:
+    """The plan as plain data in the layout of its file, without the motions and the ground."""
+    left_out: Any = {"ground": True, "cycles": {"__all__": {"legs": {"__all__": {"time", "q"}}, "load": True}}}
+    return dict(json.loads(job_plan_record(plan, None).model_dump_json(exclude=left_out)))
 
 
 def save_job_plan(plan: JobPlan, path: Path) -> None:

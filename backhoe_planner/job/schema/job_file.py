@@ -96,8 +96,8 @@ def load_job(path: str | Path) -> Job:
     SceneError: names the file, the key's path, what was found, and what is allowed.
     """
     file = check_path(path, key="path")
-    shipped = shipped_folder("scenes") / file.name
-    if not file.exists() and file.parent in (Path("scenes"), Path()) and shipped.is_file():
+    shipped = shipped_folder("scenes") / "jobs" / file.name
+    if not file.exists() and file.parent in (Path("scenes/jobs"), Path("scenes"), Path()) and shipped.is_file():
         file = shipped
     content, lines = read_yaml(file, what="job", keys="version, dig, dump, ...")
     return job_from_dict(content, folder=file.parent, file=file, lines=lines)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -171,6 +172,32 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
         )
     except InputError as error:
         raise SceneError(str(error), file=job.file, key="ground.file") from None
+
+
+def read_ground(job: Job, file: Path) -> Terrain:
+    """The ground of a job as it was surveyed, such as what was really dug.
+
+    Parameters
+    ----------
+    file: as of `Terrain.from_file`; where it does not say where it lies, it lies as the job's own ground.
+
+    Raises
+    ------
+    InputError: the file is missing or malformed, or does not cover what is dug.
+    """
+    own = build_worksite(job).ground
+    loose = {"swell": job.soil.swell, "repose": job.soil.repose}
+    found = Terrain.from_file(
+        file, low=own.low, high=own.high if file.suffix.lower() != ".csv" else None, cell=own.cell, soil=own.soil,
+        fill=job.ground.fill, **loose,
+    )  # fmt: skip
+    if found.shape != own.shape:
+        raise InputError(
+            "is not as large as the ground of the job", file=file, found=f"{found.shape[0]} x {found.shape[1]} heights",
+            allowed=f"{own.shape[0]} x {own.shape[1]} heights, {own.cell:g} m apart from x {own.low[0]:g}, "
+            f"y {own.low[1]:g} m", hint="ground.low, high and cell of the job say how large it is",
+        )  # fmt: skip
+    return found
 
 
 def _design(job: Job, ground: Terrain) -> Design:

@@ -1,0 +1,193 @@
+"""`job`: plan a whole job, cycle after cycle, with progress and a table."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import time as clock
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+import backhoe_planner as bp
+from backhoe_planner import job as jobs
+from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, print_warnings
+from backhoe_planner.files.output_file import check_output
+
+JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
+
+
+def job(
+    file: JobFile,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="Plan of the job to write, after every cycle.")
+    ] = Path("job.json"),
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the job offline.")
+    ] = None,
+    effort: Annotated[
+        str, typer.Option(help="quick, normal or thorough: bounds the search of every motion, in counted work.")
+    ] = "quick",
+    seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
+    from_terrain: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Go on from this ground, as it was surveyed: CSV, GeoTIFF or point cloud."),
+    ] = None,
+    anew: Annotated[bool, typer.Option("--anew", help="Begin anew where the output holds a part of this job.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as JSON (all of the plan's file but the motions).")
+    ] = False,
+) -> int:
+    """Plan a job: all cycles from the first cut to the last.
+
+    Where the output holds the same job, ended early, it goes on where it was.
+    """
+    if html is not None and html.resolve() == output.resolve():
+        raise bp.OutputError("is where the plan goes too", file=html, key="--html")
+    loaded = bp.load_job(file)
+    for target in (output, html):
+        if target is not None:
+            check_output(target, loaded.files)
+    terrain = None if from_terrain is None else jobs.read_ground(loaded, from_terrain)
+    resume = None if anew or terrain is not None else _begun(loaded, output, effort, seed)
+    if resume is not None:
+        ERR.print(f"goes on after cycle {len(resume.cycles)}, as {output} has it (--anew begins anew)")
+    with (
+        ERR.status("choosing the pattern of cuts ...")
+        if ERR.is_terminal and not as_json
+        else (contextlib.nullcontext()) as status
+    ):
+
+        def told(step: jobs.JobStep) -> None:
+            step.plan.save(output)
+            if status is not None:
+                status.update(f"cycle {len(step.plan.cycles) + 1} of about {max(step.expected, 1)} ...")
+            if not as_json:
+                _print_cycle(step)
+
+        found = bp.plan_job(loaded, effort=effort, seed=seed, terrain=terrain, resume=resume, watch=told)
+    found.save(output)
+    if html is not None:
+        print_warnings(_page()(found, html))
+    print_job(found, output, as_json)
+    if html is not None and not as_json:
+        OUT.print(f"page          {html}")
+    return VERIFIED if found.verified else FAILED
+
+
+def _page() -> Callable[[bp.JobPlan, Path], tuple[str, ...]]:
+    raise bp.InputError("the page of a job is not there yet", key="--html")
+
+
+def _begun(loaded: jobs.Job, output: Path, effort: str, seed: int) -> bp.JobPlan | None:
+    """The part of the same job that the output holds, where planning was interrupted."""
+    if not output.is_file() or not jobs.is_job_plan(output):
+        return None
+    record = jobs.read_job_plan_file(output)
+    if record.reason != "interrupted" or (record.effort, record.seed) != (effort, seed):
+        return None
+    found = bp.load_job_plan(output)
+    return found if jobs.same_job(found, loaded) else None
+
+
+def _print_cycle(step: jobs.JobStep) -> None:
+    cycles = step.plan.cycles
+    if not cycles:
+        print_patterns(step.plan)
+        OUT.print("cycle  of  bank [m^3]  full [%]  time [s]  work [kJ]  dumped at x, y [m]  part")
+        return
+    one = cycles[-1]
+    truck = f", truck {one.truck}" if one.truck else ""
+    OUT.print(
+        f"{one.number:5d} {max(step.expected, one.number):3d}  {one.bank:10.3f}  {100.0 * one.filled:8.0f}  "
+        f"{one.duration:8.1f}  {one.work / 1e3:9.1f}  {one.place[0]:8.2f}, {one.place[1]:8.2f}  {one.step}{truck}"
+    )
+
+
+def print_patterns(plan: bp.JobPlan) -> None:
+    """Print what patterns of cuts were compared; nothing where one was prescribed."""
+    if len(plan.compared) < 2:
+        return
+    unit = "s/m^3" if plan.job.objective == "time" else "kJ/m^3"
+    OUT.print(f"{'compared':<38}  cycles  bank [m^3]  time [s]  work [kJ]  {unit:>8}")
+    for one in plan.compared:
+        cost = one.cost if plan.job.objective == "time" else one.cost / 1e3
+        mark = "  chosen" if one.chosen else "" if one.finished else "  leaves some"
+        OUT.print(
+            f"{one.name:<38}  {one.cycles:6d}  {one.bank:10.2f}  {one.duration:8.0f}  {one.work / 1e3:9.0f}  "
+            f"{cost:8.1f}{mark}"
+        )
+
+
+def print_job(plan: bp.JobPlan, output: Path, as_json: bool) -> None:
+    """Print the result of a job as a table, or as JSON.
+
+    Parameters
+    ----------
+    plan: of the job.
+    output: the file to which it was written.
+    as_json: whether to print JSON.
+    """
+    if as_json:
+        content = jobs.job_plan_to_dict(plan)
+        content["file"] = str(output)
+        sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")
+        return
+    print_figures(plan)
+    OUT.print(f"planned in    {plan.planning_time:.1f} s of the processor (effort {plan.effort}, seed {plan.seed})")
+    OUT.print(f"plan          {output}")
+
+
+def print_figures(plan: bp.JobPlan) -> None:
+    """Print verdict and figures of a job."""
+    OUT.print(Text(*("verified", "bold green") if plan.verified else (f"failed: {plan.reason}", "bold red")))
+    if plan.note:
+        OUT.print(f"  {plan.note}")
+    count, figures = len(plan.cycles), jobs.job_figures(plan)
+    OUT.print(f"cycles        {count}")
+    if count:
+        OUT.print(f"soil          {figures.bank:.3f} m^3 bank, {figures.loose:.3f} m^3 loose")
+        waits = f", of it {figures.waits:.0f} s until trucks are exchanged" if figures.waits else ""
+        OUT.print(f"duration      {figures.duration:.1f} s ({figures.seconds_per_cycle:.1f} s a cycle){waits}")
+        OUT.print(f"production    {figures.production:.1f} m^3/h (bank)")
+        OUT.print(f"work          {figures.work / 1e3:.0f} kJ ({figures.joules_per_cycle / 1e3:.1f} kJ a cycle)")
+        _print_energy(plan, figures)
+        tightest = min(
+            (leg.certificate.min_clearance for cycle in plan.cycles for leg in cycle.legs
+             if leg.certificate.min_clearance is not None),
+            key=lambda one: one.margin, default=None,
+        )  # fmt: skip
+        if tightest is not None:
+            OUT.print(
+                f"clearance     {tightest.distance:.3f} m at least between {tightest.link} and {tightest.name} "
+                f"(margin {tightest.margin:+.3f} m)"
+            )
+    left, below = 100.0 * figures.left, 100.0 * figures.below
+    OUT.print(f"design        at most {left:.1f} cm left above what may be dug, {below:.1f} cm dug below it")
+    for one in plan.undug:
+        OUT.print(f"undug         {one.words}")
+
+
+def check_job(file: Path, urdf: str | None) -> int:
+    """Prove the plan of a job anew, and print what holds."""
+    begun = clock.monotonic()
+    found = bp.load_job_plan(file, urdf=urdf)
+    print_figures(found)
+    OUT.print(f"{'checked in':<14}{clock.monotonic() - begun:.1f} s")
+    return VERIFIED if found.verified else FAILED
+
+
+def _print_energy(plan: bp.JobPlan, figures: jobs.JobFigures) -> None:
+    if plan.robot.hydraulics is None:
+        OUT.print(f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank), at the joints")
+        return
+    OUT.print(
+        f"energy        {figures.kwh_per_m3:.3f} kWh/m^3 (bank) from the pump; about {figures.litres:.2f} l of diesel, "
+        f"at {jobs.LITRES_PER_KWH:g} l for a kWh of the engine"
+    )
+    pump, engine = 100.0 * figures.pump, 100.0 * figures.engine
+    OUT.print(f"utilisation   pump {pump:.0f} % of its flow, engine {engine:.0f} % of its power, on the average")
