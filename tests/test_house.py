@@ -79,7 +79,7 @@ SUITES = {
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "", "sequence"],
     "live": ["braking", "recovery", "servo", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],
-    "show": ["drawing", "plots", "page", "viewer", "teleop"],
+    "show": ["drawing", "plots", "page", "job", "viewer", "teleop"],
 }
 
 

@@ -6,7 +6,6 @@ import contextlib
 import json
 import sys
 import time as clock
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -15,8 +14,9 @@ from rich.text import Text
 
 import backhoe_planner as bp
 from backhoe_planner import job as jobs
+from backhoe_planner import show
 from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, print_warnings
-from backhoe_planner.files.output_file import check_output
+from backhoe_planner.files.output_file import check_ending, check_output
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
 
@@ -52,6 +52,8 @@ def job(
     for target in (output, html):
         if target is not None:
             check_output(target, loaded.files)
+    if html is not None:
+        check_ending(html, show.PAGE_FORMATS, what="a page")
     terrain = None if from_terrain is None else jobs.read_ground(loaded, from_terrain)
     resume = None if anew or terrain is not None else _begun(loaded, output, effort, seed)
     if resume is not None:
@@ -72,15 +74,11 @@ def job(
         found = bp.plan_job(loaded, effort=effort, seed=seed, terrain=terrain, resume=resume, watch=told)
     found.save(output)
     if html is not None:
-        print_warnings(_page()(found, html))
+        print_warnings(show.write_job_page(found, html))
     print_job(found, output, as_json)
     if html is not None and not as_json:
         OUT.print(f"page          {html}")
     return VERIFIED if found.verified else FAILED
-
-
-def _page() -> Callable[[bp.JobPlan, Path], tuple[str, ...]]:
-    raise bp.InputError("the page of a job is not there yet", key="--html")
 
 
 def _begun(loaded: jobs.Job, output: Path, effort: str, seed: int) -> bp.JobPlan | None:

@@ -38,4 +38,5 @@ from .result.job_plan_file import read_job_plan_file as read_job_plan_file
 from .schema.job_file import Job as Job
 from .schema.job_file import job_from_dict as job_from_dict
 from .schema.job_file import load_job as load_job
+from .worksite.worksite import build_worksite as build_worksite
 from .worksite.worksite import read_ground as read_ground

@@ -18,6 +18,7 @@ from .drawing.solids import together as together
 from .drawing.solids import tube as tube
 from .drawing.timeline import ITSELF as ITSELF
 from .drawing.timeline import timeline as timeline
+from .job.job_page import write_job_page as write_job_page
 from .page.display import Display as Display
 from .page.page import PAGE_FORMATS as PAGE_FORMATS
 from .page.page import plan_page as plan_page

@@ -12,7 +12,7 @@ Names are those of the URDF and of the scene file.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,8 @@ class SceneGraph:
     problem: machine, site and task.
     q: (n,) the posture that is drawn first [rad or m]; by default the start, or the middle of
         the joints' ranges.
+    apart: names of obstacles that the caller draws itself; points on them are shown all the same.
+    opening: (k, 2) convex outline of what the caller draws, counterclockwise [m]: no level ground is drawn there.
 
     Attributes
     ----------
@@ -70,7 +72,10 @@ class SceneGraph:
     has_ground: whether level ground is drawn, because no obstacle is the ground.
     """
 
-    def __init__(self, visualizer: Any, problem: Problem, *, q: Vector | None = None) -> None:
+    def __init__(
+        self, visualizer: Any, problem: Problem, *, q: Vector | None = None, apart: Collection[str] = (),
+        opening: Matrix | None = None,
+    ) -> None:  # fmt: skip
         self._tree = visualizer
         self.problem = problem
         robot = problem.robot
@@ -88,9 +93,11 @@ class SceneGraph:
         centre = np.array([*(0.5 * (self._machine_points.min(axis=0) + self._machine_points.max(axis=0)))[:2], 0.0])
         # up to here a plane is drawn
         self._radius = 1.35 * max(self._reach, float(np.linalg.norm(self._machine_points - centre, axis=1).max()))
-        self.has_ground = not any(is_ground(obstacle) for obstacle in problem.obstacles)
+        self._drawn = tuple(obstacle for obstacle in problem.obstacles if obstacle.name not in apart)
+        self._opening = opening
+        self.has_ground = not any(is_ground(obstacle) for obstacle in self._drawn)
         self._site = tuple(
-            site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius) for obstacle in problem.obstacles
+            site_mesh(obstacle, problem.scene, centre=centre, reach=self._radius) for obstacle in self._drawn
         )
         self.anchors = {drawn.name: drawn.anchor for drawn in self._site}
         away = self.view()
@@ -123,6 +130,8 @@ class SceneGraph:
 
     def _below_ground(self) -> tuple[Matrix | None, bool]:
         """Outline (k, 2) of the obstacles that are the ground, and whether anything else is beneath it."""
+        if self._opening is not None:
+            return self._opening, False
         outlines, lows = [], []
         for drawn in self._site:
             if drawn.bounds is None:
@@ -153,7 +162,7 @@ class SceneGraph:
             draw(node, mesh(drawn.facets, drawn.rgba), shadow=drawn.rgba[3] == 1.0)
 
     def _draw_site(self, centre: Vector) -> None:
-        for order, (obstacle, drawn) in enumerate(zip(self.problem.obstacles, self._site, strict=True)):
+        for order, (obstacle, drawn) in enumerate(zip(self._drawn, self._site, strict=True)):
             node = self._obstacles[drawn.name]
             if drawn.bounds is None and is_ground(obstacle) and drawn.facets.normals[0, 2] > 0.999:
                 draw_ground(
@@ -226,7 +235,7 @@ class SceneGraph:
         middle = self._machine_points.mean(axis=0)
         side = 0.0
         ceiling = None
-        for obstacle, drawn in zip(self.problem.obstacles, self._site, strict=True):
+        for obstacle, drawn in zip(self._drawn, self._site, strict=True):
             if drawn.bounds is None:
                 normal = drawn.facets.normals[0]
                 if normal[2] < -0.7 and drawn.anchor[2] < 2.0 * self._reach:
@@ -324,6 +333,15 @@ class SceneGraph:
             transform[:3, 3] = shift
         for group in ("site", "clearance"):
             self._place(group, self._obstacles[name], transform)
+
+    @property
+    def prefix(self) -> str:
+        """The path above its nodes in the viewer's tree, for the tracks of an animation."""
+        return str(self._prefix)
+
+    def node_of_link(self, name: str) -> str:
+        """The name of a link's node in the viewer's tree, below ``machine``."""
+        return self._links[name]
 
     def node_of(self, name: str) -> str:
         """The name of an obstacle's node in the viewer's tree, below ``site``."""

@@ -16,7 +16,7 @@ from backhoe_planner.site import Proximity
 ITSELF = "the machine itself"
 _RATE = 30.0  # frames a second: chosen, fluent for the eye
 FRAME = 1.0 / _RATE  # s between two frames
-_MOST_FRAMES = 3000  # of a page: chosen, 100 s of motion; a longer one has fewer a second
+MOST_FRAMES = 3000  # of a page: chosen, 100 s of motion; a longer one has fewer a second
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,12 @@ class Timeline:
 def timeline(problem: Problem, trajectory: Trajectory) -> Timeline:
     """Frames of `trajectory`, at most `FRAME` apart unless they are too many; the last is its end."""
     count = 1 if trajectory.duration == 0.0 else int(np.ceil(trajectory.duration * _RATE)) + 1
-    time = trajectory.time[0] + np.linspace(0.0, trajectory.duration, min(count, _MOST_FRAMES))
+    time = trajectory.time[0] + np.linspace(0.0, trajectory.duration, min(count, MOST_FRAMES))
+    return frames_at(problem, trajectory, time)
+
+
+def frames_at(problem: Problem, trajectory: Trajectory, time: Vector) -> Timeline:
+    """Frames of `trajectory` at the times (F,) [s]."""
     q = np.column_stack([np.interp(time, trajectory.time, column) for column in trajectory.q.T])
     robot = problem.robot
     kinematics, data = Kinematics(robot), robot.model.createData()

@@ -51,12 +51,22 @@ def plan_page(plan: Plan) -> tuple[str, tuple[str, ...]]:
     """The page as text, and what could not be drawn as the URDF asks, in words."""
     display = Display()
     graph = show_plan(display, plan)
+    return page_of(plan.scene.name or "plan", display), graph.warnings
+
+
+def page_of(title: str, display: Display, *, css: str = "", body: str = "", script: str = "") -> str:
+    """A page that shows what is on a display, offline.
+
+    Parameters
+    ----------
+    css, body, script: what the page has beyond the plain one.
+    """
     messages = display.messages().values()
     content = {
         "draw": [base64.b64encode(message).decode("ascii") for message in messages if isinstance(message, bytes)],
         "tell": [json.loads(message) for message in messages if isinstance(message, str)],
     }
-    return _page(plan.scene.name or "plan", content, connect="'none'"), graph.warnings
+    return _page(title, content, connect="'none'", css=css, body=body, script=script)
 
 
 def live_page(*, css: str = "", body: str = "", script: str = "") -> str:

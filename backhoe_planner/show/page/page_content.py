@@ -13,7 +13,7 @@ from backhoe_planner.planning import Plan
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
-from backhoe_planner.show.drawing.timeline import CriticalPoint, timeline
+from backhoe_planner.show.drawing.timeline import CriticalPoint, Timeline, timeline
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.plan_facts import plan_facts
 
@@ -34,7 +34,6 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
     view = graph.look_at_motion(frames)
     visualizer.set_animation(graph.animation(frames), play=False)
     tell_problem(display, problem, graph, view, frames.obstacles)
-    numbers = [_numbers(row, plan.robot.link_names) for row in zip(*frames.nearest, strict=True)]  # by obstacle
     content = {
         "verdict": plan.verdict,
         "reason": plan.reason,
@@ -42,14 +41,22 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
         "facts": plan_facts(plan),
         "goal": goal,
         "kept": [] if problem.keep is None else [_kept(one, frames.q) for one in problem.keep.conditions],
-        "time": frames.time - frames.time[0],
-        "q": frames.q.T,
-        "margins": [margins for margins, _ in numbers],
-        "links": [links for _, links in numbers],
+        **frame_numbers(frames, plan.robot.link_names),
         "view": view,
     }
     display.tell("plan", content)
     return graph
+
+
+def frame_numbers(frames: Timeline, links: tuple[str, ...]) -> dict[str, Any]:
+    """The numbers of every frame: time from the first one, joints, and by obstacle margins and indices of `links`."""
+    numbers = [_numbers(row, links) for row in zip(*frames.nearest, strict=True)]
+    return {
+        "time": frames.time - frames.time[0],
+        "q": frames.q.T,
+        "margins": [margins for margins, _ in numbers],
+        "links": [links for _, links in numbers],
+    }
 
 
 def tell_problem(

@@ -218,6 +218,7 @@ function show(recording) {
     showKeptAt(near);
     get("scrubber").value = time;
     get("clock").textContent = `${time.toFixed(2)} / ${end.toFixed(2)} s`;
+    dispatchEvent(new CustomEvent("backhoe-time", { detail: { time, frame } }));
   }
 
   function play() {
@@ -314,7 +315,9 @@ function show(recording) {
     if (event.key === " ") { event.preventDefault(); if (playing) pause(); else play(); }
   });
 
+  const heard = {};  // the newest content of every kind, for scripts that come later
   function hear(content) {
+    heard[content.type] = content;
     if (content.type === "problem" || content.type === "step") get("notice").hidden = true;
     if (content.type === "problem") showProblem(content);
     else if (content.type === "plan") showPlan(content);
@@ -348,7 +351,7 @@ function show(recording) {
     socket.onclose = () => notice("The program that shows this has ended. The picture stays; it can be turned and played.");
   }
 
-  window.backhoe = { viewer, element, number, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },
+  window.backhoe = { viewer, heard, element, number, seek, play, pause, fit, hear, get time() { return time; }, get plan() { return plan; },
     get problem() { return problem; } };
   if (recording === null) {
     notice("Waiting for the planner…");

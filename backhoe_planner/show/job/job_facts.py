@@ -1,0 +1,75 @@
+"""The figures that the page lists of a job."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from backhoe_planner.job import JobPlan
+
+
+def job_facts(plan: JobPlan) -> list[tuple[str, str, str]]:
+    """Name, value and remark of each."""
+    facts = []
+    rows = [
+        (row.margin, row.name, row.link)
+        for cycle in plan.cycles
+        for leg in cycle.legs
+        for row in leg.certificate.clearances
+    ]
+    if rows:
+        margin, name, link = min(rows)
+        facts.append(("Tightest margin", f"{_signed(margin, 3)} m", f"{link} to {name}; proven over all motions"))
+    waits = f"and {plan.waits:.0f} s for trucks" if plan.waits else ""
+    cycles = len(plan.cycles)
+    digging = plan.duration - plan.waits
+    mean = f"{digging / cycles:.1f} s a cycle" if cycles else ""
+    facts.append(("Duration", _clock(plan.duration), "; ".join(filter(None, (mean, waits)))))
+    facts.append(("Cycles", f"{cycles}", f"bucket of {plan.capacity:.2f} m³ heaped"))
+    facts.append(("Dug", f"{plan.bank:.2f} m³", f"in the ground; {plan.loose:.2f} m³ loose"))
+    if cycles:
+        facts.append(("Production", f"{plan.production:.1f} m³/h", "in the ground"))
+        energy = plan.energy_per_volume
+        facts.append(("Energy", f"{plan.work / 1e6:.2f} MJ", f"{energy / 3.6e6:.3f} kWh per m³ at the cylinders"))
+    facts.append(
+        (
+            "Design",
+            f"{_centimetres(plan.over)} above",
+            f"at most, wherever it may be dug; {_centimetres(plan.under)} below",
+        )
+    )
+    if np.isfinite(plan.planning_time):
+        facts.append(("Planned in", f"{plan.planning_time:.1f} s", f"effort {plan.effort}, seed {plan.seed}"))
+    return facts
+
+
+def cycle_rows(plan: JobPlan) -> list[dict[str, Any]]:
+    """What the page's table has of every cycle."""
+    return [
+        {
+            "number": cycle.number,
+            "duration": cycle.duration,
+            "work": cycle.work,
+            "bank": cycle.bank,
+            "filled": cycle.filled,
+            "depth": cycle.depth,
+            "step": cycle.step,
+            "truck": cycle.truck,
+            "verified": cycle.verified,
+        }
+        for cycle in plan.cycles
+    ]
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+def _centimetres(value: float) -> str:
+    return f"{100.0 * value:.1f} cm"
+
+
+def _signed(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")

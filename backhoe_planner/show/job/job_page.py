@@ -1,0 +1,204 @@
+"""One HTML page that plays a job without a network: the ground as it is dug, its cycles, and a section."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.files.output_file import check_ending, check_output, whole_file
+from backhoe_planner.job import JobPlan, build_worksite
+from backhoe_planner.motion import Problem, Trajectory
+from backhoe_planner.show.drawing.drawing import PlanAnimation, Track, draw, mesh
+from backhoe_planner.show.drawing.framing import View
+from backhoe_planner.show.drawing.palette import LOOSE_SOIL, SOIL
+from backhoe_planner.show.drawing.scene_graph import HIDDEN, SceneGraph
+from backhoe_planner.show.drawing.solids import facets
+from backhoe_planner.show.drawing.timeline import Timeline, frames_at
+from backhoe_planner.show.job.ground_changes import changes_of, start_of
+from backhoe_planner.show.job.job_facts import cycle_rows, job_facts
+from backhoe_planner.show.job.job_frames import JobFrames, Part, job_frames
+from backhoe_planner.show.job.section import section_content
+from backhoe_planner.show.page.display import Display
+from backhoe_planner.show.page.page import PAGE_FORMATS, page_of, read_parts
+from backhoe_planner.show.page.page_content import frame_numbers, tell_problem
+from backhoe_planner.site.schema import obstacle_shapes
+
+_LOAD_INSIDE = 0.9  # of the bucket's hull, as which the soil in it is drawn; chosen by eye
+_TOP = 0.7  # of a truck's load, as wide as its bottom; chosen by eye
+_SOON = 1e-3  # s in which one truck takes the other's place in the picture
+_NODE = ("ground", "terrain")  # where the page puts the ground in the viewer's tree
+
+
+def write_job_page(plan: JobPlan, path: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write a page that plays a job in any browser, offline, whole or not at all.
+
+    Returns
+    -------
+    What could not be drawn as the URDF asks, in words.
+
+    Raises
+    ------
+    OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
+        the file is of the machine or the job.
+    """
+    check_output(path, (*plan.robot.files, *plan.job.files))
+    check_ending(path, PAGE_FORMATS, what="a page")
+    page, warnings = job_page(plan)
+    with whole_file(path) as stream:
+        stream.write(page)
+    return warnings
+
+
+def job_page(plan: JobPlan) -> tuple[str, tuple[str, ...]]:
+    """The page as text, and what could not be drawn as the URDF asks, in words."""
+    display = Display()
+    warnings = show_job(display, plan)
+    css, body, script = read_parts("backhoe_planner.show.job", "job.css", "job.html", "job.js")
+    page = page_of(plan.job.name or "job", display, css=css, body=body, script=script)
+    return page, warnings
+
+
+def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
+    """Draw a job and its animation, and tell the page its figures; what could not be drawn as the URDF asks."""
+    problem = _problem(plan)
+    apart = [obstacle.name for obstacle in problem.obstacles if isinstance(obstacle.spec, obstacle_shapes.HeightMap)]
+    frames = job_frames(plan) if plan.cycles else _standing(problem)
+    visualizer, line = display.visualizer(), frames.timeline
+    ground = plan.start
+    low, high = ground.low, ground.high
+    opening = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    graph = SceneGraph(visualizer, problem, q=line.q[0], apart=apart, opening=opening)
+    tracks = list(graph.animation(line).tracks)
+    tracks += _draw_load(visualizer, graph, plan, frames.parts, line.time)
+    tracks += _draw_truck(visualizer, graph, plan, frames.parts, line.time)
+    visualizer.set_animation(PlanAnimation(tracks, float(line.time[-1])), play=False)
+    view = graph.look_at_motion(line)
+    tell_problem(display, problem, graph, view, line.obstacles, task=_words(plan))
+    display.tell("plan", _plan_content(plan, line, view))
+    display.tell(
+        "job",
+        {
+            "ground": start_of(ground) | {"node": _NODE, "colours": [SOIL, LOOSE_SOIL]},
+            "changes": changes_of(plan, frames.parts),
+            "parts": frames.parts,
+            "cycles": cycle_rows(plan),
+            "undug": [one.words for one in plan.undug],
+            "compared": plan.compared,
+            "section": section_content(plan, problem, line.q),
+        },
+    )
+    return graph.warnings
+
+
+def _words(plan: JobPlan) -> str:
+    trench, what = plan.job.dig.trench, "a surface"
+    if trench is not None:
+        what = f"a trench of {trench.length:g} m, {trench.width:g} m wide, {trench.depth:g} m deep"
+    return f"digs {what}"
+
+
+def _problem(plan: JobPlan) -> Problem:
+    """That of the first motion; without any, the site with the machine at its start. No goals are drawn."""
+    first = plan.cycles[0].legs[0].problem if plan.cycles else build_worksite(plan.job).problem
+    return replace(first, goals=(), path=None)
+
+
+def _standing(problem: Problem) -> JobFrames:
+    """One frame of a machine that does not move."""
+    q = problem.robot.middle if problem.start_q is None else problem.start_q
+    motion = Trajectory(np.zeros(1), q[None], np.zeros((1, len(q))))
+    return JobFrames(frames_at(problem, motion, np.zeros(1)), ())
+
+
+def _plan_content(plan: JobPlan, line: Timeline, view: View) -> dict[str, Any]:
+    """What the page shows of any motion, for the whole job."""
+    return {
+        "verdict": plan.verdict,
+        "reason": plan.reason,
+        "message": plan.note,
+        "facts": job_facts(plan),
+        "goal": None,
+        "kept": [],
+        "view": view,
+        **frame_numbers(line, plan.robot.link_names),
+    }
+
+
+def _draw_load(visualizer: Any, graph: SceneGraph, plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> list[Track]:
+    """Draw the soil in the bucket, and the track by which it grows in the cut and goes in the dump."""
+    robot = plan.robot
+    hulls = [piece.piece.hull for piece in robot.pieces if piece.joint == robot.n]
+    if not hulls or not plan.cycles:
+        return []
+    body = trimesh.convex.convex_hull(np.vstack(hulls))
+    middle = np.asarray(body.centroid)
+    body.apply_translation(-middle)
+    path = graph.node_of_link(robot.pieces[-1].link)
+    node = visualizer["machine"][path]["load"]
+    draw(node["soil"], mesh(facets(body), (*LOOSE_SOIL, 1.0)))
+    place = np.eye(4)
+    place[:3, 3] = middle
+    node.set_transform(place)
+    size = _LOAD_INSIDE * np.cbrt(_filled(plan, parts, time))
+    scale = np.repeat(np.maximum(size, HIDDEN)[:, None], 3, axis=1)
+    return [Track(f"{graph.prefix}/machine/{path}/load/soil", "scale", time, scale)]
+
+
+def _filled(plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> Vector:
+    """(F,) which part of the bucket's capacity is full."""
+    moments, filled = [0.0], [0.0]
+    for cycle in plan.cycles:
+        own = {part.name: part for part in parts if part.cycle == cycle.number}
+        if "cut" not in own or "dump" not in own:
+            continue
+        digging = cycle.digging
+        held = plan.start.swell * digging.bank + digging.loose
+        moments += [*(own["cut"].begin + digging.time), own["dump"].begin, own["dump"].end]
+        filled += [*np.minimum(held, cycle.held) / plan.capacity, cycle.held / plan.capacity, 0.0]
+    return np.interp(time, moments, np.minimum(filled, 1.0))
+
+
+def _draw_truck(
+    visualizer: Any, graph: SceneGraph, plan: JobPlan, parts: tuple[Part, ...], time: Vector
+) -> list[Track]:
+    """Draw the soil on the truck, as a block with a narrower top that grows with its volume."""
+    truck = plan.job.dump.truck
+    if truck is None or not plan.cycles:
+        return []
+    length, width, _ = truck.bed.size
+    corners = [
+        [0.5 * length * part * x, 0.5 * width * part * y, z] for z, part in ((0.0, 1.0), (1.0, _TOP))
+        for x in (-1, 1) for y in (-1, 1)
+    ]  # fmt: skip
+    block = trimesh.convex.convex_hull(np.array(corners))
+    node = visualizer["site"]["load of the truck"]
+    draw(node["soil"], mesh(facets(block), (*LOOSE_SOIL, 1.0)))
+    place = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, truck.bed.yaw), np.array(truck.bed.position))
+    node.set_transform(place.homogeneous)
+    height = _loaded(plan, parts, time) / float(block.volume)
+    scale = np.column_stack((np.ones((len(time), 2)), np.maximum(height, HIDDEN)))
+    return [Track(f"{graph.prefix}/site/load of the truck/soil", "scale", time, scale)]
+
+
+def _loaded(plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> Vector:
+    """(F,) loose soil on the truck that stands there [m^3]."""
+    moments, loaded, now, number = [0.0], [0.0], 0.0, 1
+    for cycle in plan.cycles:
+        own = {part.name: part for part in parts if part.cycle == cycle.number}
+        if "dump" not in own:
+            continue
+        if cycle.truck != number:  # the next one has come
+            number, now = cycle.truck, 0.0
+            begin = min(part.begin for part in own.values())
+            moments += [begin - _SOON, begin]
+            loaded += [loaded[-1], 0.0]
+        moments += [own["dump"].begin, own["dump"].end]
+        loaded += [now, now + cycle.held]
+        now += cycle.held
+    return np.interp(time, moments, loaded)

@@ -1,0 +1,137 @@
+"""The side section of what is dug: ground, design, pipes and the bucket, along one upright plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.job import JobPlan
+from backhoe_planner.machine import BatchKinematics, Robot
+from backhoe_planner.motion import Problem
+from backhoe_planner.site import Capsule, Obstacle
+
+_BEYOND = 0.6  # m that the section goes beyond what is dug; chosen
+_UPRIGHT = 0.9  # part of an axis that is upright: such a cylinder is not cut across; chosen
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """An upright plane through the ground.
+
+    Attributes
+    ----------
+    begin: (2,) x, y where it begins [m].
+    along: (2,) unit vector.
+    length: [m]
+    """
+
+    begin: Vector
+    along: Vector
+    length: float
+
+    def stations(self, points: Matrix) -> tuple[Vector, Vector]:
+        """How far along the section points (F, 2+) are, and how far beside it [m]."""
+        off = points[:, :2] - self.begin
+        return off @ self.along, off @ np.array([-self.along[1], self.along[0]])
+
+
+def section_of(plan: JobPlan) -> Section:
+    """Along a trench, from its nearer end; through the middle of any other dig, away from the machine."""
+    axis = BatchKinematics(plan.robot).at(plan.robot.middle[None]).origins[0, 0, :2]
+    trench = plan.job.dig.trench
+    if trench is not None:
+        ends = np.array(sorted((trench.start, trench.end), key=lambda end: float(np.linalg.norm(end - axis))))
+    else:
+        rows, columns = np.nonzero(np.isfinite(plan.design))
+        places = plan.start.low + plan.start.cell * np.column_stack((columns, rows))
+        middle = places.mean(axis=0)
+        away = (middle - axis) / max(float(np.linalg.norm(middle - axis)), 1e-9)
+        reach = (places - middle) @ away
+        ends = np.array([middle + reach.min() * away, middle + reach.max() * away])
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    begin = ends[0] - _BEYOND * along
+    return Section(begin, along, float(np.linalg.norm(ends[1] - ends[0])) + 2.0 * _BEYOND)
+
+
+def section_content(plan: JobPlan, problem: Problem, q: Matrix) -> dict[str, Any]:
+    """What the page draws: heights at even stations, what crosses the plane, and the bucket at every frame q (F, n)."""
+    section, ground = section_of(plan), plan.start
+    count = int(np.ceil(section.length / ground.cell)) + 1
+    along = np.linspace(0.0, section.length, count)
+    places = section.begin + along[:, None] * section.along
+    column, row = np.clip(
+        np.round((places - ground.low) / ground.cell).astype(int), 0, np.array(ground.shape[::-1]) - 1
+    ).T
+    index = row * ground.shape[1] + column
+    at = BatchKinematics(plan.robot).at(q)
+    station, aside = section.stations(at.tip_position)
+    return {
+        "length": section.length,
+        "columns": index,
+        "start": ground.surface.ravel()[index],
+        "design": plan.design.ravel()[index],
+        "end": plan.end.surface.ravel()[index],
+        "crossings": _crossings(problem.obstacles, section),
+        "bucket": _outline(plan.robot),
+        "towards": float(np.sign(section.along @ _heading(plan.robot, section))),
+        "tip": {"station": station, "aside": aside, "z": at.tip_position[:, 2], "pitch": at.pitch()},
+        "width": plan.job.dig.trench.width if plan.job.dig.trench is not None else ground.cell,
+    }
+
+
+def _heading(robot: Robot, section: Section) -> Vector:
+    """(2,) outward from the swing axis to the middle of the section."""
+    axis = BatchKinematics(robot).at(robot.middle[None]).origins[0, 0, :2]
+    return np.asarray(section.begin + 0.5 * section.length * section.along - axis)
+
+
+def _outline(robot: Robot) -> Matrix:
+    """(k, 2) outline of what the last joint carries, from the tip: along the line from pin to tip, and up from it."""
+    q = robot.middle[None]
+    at = BatchKinematics(robot).at(q)
+    R, origin, tip = at.rotations[0, -1], at.origins[0, -1], at.tip_position[0]
+    points = np.vstack([piece.piece.hull for piece in robot.pieces if piece.joint == robot.n] or [np.zeros((1, 3))])
+    world = points @ R.T + origin
+    axis = at.pitch_sense * at.axes[0, -1]
+    forward = np.array([-axis[1], axis[0], 0.0])
+    forward /= np.linalg.norm(forward)
+    pitch = float(at.pitch()[0])
+    off = world - tip
+    level, up = off @ forward, off[:, 2]
+    flat = np.column_stack((level * np.cos(pitch) + up * np.sin(pitch), -level * np.sin(pitch) + up * np.cos(pitch)))
+    return np.asarray(flat[ConvexHull(flat).vertices]) if len(flat) > 2 else flat
+
+
+def _crossings(obstacles: Sequence[Obstacle], section: Section) -> list[dict[str, Any]]:
+    """The pipes that go through the plane: where, half axes of the cut through them, and what is to be kept."""
+    found = []
+    across = np.array([-section.along[1], section.along[0], 0.0])
+    for obstacle in obstacles:
+        spec = obstacle.spec
+        if not isinstance(spec, Capsule):
+            continue
+        start, end = np.array(spec.start), np.array(spec.end)
+        way = end - start
+        length = float(np.linalg.norm(way))
+        before, after = ((point[:2] - section.begin) @ across[:2] for point in (start, end))
+        if length == 0.0 or before * after > 0.0 or before == after or abs(way[2]) > _UPRIGHT * length:
+            continue
+        place = start + before / (before - after) * way
+        station = float((place[:2] - section.begin) @ section.along)
+        slant = abs(float(way @ across)) / length
+        found.append(
+            {
+                "name": obstacle.name,
+                "station": station,
+                "z": float(place[2]),
+                "half": spec.radius / max(slant, 1e-3),
+                "radius": spec.radius,
+                "clearance": obstacle.clearance,
+            }
+        )
+    return found

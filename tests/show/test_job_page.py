@@ -1,0 +1,117 @@
+"""The page of a job: what it is told, and how it plays in a real browser."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_jobs import small_job
+
+from backhoe_planner.errors import OutputError
+from backhoe_planner.job import JobPlan, plan_job
+from backhoe_planner.show import write_job_page
+from backhoe_planner.show.job.ground_changes import changes_of, start_of
+from backhoe_planner.show.job.job_frames import job_frames, job_parts
+from backhoe_planner.show.job.section import section_content
+
+
+@pytest.fixture(scope="module")
+def plan() -> JobPlan:
+    made = plan_job(small_job(), effort="quick")
+    assert made.verified
+    return made
+
+
+def unpacked(text: str, kind: str) -> np.ndarray[Any, Any]:
+    return np.frombuffer(base64.b64decode(text), dtype=kind)
+
+
+def test_the_parts_follow_each_other_over_the_whole_job(plan: JobPlan) -> None:
+    parts = job_parts(plan)
+    assert parts[0].begin == 0.0
+    assert all(a.end == b.begin for a, b in pairwise(parts))
+    assert parts[-1].end == pytest.approx(plan.duration, abs=1e-9)
+    frames = job_frames(plan)
+    assert len(frames.timeline.time) == len(frames.timeline.q) == len(frames.timeline.nearest)
+    for part, leg in zip(parts, [leg for cycle in plan.cycles for leg in cycle.legs], strict=True):
+        frame = int(np.argmin(np.abs(frames.timeline.time - part.begin)))
+        assert np.abs(frames.timeline.q[frame] - leg.trajectory.q[0]).max() < 0.05
+
+
+def test_the_changes_one_after_the_other_make_the_ground_at_the_end(plan: JobPlan) -> None:
+    heights = unpacked(start_of(plan.start)["heights"], "<i2").astype(float)
+    changes = changes_of(plan, job_parts(plan))
+    times = [change["time"] for change in changes]
+    assert times == sorted(times)
+    assert times[-1] <= plan.duration + 1e-9
+    for change in changes:
+        heights[unpacked(change["columns"], "<u4")] = unpacked(change["heights"], "<i2")
+    assert np.abs(heights - 1000.0 * plan.end.surface.ravel()).max() <= 1.01  # they are told to the millimetre
+
+
+def test_the_section_runs_along_the_trench_and_has_the_pipe_in_it(plan: JobPlan) -> None:
+    """From 0.6 m before the nearer end, at x = 3.2: so the pipe across x = 3.6 is 1 m along it."""
+    section = section_content(plan, plan.cycles[0].legs[0].problem, job_frames(plan).timeline.q)
+    assert section["length"] == pytest.approx(1.2 + 2 * 0.6)
+    (pipe,) = section["crossings"]
+    assert (pipe["name"], pipe["station"], pipe["z"]) == ("pipe", pytest.approx(1.0), pytest.approx(-1.0))
+    assert pipe["half"] == pytest.approx(0.1)
+    assert np.nanmin(section["design"]) == pytest.approx(-0.3)
+    tip = section["tip"]
+    assert tip["z"].min() == pytest.approx(-0.3, abs=0.02)  # the teeth go down to the design
+    assert np.abs(tip["aside"][np.argmin(tip["z"])]) < 0.01
+
+
+def test_a_page_has_an_ending_of_its_own_and_replaces_nothing_of_the_job(plan: JobPlan, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"\.html"):
+        write_job_page(plan, tmp_path / "job.pdf")
+    with pytest.raises(OutputError, match="input of this command"):
+        write_job_page(plan, plan.robot.urdf.path)
+
+
+def opened(browser: Any, file: Path) -> tuple[Any, list[str]]:
+    """The page in a browser, and what it complains of or asks of the network."""
+    page = browser.new_page(viewport={"width": 900, "height": 600}, reduced_motion="reduce")
+    trouble: list[str] = []
+    page.on("console", lambda message: trouble.append(message.text))
+    page.on("pageerror", lambda error: trouble.append(str(error)))
+    page.on("request", lambda request: trouble.extend([request.url] * (not request.url.startswith("file:"))))
+    page.goto(file.as_uri())
+    page.wait_for_function("window.backhoe !== undefined && document.querySelector('#cycles tbody') !== null")
+    return page, trouble
+
+
+def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp_path: Path) -> None:
+    write_job_page(plan, tmp_path / "job.html")
+    page, trouble = opened(browser, tmp_path / "job.html")
+    ground = plan.start
+    column, row = np.round((np.array([3.8, 0.0]) - ground.low) / ground.cell).astype(int)
+    height = (
+        "backhoe.viewer.scene_tree.find(['ground', 'terrain']).object"
+        f".geometry.attributes.position.getZ({row * ground.shape[1] + column})"
+    )
+    assert page.evaluate(height) == pytest.approx(0.0, abs=1e-3)
+    page.evaluate("backhoe.seek(1e9)")
+    assert page.evaluate(height) == pytest.approx(-0.3, abs=0.02)
+    assert page.inner_text("#now") == f"Cycle {len(plan.cycles)} of {len(plan.cycles)}: {plan.cycles[-1].legs[-1].name}"
+    page.click("#cycles tbody tr:first-child")
+    assert page.evaluate(height) == pytest.approx(0.0, abs=1e-3)
+    assert page.inner_text("#now").startswith("Cycle 1 of")
+    assert page.inner_text("#badge") == "Verified"
+    assert trouble == []
+    page.close()
+
+
+def test_a_job_without_a_cycle_shows_the_machine_and_why(browser: Any, plan: JobPlan, tmp_path: Path) -> None:
+    nothing = replace(plan, cycles=(), failure="blocked", note="no way to the first cut")
+    write_job_page(nothing, tmp_path / "job.html")
+    page, trouble = opened(browser, tmp_path / "job.html")
+    assert page.inner_text("#message") == "no way to the first cut"
+    assert not page.is_visible("#now")
+    assert trouble == []
+    page.close()
