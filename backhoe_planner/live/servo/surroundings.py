@@ -37,6 +37,7 @@ class _Placed:
     obstacle: Obstacle
     velocity: Vector
     shift: Vector
+    moves: bool
 
 
 class Surroundings:
@@ -149,7 +150,8 @@ class Surroundings:
             return np.zeros(0, dtype=np.intp)
         number = self._next_number
         self._next_number += 1
-        self._placed[obstacle.name] = _Placed(number, obstacle, np.array(obstacle.velocity), np.zeros(3))
+        velocity = np.array(obstacle.velocity)
+        self._placed[obstacle.name] = _Placed(number, obstacle, velocity, np.zeros(3), bool(velocity.any()))
         self._name_of[number] = obstacle.name
         pairs = self._separation.add(number, obstacle)
         self._separation.place_at(number, self._placed[obstacle.name].shift)
@@ -189,6 +191,7 @@ class Surroundings:
         """Give an obstacle a velocity (3,) [m/s], and return the indices of its pairs."""
         placed = self._find(name)
         placed.velocity = _three(velocity, "velocity")
+        placed.moves = bool(placed.velocity.any())
         self.revision += 1
         pairs = self._pairs(placed)
         self._separation.velocity[pairs] = placed.velocity
@@ -231,7 +234,7 @@ class Surroundings:
         self.speed = np.sqrt((velocity**2).sum(axis=1))
         for placed in self._movers:
             self._stands_at(placed, placed.shift.copy())
-        self._movers = [placed for placed in self._placed.values() if placed.velocity.any()]
+        self._movers = [placed for placed in self._placed.values() if placed.moves]
         self.anything_moves = len(self._movers) > 0
         # one array for all that move, so that a step moves them at once; each holds its row of it
         self._velocities = np.array([placed.velocity for placed in self._movers]).reshape(-1, 3)
