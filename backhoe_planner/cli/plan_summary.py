@@ -42,8 +42,20 @@ def print_plan(found: bp.Plan, output: Path, as_json: bool) -> None:
     _print_tracking_error(found)
     if len(found.trajectory) > 1:
         _print_motion(found)
+    _print_legs(found)
     OUT.print(f"planned in    {metrics.planning_time:.2f} s ({found.settings})")
     OUT.print(f"plan          {output}")
+
+
+def _print_legs(found: bp.Plan) -> None:
+    """One line for each leg of a sequence: duration, work, tightest margin; nothing where there are no legs."""
+    width = max((len(leg.name) for leg in found.legs), default=0)
+    for leg in found.legs:
+        tightest = leg.certificate.min_clearance
+        near = "" if tightest is None else f", margin {tightest.margin:+.3f} m ({tightest.link}, {tightest.name})"
+        work = planning.describe_quantity(leg.metrics.energy["work"], "J")
+        wrong = "" if leg.certificate.verified else ", not verified"
+        OUT.print(f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s, {work}{near}{wrong}")
 
 
 def _print_tracking_error(found: bp.Plan) -> None:
@@ -127,6 +139,7 @@ def print_certificate(plan: bp.Plan) -> None:
         if load is not None:
             where = " ".join(part for part in (load.kind, load.joint) if part and part != kind)
             OUT.print(f"{kind:<13}{100.0 * load.ratio:5.1f} % of its limit at most ({where}, {load.time:.2f} s)")
+    _print_legs(plan)
     print_recording(plan)
     if not live.is_recording(plan):
         _print_tracking_error(plan)

@@ -22,9 +22,10 @@ def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
 
     ``.csv``: a header, then time [s], position and velocity of every joint; where the
     machine has a hydraulic description, then length [m], speed [m/s] and flow [m^3/s] of
-    every cylinder.
+    every cylinder; of a sequence at last the name of the leg.
     ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,); with a hydraulic
-    description also lengths, rod_speeds and flows (T, m), cylinders (m,).
+    description also lengths, rod_speeds and flows (T, m), cylinders (m,);
+    of a sequence legs (L,), their names, and leg_begins (L,), the first sample of each.
     ``.yaml``: a ROS 2 trajectory_msgs/JointTrajectory message.
 
     Raises
@@ -46,10 +47,17 @@ def _write_csv(plan: Plan, stream: IO[Any]) -> None:
         for quantity, values in zip(("length", "speed", "flow"), _cylinders(hydraulics, motion).values(), strict=True):
             header += [f"{name}.{quantity}" for name in hydraulics.cylinder_names]
             columns.append(values)
+    legs = _legs(plan)
+    header += ["leg"] if legs else []
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
-    for row in np.hstack(columns).tolist():
-        writer.writerow([repr(number) for number in row])
+    for index, row in enumerate(np.hstack(columns).tolist()):
+        writer.writerow([*(repr(number) for number in row), *([] if not legs else [legs[index]])])
+
+
+def _legs(plan: Plan) -> list[str]:
+    """Of every sample the leg that it belongs to; where two meet, the later one. None where there are no legs."""
+    return [leg.name for leg in plan.legs for _ in range(leg.first, leg.last)] + [leg.name for leg in plan.legs[-1:]]
 
 
 def _write_npz(plan: Plan, stream: IO[Any]) -> None:
@@ -57,6 +65,8 @@ def _write_npz(plan: Plan, stream: IO[Any]) -> None:
     arrays = {"time": motion.time, "q": motion.q, "v": motion.v, "joints": np.array(plan.robot.joint_names)}
     if hydraulics is not None:
         arrays |= _cylinders(hydraulics, motion) | {"cylinders": np.array(hydraulics.cylinder_names)}
+    if plan.legs:
+        arrays |= {"legs": np.array([leg.name for leg in plan.legs]), "leg_begins": np.array(motion.begins)}
     np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 

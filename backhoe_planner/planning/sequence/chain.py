@@ -26,7 +26,7 @@ from backhoe_planner.planning.world import World
 
 _SAME = 1e-9  # rad or m: rounding; postures nearer than this are one end
 _GAIN = 1e-3  # part of the whole cost by which another chain must promise to be better; chosen
-_MOST_OFF = 3.0  # times its estimate, that a way is taken to cost at most before it is planned; chosen
+_OFF = (0.2, 1.1)  # times its estimate, that a way is taken to cost before it is planned; chosen: hope looks further
 _NOTHING = 1e-9  # of a price, in place of 0
 
 
@@ -149,7 +149,7 @@ class Chain:
             if number is not None:
                 layer.free.add((before, done.problem.goals[number - 1].name))
             before, cost = self._note(layer, before, done)
-            layer.off = float(np.clip(cost / max(guess, _NOTHING), 1.0, _MOST_OFF))
+            layer.off = float(np.clip(cost / max(guess, _NOTHING), *_OFF))
             totals[name] += cost
         for layer in self._layers:
             name = layer.leg.problem.objective.name

@@ -392,9 +392,11 @@ class SceneGraph:
                 tracks.append(Track(path, "position", time, timeline.poses[:, joint, :3]))
                 tracks.append(Track(path, "quaternion", time, timeline.poses[:, joint, 3:]))
         for obstacle in self.problem.obstacles:
-            if obstacle.moves or obstacle.appears_at > 0.0:
+            legs = obstacle.spec.legs
+            there = np.array([legs is None or leg in legs for leg in timeline.legs] or [True] * len(timeline.time))
+            if obstacle.moves or obstacle.appears_at > 0.0 or not there.all():
                 offset = np.array([offset_at(obstacle, moment) for moment in timeline.time])
-                size = np.where(timeline.time < obstacle.appears_at, HIDDEN, 1.0)
+                size = np.where((timeline.time < obstacle.appears_at) | ~there, HIDDEN, 1.0)
                 for group in ("site", "clearance"):
                     path = f"{self._prefix}/{group}/{self._obstacles[obstacle.name]}"
                     tracks.append(Track(path, "position", time, offset))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import Problem, Trajectory
+from backhoe_planner.motion import Problem, Trajectory, leg_parts
 from backhoe_planner.site import Proximity
 
 ITSELF = "the machine itself"
@@ -50,7 +50,8 @@ class Timeline:
     poses: (F, joints, 7) position [m] and quaternion (x, y, z, w) of every joint's frame in the
         world; joint 0 is the world.
     obstacles: names in the order of the scene; the machine itself is the last, if it can touch itself.
-    nearest: per frame and obstacle the critical point, None where the obstacle is far.
+    nearest: per frame and obstacle the critical point, None where the obstacle is far, or not there in that leg.
+    legs: per frame the name of the leg of a sequence; empty where there are no legs.
     """
 
     time: Vector
@@ -59,6 +60,7 @@ class Timeline:
     poses: NDArray[np.float64]
     obstacles: tuple[str, ...]
     nearest: tuple[tuple[CriticalPoint | None, ...], ...]
+    legs: tuple[str, ...] = ()
 
     def margins(self, obstacle: int) -> Vector:
         """(F,) margins to the obstacle of this index [m]; NaN where it is far."""
@@ -84,17 +86,38 @@ def frames_at(problem: Problem, trajectory: Trajectory, time: Vector) -> Timelin
         pin.forwardKinematics(robot.model, data, q)
         return [pin.SE3ToXYZQUAT(placement) for placement in data.oMi]
 
+    near, legs = _by_leg(problem, trajectory, names, time=time, q=q, within=within) if trajectory.begins else ((), ())
     return Timeline(
+        legs=legs,
         time=time,
         q=q,
         tip=np.array([kinematics.at(row).tip_position for row in q]),
         poses=np.array([link_poses(row) for row in q]),
         obstacles=names,
-        nearest=tuple(
+        nearest=near
+        or tuple(
             critical_points(proximity, names, row, time=float(moment), within=within)
             for moment, row in zip(time, q, strict=True)
         ),
     )
+
+
+def _by_leg(
+    problem: Problem, trajectory: Trajectory, names: tuple[str, ...], *, time: Vector, q: Matrix, within: float
+) -> tuple[tuple[tuple[CriticalPoint | None, ...], ...], tuple[str, ...]]:
+    """Of every frame of a sequence the critical points to what is there in its leg, and the leg's name."""
+    parts = leg_parts(problem, trajectory)
+    around = [Proximity(part.problem.robot, part.problem.obstacles) for part in parts]
+    own = [obstacle_names(part.problem, near) for part, near in zip(parts, around, strict=True)]
+    begins = np.array([part.begins for part in parts])
+    nearest, legs = [], []
+    for moment, row in zip(time.tolist(), q, strict=True):
+        k = int(np.searchsorted(begins, moment, side="right")) - 1
+        found = critical_points(around[k], own[k], row, time=moment - begins[k], within=within)
+        by_name = dict(zip(own[k], found, strict=True))
+        nearest.append(tuple(by_name.get(name) for name in names))
+        legs.append(parts[k].name)
+    return tuple(nearest), tuple(legs)
 
 
 def sight(problem: Problem) -> float:

@@ -40,8 +40,9 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
         "message": plan.message,
         "facts": plan_facts(plan),
         "goal": goal,
+        "legs": [{"name": leg.name, "begins": leg.begins} for leg in plan.legs],
         "kept": [] if problem.keep is None else [_kept(one, frames.q) for one in problem.keep.conditions],
-        **frame_numbers(frames, plan.robot.link_names),
+        **frame_numbers(frames, shown_links(problem)),
         "view": view,
     }
     display.tell("plan", content)
@@ -88,13 +89,14 @@ def tell_problem(
         joints.append({"name": name, "angular": not slides, "lower": lower, "upper": upper})
     of_problem = "along a path" if problem.path is not None else "driven by hand"
     of_problem = "to a goal" if problem.goals else of_problem
+    of_problem = f"a sequence of {len(problem.legs)} legs" if problem.legs else of_problem
     content = {
         "title": scene.name or "untitled scene",
         "subtitle": f"{robot.name}, {task or of_problem}",
         "obstacles": list(listed.values()),
         "goals": [{"name": goal.name, "anchor": goal.target.position} for goal in problem.goals[1:] and problem.goals],
         "joints": joints,
-        "links": robot.link_names,
+        "links": shown_links(problem),
         "influence": scene.influence,
         "far": 2.0 * scene.influence,
         "colours": [TIGHT, NEAR, FAR],
@@ -103,6 +105,12 @@ def tell_problem(
         "view": view,
     }
     display.tell("problem", content)
+
+
+def shown_links(problem: Problem) -> tuple[str, ...]:
+    """Names of the links of a problem's machine, and of what it carries in some leg."""
+    loads = [leg.robot.carried[0] for leg in problem.legs if leg.robot.carried is not None]
+    return tuple(dict.fromkeys((*problem.robot.link_names, *loads)))
 
 
 def tell_step(

@@ -6,7 +6,7 @@ import numpy as np
 
 from backhoe_planner.live import is_recording, unrecorded_changes
 from backhoe_planner.motion import OBJECTIVES
-from backhoe_planner.planning import Plan, describe_excess, describe_quantity, describe_saving
+from backhoe_planner.planning import Plan, PlannedLeg, describe_excess, describe_quantity, describe_saving
 from backhoe_planner.proof import KeepUse
 
 
@@ -40,6 +40,7 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     if certificate.detours:
         longest = max(detour.max_deviation for detour in certificate.detours)
         facts.append(("Detours", f"{len(certificate.detours)}", f"up to {_length(longest)} off the path"))
+    facts += [_leg_fact(leg) for leg in plan.legs]
     facts.append(("Duration", f"{plan.trajectory.duration:.2f} s", _about_duration(plan)))
     facts += _costs(plan)
     if is_recording(plan):
@@ -47,6 +48,16 @@ def plan_facts(plan: Plan) -> list[tuple[str, str, str]]:
     else:
         facts.append(("Planned in", f"{metrics.planning_time:.2f} s", plan.settings))
     return facts
+
+
+def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
+    """Duration, work and tightest margin of one leg of a sequence."""
+    words = [describe_quantity(leg.metrics.energy["work"], "J")] if "work" in leg.metrics.energy else []
+    tightest = leg.certificate.min_clearance
+    if tightest is not None:
+        words.append(f"{_metres(tightest.margin)} m left between {tightest.link} and {tightest.name}")
+    words += [] if leg.certificate.verified else ["not verified"]
+    return f"Leg: {leg.name}", f"{leg.metrics.duration:.2f} s", "; ".join(words)
 
 
 def _about_duration(plan: Plan) -> str:

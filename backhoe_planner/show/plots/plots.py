@@ -91,11 +91,23 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
         dress(axes)
         panel(axes, plan, problem, frames)
         axes.yaxis.label.set_size(9)
+        _mark_legs(axes, plan, named=axes is all_axes[0])
     all_axes[-1].set_xlabel("time [s]", fontsize=9)
     all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
     figure.align_ylabels(list(all_axes))
     _explain(all_axes[0], plan, "The motion ends before its task is done: " if plan.failure else "")
     save_figure(figure, path, title)
+
+
+def _mark_legs(axes: Axes, plan: Plan, *, named: bool) -> None:
+    """A line where each leg of a sequence begins, with its name where `named`."""
+    for leg in plan.legs:
+        axes.axvline(leg.begins, color="0.6", linewidth=0.8, zorder=0.5)
+        if named:
+            axes.annotate(
+                plain_text(leg.name), (leg.begins, 1.0), xycoords=("data", "axes fraction"), xytext=(3.0, 2.0),
+                textcoords="offset points", fontsize=7.5, color="0.35", annotation_clip=True,
+            )  # fmt: skip
 
 
 def _explain(axes: Axes, plan: Plan, what: str) -> None:

@@ -219,6 +219,8 @@ function show(recording) {
     get("scrubber").value = time;
     get("clock").textContent = `${time.toFixed(2)} / ${end.toFixed(2)} s`;
     dispatchEvent(new CustomEvent("backhoe-time", { detail: { time, frame } }));
+    const legs = plan.legs ?? [], leg = legs.findLastIndex((one) => one.begins <= time + 1e-6);
+    get("leg").textContent = leg < 0 ? "" : `${leg + 1}/${legs.length} ${legs[leg].name}`;
   }
 
   function play() {
