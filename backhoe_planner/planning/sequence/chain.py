@@ -2,9 +2,10 @@
 
 The postures in which legs may end are the nodes of a layered graph, a layer a leg; the ways between
 them are its edges, priced by estimates until they are planned. In turn the cheapest chain is sought and
-its ways are planned, which makes their prices known, until the cheapest chain is planned as a whole. A way
-that cannot be planned leaves the graph, so that other ends are tried. What planning leg by leg gives is
-one of the chains: the result is never dearer.
+planned as a whole: first with the end of each leg anywhere on the goal that the chain chooses, then, where
+that chain is still the cheapest, in just the postures of the chain. A way that cannot be planned leaves the
+graph, so that other ends are tried. What planning leg by leg gives is one of the chains: the result is
+never dearer.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.machine import Kinematics
-from backhoe_planner.motion import Goal, TipPath, motion_cost
+from backhoe_planner.motion import TipPath, motion_cost
 from backhoe_planner.planning.search.effort import Work
 from backhoe_planner.planning.sequence.ends import LegEnds, WayPrices, find_ends
 from backhoe_planner.planning.sequence.leg import DoneLeg, Leg, posture_goal
@@ -48,8 +49,9 @@ class _Layer:
     prices: of ways.
     known: where it may begin and end; the ends of the last leg are left to the planner of motions.
     ends: (n,) each.
+    names: of each end the goal that it is on; None along a path. Of the last leg none.
     planned: by the index of the end before and of its own; None where no way was found.
-    free: from which end before to which goal a way was planned whose end was left to the planner of motions.
+    free: by the end before and the goal, the end of the way that was planned to anywhere on it; None for none.
     estimates: (A, B) of the ways that are not planned.
     unit: of the cost, by which it is divided.
     off: how many times its estimate a way costs.
@@ -59,11 +61,16 @@ class _Layer:
     prices: WayPrices
     known: LegEnds
     ends: list[Vector]
+    names: list[str | None]
     planned: dict[tuple[int, int], _Way | None] = field(default_factory=dict)
-    free: set[tuple[int, str]] = field(default_factory=set)
+    free: dict[tuple[int, str], int | None] = field(default_factory=dict)
     estimates: Matrix = field(default_factory=lambda: np.zeros((0, 0)))
     unit: float = 1.0
     off: float = 1.0
+
+    def place(self, end: int) -> str | None:
+        """The name of the goal that an end is on; None along a path, and where the end is left open."""
+        return self.names[end] if end < len(self.names) else None
 
     def estimate(self, begins: Sequence[Vector]) -> None:
         """Price all ways from `begins`."""
@@ -91,6 +98,7 @@ class Chain:
         self._moving = [index for index, leg in enumerate(legs) if leg.problem.wait is None]
         self._start = first[0].motion.q[0]
         self._layers: list[_Layer] = []
+        self._tried: set[tuple[str | None, ...]] = set()  # goals of chains
         self.tried = 0
 
     def run(self) -> list[DoneLeg]:
@@ -98,8 +106,8 @@ class Chain:
         if not self._build():
             return list(self._first)
         while self._left > 0 and not self._planner.brake.is_used_up():
-            way = self._cheapest(estimated=True)
-            if way is None or not self._plan_one(way):
+            chain = self._cheapest(estimated=True)
+            if chain is None or not self._promises(chain) or not self._plan_chain(chain):
                 break
         best = self._cheapest(estimated=False)
         return list(self._first) if best is None else self._with_waits(best)
@@ -115,11 +123,12 @@ class Chain:
             known = find_ends(world, leg, near)
             if known is None:
                 return False
-            if number == len(self._moving) - 1:
-                ends: list[Vector] = [known.ends[0]]  # one node, for any end
-            else:
-                ends = list(known.ends)
-            self._layers.append(_Layer(leg, WayPrices(world), known, ends))
+            is_last = number == len(self._moving) - 1  # one node, for any end
+            ends = list(known.ends[:1] if is_last else known.ends)
+            names: list[str | None] = []
+            if not is_last:
+                names += [goal.name for goal in known.goals] if known.goals else [None] * len(ends)
+            self._layers.append(_Layer(leg, WayPrices(world), known, ends, names))
             near = known.ends[0]
         self._estimate()
         self._take_first()
@@ -146,9 +155,10 @@ class Chain:
             done = self._first[index]
             guess = float(np.min(layer.estimates[min(before, len(layer.estimates) - 1)]))
             number = done.certificate.goal
-            if number is not None:
-                layer.free.add((before, done.problem.goals[number - 1].name))
+            begun = before
             before, cost = self._note(layer, before, done)
+            if number is not None:
+                layer.free[begun, done.problem.goals[number - 1].name] = before
             layer.off = float(np.clip(cost / max(guess, _NOTHING), *_OFF))
             totals[name] += cost
         for layer in self._layers:
@@ -164,10 +174,12 @@ class Chain:
             index = next((k for k, q in enumerate(layer.ends) if np.max(np.abs(q - end)) < _SAME), len(layer.ends))
             if index == len(layer.ends):
                 layer.ends.append(end)
+                number = done.certificate.goal
+                layer.names.append(None if number is None else done.problem.goals[number - 1].name)
                 column = np.full((len(layer.estimates), 1), np.inf)
                 layer.estimates = np.hstack((layer.estimates, column))
                 after = self._layers[self._layers.index(layer) + 1]
-                own = _Layer(after.leg, after.prices, after.known, after.ends)
+                own = _Layer(after.leg, after.prices, after.known, after.ends, after.names)
                 own.estimate([end])
                 row = own.estimates
                 if after is self._layers[-1]:
@@ -210,44 +222,57 @@ class Chain:
         weights = (self._weights(layer, estimated=estimated) for layer in self._layers)
         return float(sum(matrix[way] for matrix, way in zip(weights, chain, strict=True)))
 
-    def _plan_one(self, chain: Sequence[tuple[int, int]]) -> bool:
-        """Plan the first way of a chain that is not; False where all are, or nothing would be gained."""
+    def _promises(self, chain: Sequence[tuple[int, int]]) -> bool:
+        """Whether a chain may be cheaper than the cheapest that is known."""
         best = self._cheapest(estimated=False)
-        if best is not None:
-            known = self._cost(best, estimated=False)
-            if self._cost(chain, estimated=True) > (1.0 - _GAIN) * known:
-                return False
-        for layer, (a, b) in zip(self._layers, chain, strict=True):
-            if (a, b) in layer.planned:
-                continue
-            self._plan(layer, a, b)
+        if best is None:
             return True
-        return False
+        return self._cost(chain, estimated=True) < (1.0 - _GAIN) * self._cost(best, estimated=False)
 
-    def _plan(self, layer: _Layer, a: int, b: int) -> None:
-        """Plan one way, from the end `a` of the leg before to the end `b`."""
+    def _plan_chain(self, chain: Sequence[tuple[int, int]]) -> bool:
+        """Plan what is not planned of a chain, as far as it goes; False where nothing was left to be planned."""
+        places = tuple(layer.place(b) for layer, (_, b) in zip(self._layers, chain, strict=True))
+        anywhere = places not in self._tried
+        self._tried.add(places)
+        before, planned = 0, self.tried
+        for layer, (_, b) in zip(self._layers, chain, strict=True):
+            if self._left <= 0:
+                break
+            place = layer.place(b)
+            if anywhere and place is not None:
+                if (before, place) not in layer.free:
+                    layer.free[before, place] = self._plan(layer, before, b, anywhere=True)
+                end = layer.free[before, place]
+            elif (before, b) in layer.planned:
+                end = None if layer.planned[before, b] is None else b
+            else:
+                end = self._plan(layer, before, b, anywhere=False)
+            if end is None:
+                break
+            before = end
+        return anywhere or self.tried > planned
+
+    def _plan(self, layer: _Layer, a: int, b: int, *, anywhere: bool) -> int | None:
+        """Plan one way, from the end `a` of the leg before to the end `b`; the index of its end, None for no way.
+
+        anywhere: on the goal of `b`, not just at `b`.
+        """
         number = self._layers.index(layer)
         start = self._layers[number - 1].ends[a] if number else None
-        leg, last = layer.leg, layer is self._layers[-1]
+        leg, asked = layer.leg, None
         self._left -= 1
         self.tried += 1
-        wanted = None if last else layer.ends[b]
-        if wanted is None or leg.motion is not None:
-            done = self._planner.plan(leg, start)
-        elif leg.problem.path is not None:
-            done = self._planner.plan(leg, start, asked=_ending_at(leg, wanted))
-        elif b < len(layer.known.goals) and (a, layer.known.goals[b].name) not in layer.free:
-            # first anywhere on that goal: mostly this is as good for the next leg, and better for this one
-            layer.free.add((a, layer.known.goals[b].name))
-            done = self._planner.plan(leg, start, asked=_ending_on(leg, layer.known.goals[b]))
-            if not done.failed:
-                self._note(layer, a, done)
-                return
-        else:
-            done = self._planner.plan(leg, start, asked=_ending_on(leg, posture_goal(leg.problem, wanted)))
-        layer.planned.setdefault((a, b), None)
-        if not done.failed:
-            self._note(layer, a, done)
+        if layer is not self._layers[-1] and leg.motion is None:
+            if leg.problem.path is not None:
+                asked = _ending_at(leg, layer.ends[b])
+            else:
+                on = next((goal for goal in leg.problem.goals if goal.name == layer.place(b)), None)
+                goal = on if anywhere and on is not None else posture_goal(leg.problem, layer.ends[b])
+                asked = replace(leg, problem=replace(leg.problem, goals=(goal,)))
+        done = self._planner.plan(leg, start, asked=asked)
+        if not anywhere:
+            layer.planned.setdefault((a, b), None)
+        return None if done.failed else self._note(layer, a, done)[0]
 
     def _with_waits(self, chain: Sequence[tuple[int, int]]) -> list[DoneLeg]:
         """The planned legs of a chain, with the waits between them."""
@@ -263,11 +288,6 @@ class Chain:
             assert planned is not None
             found.append(planned.done)
         return found
-
-
-def _ending_on(leg: Leg, goal: Goal) -> Leg:
-    """The same leg to one goal alone."""
-    return replace(leg, problem=replace(leg.problem, goals=(goal,)))
 
 
 def _ending_at(leg: Leg, q: Vector) -> Leg:

@@ -22,7 +22,7 @@ _ENDS_A_WAY = 12  # the same for each of `Effort.ways_at_once`; chosen
 _MOST_PRICED = 16  # the same where the ways between them are priced by inverse dynamics; chosen
 _LONGEST = 120.0  # s: least times are looked at up to this one; chosen, far above any leg
 _PLACES = 8  # on a straight way between two postures, at which it is looked at; chosen
-_BLOCKED = 1.0  # part by which a way costs more where all of it is blocked; chosen
+_BLOCKED = 0.5  # part by which a way costs more where all of it is blocked; chosen
 _BRISK = 1.15  # times the least time, that a straight way takes; chosen
 
 

@@ -83,7 +83,7 @@ def plan_legs(
     tried = 0
     moving = sum(leg.problem.wait is None for leg in legs)
     if ahead and moving > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
-        chain = Chain(legs, done, planner, most=effort.ways_at_once * moving)
+        chain = Chain(legs, done, planner, most=(1 + effort.ways_at_once) * moving)
         done, tried = chain.run(), chain.tried
     return _outcome(legs, done, tried)
 
