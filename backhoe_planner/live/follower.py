@@ -27,6 +27,7 @@ import numpy as np
 from backhoe_planner.arrays import Vector, as_count
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.live.kept_following import KeptFollowing
+from backhoe_planner.live.leg_site import LegSite
 from backhoe_planner.live.reference import Reference
 from backhoe_planner.live.rejoining import (
     LONGEST,
@@ -118,7 +119,10 @@ class PlanFollower:
     Raises
     ------
     InputError: the plan failed, and that is not allowed, or it has no motion; it is for other joints
-        than the machine's; the seed is negative.
+        than the machine's; the machine carries something in a leg of it; the seed is negative.
+
+    Along the plan of a sequence, obstacles that are there for some legs only are put there and taken away with
+    these legs, and what is to be kept is that of the leg.
 
     `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own thread
     once a running search is over.
@@ -155,6 +159,8 @@ class PlanFollower:
         self._round: _Round | None = None
         keep = plan.problem.keep if isinstance(plan, Plan) else keep_of(robot, servo.scene)
         self._kept = KeptFollowing(keep, servo.limits)
+        self._legs = LegSite(servo, plan) if isinstance(plan, Plan) and plan.legs else None
+        self._enter_leg()
         self._steps = 0
         self._slowest = float(servo.limits.velocity.min())
         self._progress = _Progress(self._slowest)
@@ -192,6 +198,7 @@ class PlanFollower:
         """Move on by the servo's dt."""
         servo = self.servo
         self._steps += 1
+        self._enter_leg()
         self._look_around()
         self._take_answer()
         if self._must_hold():
@@ -219,6 +226,11 @@ class PlanFollower:
             status=status,
             reason=reason,
         )
+
+    def _enter_leg(self) -> None:
+        """Let site and conditions be those of the leg in which the plan's clock stands; nothing without legs."""
+        if self._legs is not None and self._legs.enter(self._plan.clock):
+            self._kept = KeptFollowing(self._legs.leg.problem.keep, self.servo.limits)
 
     def _look_around(self) -> None:
         """Be patient anew where the site has changed: what was in the way may be gone.
@@ -312,17 +324,24 @@ class PlanFollower:
             rest = np.vstack((servo.q[None], found.reference.rest()))
             self._searches.begin(servo.revision, servo.time, is_still_clear, servo.robot, servo.snapshot(), rest)
 
+    def _ahead(self) -> Trajectory:
+        """The motion onto which a way round may lead: of a sequence, to the end of the leg."""
+        if self._legs is None:
+            return self._trajectory
+        rows = slice(0, self._legs.leg.last + 1)
+        return Trajectory.from_steps(self._trajectory.time[rows], self._trajectory.q[rows])
+
     # --- searches beside the loop --------------------------------------------------------
 
     def _search(self) -> None:
         servo = self.servo
         query = RejoiningQuery(
             robot=servo.robot,
-            scene=servo.scene,
+            scene=servo.scene if self._legs is None else self._legs.leg.problem.scene,
             limits=servo.limits,
             obstacles=servo.snapshot(),
             q=servo.q,
-            motion=self._trajectory,
+            motion=self._ahead(),
             since=self._plan.clock,
             seed=self._seed,
             attempt=self._failed,

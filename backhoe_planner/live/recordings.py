@@ -31,7 +31,7 @@ def plan_from_recording(
     Parameters
     ----------
     robot, scene: in which the motion was driven; start and task of the scene are replaced.
-    trajectory: the motion.
+    trajectory: the motion; it has no legs, also where the scene's task is a sequence.
     obstacles: records as in a scene file, of how they were during the recording; the scene's by default.
     recording: notes of what the recording leaves out, kept in the plan file.
     zones: visits to zones, kept in the plan file.
@@ -44,8 +44,9 @@ def plan_from_recording(
     content = scene.to_dict()
     content["start"] = {"joints": dict(zip(robot.joint_names, trajectory.q[0].tolist(), strict=True))}
     content["task"] = {"goal": {"position": Kinematics(robot).at(trajectory.q[-1]).tip_position.tolist()}}
-    if obstacles is not None:
-        content["obstacles"] = [dict(obstacle) for obstacle in obstacles]
+    given = content.get("obstacles", ()) if obstacles is None else obstacles
+    # nobody who drives by hand begins a leg: what is there for some legs only was there all the time
+    content["obstacles"] = [{key: one for key, one in dict(obstacle).items() if key != "legs"} for obstacle in given]
     done = scene_from_dict(content, folder=scene.folder, file=scene.file)
     problem = build_problem(robot, done)
     certificate = certify_problem(problem, trajectory)
