@@ -1,7 +1,7 @@
 #!/usr/bin/env python
 """What it saves to choose the end of a leg with the next leg in mind, over random sequences.
 
-Each sequence has four legs (see validation/sequences.py) and is planned twice: leg by leg, and with
+Each sequence has six legs (see validation/sequences.py) and is planned twice: leg by leg, and with
 the ends chosen with the legs after them in mind. Costs are those of the objective, with a stop
 between legs both times.
 

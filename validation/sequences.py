@@ -1,6 +1,6 @@
 """Random sequences, planned leg by leg and with the next leg in mind.
 
-A random sequence has the obstacles and the start of a random site (`validation.sites`), and four legs with
+A random sequence has the obstacles and the start of a random site (`validation.sites`), and six legs with
 one or several goals each, of which any will do, such as places to dump at: the tips of random postures that
 are clear of everything, each with any pitch or with one of a range.
 """
@@ -21,7 +21,7 @@ from validation.processes import call_for_all
 from validation.sites import SPARE, SiteKey, random_site
 
 MACHINE = "backhoe"
-LEGS = 4
+LEGS = 6
 _KINDS = ("open", "cluttered")
 _HALF_RANGE = 0.5  # rad to each side of a posture's pitch, where a goal asks for one
 _LOWEST = -1.0  # m: height of the goals' tips; what is deeper is mostly in the ground

@@ -28,6 +28,7 @@ from backhoe_planner.planning.world import World
 _SAME = 1e-9  # rad or m: rounding; postures nearer than this are one end
 _GAIN = 1e-3  # part of the whole cost by which another chain must promise to be better; chosen
 _OFF = (0.2, 1.1)  # times its estimate, that a way is taken to cost before it is planned; chosen: hope looks further
+_CALIBRATED = (0.5, 3.0)  # factors by which estimates of ways between two goals are corrected; chosen
 _NOTHING = 1e-9  # of a price, in place of 0
 
 
@@ -242,6 +243,7 @@ class Chain:
             if anywhere and place is not None:
                 if (before, place) not in layer.free:
                     layer.free[before, place] = self._plan(layer, before, b, anywhere=True)
+                    self._calibrate(layer, before, place)
                 end = layer.free[before, place]
             elif (before, b) in layer.planned:
                 end = None if layer.planned[before, b] is None else b
@@ -251,6 +253,22 @@ class Chain:
                 break
             before = end
         return anywhere or self.tried > planned
+
+    def _calibrate(self, layer: _Layer, before: int, place: str) -> None:
+        """Let what a way to a goal has cost say how far estimates of all ways from there to that goal are off."""
+        end = layer.free[before, place]
+        columns = [k for k, name in enumerate(layer.names) if name == place]
+        own = layer.estimates[before, columns]
+        least = float(np.min(own[np.isfinite(own)], initial=np.inf))
+        if end is None or not np.isfinite(least):
+            return
+        way = layer.planned[before, end]
+        assert way is not None
+        factor = float(np.clip(way.cost / max(layer.off * least, _NOTHING), *_CALIBRATED))
+        number = self._layers.index(layer)
+        names = self._layers[number - 1].names if number else [None]
+        rows = [k for k, name in enumerate(names) if name == names[before]]
+        layer.estimates[np.ix_(rows, columns)] *= factor
 
     def _plan(self, layer: _Layer, a: int, b: int, *, anywhere: bool) -> int | None:
         """Plan one way, from the end `a` of the leg before to the end `b`; the index of its end, None for no way.

@@ -16,6 +16,8 @@ from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
 
+_CHAINS = 2  # of legs, that are planned for each of `Effort.ways_at_once` and one more; chosen
+
 
 @dataclass(frozen=True, eq=False)
 class LegsOutcome:
@@ -83,7 +85,7 @@ def plan_legs(
     tried = 0
     moving = sum(leg.problem.wait is None for leg in legs)
     if ahead and moving > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
-        chain = Chain(legs, done, planner, most=(1 + effort.ways_at_once) * moving)
+        chain = Chain(legs, done, planner, most=_CHAINS * (1 + effort.ways_at_once) * moving)
         done, tried = chain.run(), chain.tried
     return _outcome(legs, done, tried)
 
