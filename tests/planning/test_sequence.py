@@ -21,7 +21,7 @@ from backhoe_planner import (
     scene_from_dict,
 )
 from backhoe_planner.motion import overlap
-from backhoe_planner.planning import Leg, plan_legs
+from backhoe_planner.planning import EFFORTS, Leg, plan_legs
 
 START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 POST = {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 3.0, "position": [2.5, 3.0, 1.5]}
@@ -174,3 +174,34 @@ def test_a_motion_that_begins_before_another_ends_is_their_sum() -> None:
     part = 0.2**3 * (10.0 - 15.0 * 0.2 + 6.0 * 0.2**2)
     assert np.allclose(middle, [1.0 - part, 2.0 * part], atol=1e-4)
     assert joined.time[shared][[0, -1]] == pytest.approx([0.6, 1.0])
+
+
+NEAR, FAR = {"position": [4.0, 0.8, 0.2]}, {"position": [3.6, -1.6, 1.0]}  # from the start, of the first leg
+
+
+def cost(found: Any) -> float:
+    assert found.failed is None, found.certificate.problems
+    return float(found.cost)
+
+
+def test_a_leg_ends_where_the_next_one_is_near(backhoe: Robot) -> None:
+    either = {"name": "either", "goal": [NEAR, FAR]}
+    right = {"name": "right", "goal": {"position": [1.0, -3.6, 1.2]}}
+    legs = [Leg(leg) for leg in build_problem(backhoe, scene_of(either, right)).legs]
+    alone = plan_legs(legs, effort=EFFORTS["quick"], ahead=False)
+    ahead = plan_legs(legs, effort=EFFORTS["quick"])
+    assert alone.done[0].certificate.goal == 1
+    assert ahead.done[0].certificate.goal == 2
+    assert cost(ahead) < 0.95 * cost(alone)
+
+
+def test_where_a_later_leg_fails_other_ends_are_tried(backhoe: Robot) -> None:
+    either = {"name": "either", "goal": [NEAR, FAR]}
+    level = {"name": "high", "goal": {"position": [4.0, 1.0, 1.4]}, "keep": {"above": 0.6}}
+    legs = [Leg(leg) for leg in build_problem(backhoe, scene_of(either, level)).legs]
+    alone = plan_legs(legs, effort=EFFORTS["quick"], ahead=False)
+    assert alone.failed is not None
+    assert (alone.failed.problem.name, alone.failed.outcome.reason) == ("high", "start_breaks_keep")
+    ahead = plan_legs(legs, effort=EFFORTS["quick"])
+    assert ahead.certificate.verified, ahead.certificate.problems
+    assert ahead.done[0].certificate.goal == 2

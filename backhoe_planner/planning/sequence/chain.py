@@ -29,6 +29,7 @@ _SAME = 1e-9  # rad or m: rounding; postures nearer than this are one end
 _GAIN = 1e-3  # part of the whole cost by which another chain must promise to be better; chosen
 _OFF = (0.2, 1.1)  # times its estimate, that a way is taken to cost before it is planned; chosen: hope looks further
 _CALIBRATED = (0.5, 3.0)  # factors by which estimates of ways between two goals are corrected; chosen
+_FAILED = 2.0  # factor by which ways between two goals look dearer for each that could not be planned; chosen
 _NOTHING = 1e-9  # of a price, in place of 0
 
 
@@ -151,7 +152,8 @@ class Chain:
         for layer, index in zip(self._layers, self._moving, strict=True):
             name = layer.leg.problem.objective.name
             if index >= len(self._first) or self._first[index].failed:
-                totals[name] += float(np.min(layer.estimates))
+                open_ = layer.estimates[np.isfinite(layer.estimates)]
+                totals[name] += float(np.min(open_, initial=np.inf)) if len(open_) else 0.0
                 continue
             done = self._first[index]
             guess = float(np.min(layer.estimates[min(before, len(layer.estimates) - 1)]))
@@ -257,7 +259,7 @@ class Chain:
     def _calibrate(self, layer: _Layer, before: int, place: str) -> None:
         """Let what a way to a goal has cost say how far estimates of all ways from there to that goal are off."""
         end = layer.free[before, place]
-        columns = [k for k, name in enumerate(layer.names) if name == place]
+        rows, columns = self._between_the_same_goals(layer, before, place)
         own = layer.estimates[before, columns]
         least = float(np.min(own[np.isfinite(own)], initial=np.inf))
         if end is None or not np.isfinite(least):
@@ -265,9 +267,6 @@ class Chain:
         way = layer.planned[before, end]
         assert way is not None
         factor = float(np.clip(way.cost / max(layer.off * least, _NOTHING), *_CALIBRATED))
-        number = self._layers.index(layer)
-        names = self._layers[number - 1].names if number else [None]
-        rows = [k for k, name in enumerate(names) if name == names[before]]
         layer.estimates[np.ix_(rows, columns)] *= factor
 
     def _plan(self, layer: _Layer, a: int, b: int, *, anywhere: bool) -> int | None:
@@ -290,7 +289,17 @@ class Chain:
         done = self._planner.plan(leg, start, asked=asked)
         if not anywhere:
             layer.planned.setdefault((a, b), None)
-        return None if done.failed else self._note(layer, a, done)[0]
+        if done.failed:
+            layer.estimates[np.ix_(*self._between_the_same_goals(layer, a, layer.place(b)))] *= _FAILED
+            return None
+        return self._note(layer, a, done)[0]
+
+    def _between_the_same_goals(self, layer: _Layer, before: int, place: str | None) -> tuple[list[int], list[int]]:
+        """The ends before a leg on the same goal as one of them, and its own on the goal `place`; all, where None."""
+        number = self._layers.index(layer)
+        names = self._layers[number - 1].names if number else [None]
+        rows = [k for k, name in enumerate(names) if name == names[before]]
+        return rows, [k for k in range(len(layer.ends)) if place is None or layer.place(k) == place]
 
     def _with_waits(self, chain: Sequence[tuple[int, int]]) -> list[DoneLeg]:
         """The planned legs of a chain, with the waits between them."""

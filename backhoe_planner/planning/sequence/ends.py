@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -66,7 +67,12 @@ def find_ends(world: World, leg: Leg, near: Vector) -> LegEnds | None:
         ends, entries = (posture_on(world, path.target(s), near)[:most] for s in (path.length, 0.0))
         return LegEnds(ends, entries) if ends and entries else None
     found = find_goal_postures(world, problem.goals, near=near, time=0.0)
-    return None if isinstance(found, Outcome) else LegEnds(found.clear[:most], goals=found.goals[:most])
+    if isinstance(found, Outcome):
+        return None
+    # in turn from every goal, so that none is left out for being further away
+    turns = itertools.zip_longest(*([(q, goal) for q in ends] for goal, ends in found.by_goal()))
+    chosen = [one for turn in turns for one in turn if one is not None][:most]
+    return LegEnds(tuple(q for q, _ in chosen), goals=tuple(goal for _, goal in chosen))
 
 
 class WayPrices:
@@ -77,15 +83,20 @@ class WayPrices:
         self._screen = ClearanceScreen(world.proximity)
 
     def between(self, begins: Sequence[Vector], ends: Sequence[Vector]) -> Matrix:
-        """(A, B) from each of `begins` to each of `ends`, more where something is in the way."""
+        """(A, B) from each of `begins` to each of `ends`, more where something is in the way.
+
+        Infinite from where the leg cannot begin.
+        """
         a, b = np.array(begins), np.array(ends)
+        keep = self._problem.keep
+        begin = self._screen.keeps(a) & np.array([keep is None or keep.holds(q) for q in a])
         part = np.linspace(0.0, 1.0, _PLACES)[:, None, None, None]
         lines = a[:, None] + part * (b[None, :] - a[:, None])  # (P, A, B, n)
         keeps = self._screen.keeps(lines.reshape(-1, a.shape[1])).reshape(_PLACES, len(a), len(b))
         blocked = 1.0 - np.mean(keeps, axis=0)
         time = np.array([LeastTimes(self._problem, q, longest=_LONGEST).to_boxes(b, b) for q in a])
         price = time if self._problem.objective.is_time else self._costs(lines, time)
-        return np.asarray(price * (1.0 + _BLOCKED * blocked))
+        return np.where(begin[:, None], price * (1.0 + _BLOCKED * blocked), np.inf)
 
     def _costs(self, lines: Matrix, time: Matrix) -> Matrix:
         """(A, B) of the objective along straight ways at an even speed."""

@@ -16,7 +16,7 @@ from backhoe_planner.planning.sequence.leg import DoneLeg, Leg
 from backhoe_planner.planning.sequence.leg_planning import LegPlanner
 from backhoe_planner.proof import Certificate, LegCertificate, certify_motion, join_certificates
 
-_CHAINS = 2  # of legs, that are planned for each of `Effort.ways_at_once` and one more; chosen
+_CHAINS = 4  # of legs, that are planned besides as many as `Effort.ways_at_once`; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def plan_legs(
     tried = 0
     moving = sum(leg.problem.wait is None for leg in legs)
     if ahead and moving > 1 and method in ("auto", "optimal") and not any(leg.problem.is_dynamic for leg in legs):
-        chain = Chain(legs, done, planner, most=_CHAINS * (1 + effort.ways_at_once) * moving)
+        chain = Chain(legs, done, planner, most=(_CHAINS + effort.ways_at_once) * moving)
         done, tried = chain.run(), chain.tried
     return _outcome(legs, done, tried)
 
