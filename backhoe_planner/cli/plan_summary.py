@@ -180,7 +180,11 @@ def _around(detour: bp.Detour) -> str:
 
 
 def _loads(found: bp.Plan) -> str:
-    present = {"payload": found.scene.payload > 0.0, "soil": found.scene.soil is not None}
+    scenes = [found.scene, *(leg.problem.scene for leg in found.legs)]
+    present = {
+        "payload": any(scene.payload > 0.0 for scene in scenes),
+        "soil": any(scene.soil is not None for scene in scenes),
+    }
     *first, last = ["gravity", "inertia", *(load for load, acts in present.items() if acts)]
     return f"{', '.join(first)} and {last}"
 

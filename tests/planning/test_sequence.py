@@ -131,7 +131,7 @@ def test_a_ready_motion_is_a_leg_after_the_way_to_its_beginning(backhoe: Robot, 
     q = done.trajectory.q[done.legs[0].last] + np.array([0.05, 0.02, 0.0, 0.0])
     ready = Trajectory.from_steps(np.linspace(0.0, 2.0, 101), q + np.linspace(0.0, 0.1, 101)[:, None] ** 2)
     cut = replace(problem.legs[1], wait=None)
-    found = plan_legs([Leg(problem.legs[0]), Leg(cut, ready)])
+    found = plan_legs([Leg(problem.legs[0]), Leg(cut, ready)], effort=EFFORTS["quick"])
     assert found.failed is None, found.certificate.problems
     last = found.trajectory.part(found.trajectory.begins[1], len(found.trajectory) - 1)
     assert np.allclose(last.q[-101:], ready.q, atol=1e-9)

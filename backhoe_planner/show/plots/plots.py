@@ -317,6 +317,8 @@ def _prefix(largest: float) -> tuple[str, float]:
 
 def _loads(plan: Plan) -> str:
     loads = ["gravity", "inertia"]
+    if plan.legs:
+        return "gravity, inertia and the loads of each leg"
     if plan.scene.payload > 0.0:
         loads.append(f"{plan.scene.payload:g} kg in the bucket")
     if plan.scene.soil is not None:
