@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
@@ -47,12 +48,49 @@ def hull_distance(points: Matrix, hull: trimesh.Trimesh) -> NDArray[np.float64]:
     return np.asarray(np.max(points @ hull.face_normals.T - offsets, axis=1))
 
 
+def height_map_distance(heights: Matrix, size: tuple[float, float]) -> SignedDistance:
+    """The distance to the ground below a height map, centred: that to points on its surface, at most 2.5 cm apart.
+
+    It lies above the true distance by less than 0.8 mm at 0.1 m. Between four heights the surface is bilinear.
+    """
+    rows, columns = heights.shape
+    x, y = (
+        np.linspace(-0.5 * extent, 0.5 * extent, count) for extent, count in zip(size, (columns, rows), strict=True)
+    )
+    corners = np.stack((heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]))
+    step = np.max(np.ptp(corners, axis=0))
+    points = []
+    rise = np.ptp(corners, axis=0)
+    for count, least, most in ((2, -1.0, 0.02), (8, 0.02, 0.15), (64, 0.15, float(step) + 1.0)):
+        i, j = np.nonzero((rise > least) & (rise <= most))
+        part = (np.arange(count) + 0.5) / count
+        for u in part.tolist():
+            for v in part.tolist():
+                a, b, c, d = (corner[i, j] for corner in corners)
+                z = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+                points.append(np.column_stack((x[j] + u * (x[1] - x[0]), y[i] + v * (y[1] - y[0]), z)))
+    tree = cKDTree(np.vstack(points))
+
+    def distance(at: Matrix) -> NDArray[np.float64]:
+        far, _ = tree.query(at)
+        column = np.clip((at[:, 0] - x[0]) / (x[1] - x[0]), 0.0, columns - 1.0)
+        row = np.clip((at[:, 1] - y[0]) / (y[1] - y[0]), 0.0, rows - 1.0)
+        j, i = np.minimum(column.astype(int), columns - 2), np.minimum(row.astype(int), rows - 2)
+        u, v = column - j, row - i
+        a, b, c, d = (corner[i, j] for corner in corners)
+        z = (1 - v) * ((1 - u) * a + u * b) + v * ((1 - u) * c + u * d)
+        over = (np.abs(at[:, 0]) <= 0.5 * size[0]) & (np.abs(at[:, 1]) <= 0.5 * size[1])
+        return np.asarray(np.where(over & (at[:, 2] < z), -far, far))
+
+    return distance
+
+
 def obstacle_distance(spec: obstacle_shapes.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
     """The distance to an obstacle of a scene, where it stands at time 0, as a function of points (K, 3).
 
     Raises
     ------
-    NotImplementedError: heightmaps and point clouds are not written out here.
+    NotImplementedError: point clouds are not written out here.
     """
     if isinstance(spec, obstacle_shapes.HalfSpace):
         point, normal = np.array(spec.point), np.array(spec.normal)
@@ -76,4 +114,7 @@ def obstacle_distance(spec: obstacle_shapes.ObstacleSpec, scene: bp.Scene) -> Si
         mesh = load_mesh(scene.folder / spec.file)
         mesh.apply_scale(spec.scale)
         return lambda points: -np.asarray(trimesh.proximity.signed_distance(mesh, local(points)))
+    if isinstance(spec, obstacle_shapes.HeightMap):
+        far = height_map_distance(np.loadtxt(scene.folder / spec.file, delimiter=",", ndmin=2), spec.size)
+        return lambda points: far(local(points))
     raise NotImplementedError(f"no second opinion on a {spec.shape}")

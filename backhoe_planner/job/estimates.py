@@ -21,6 +21,7 @@ from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.machine import Dynamics
 
 _MOST_CYCLES = 2000
+_ENOUGH = 0.95  # of the most that any pattern digs; chosen: a pattern that leaves more does not compare
 _LEAST = 1e-3  # m^3 of a cut: less is no progress
 
 
@@ -73,7 +74,8 @@ def estimate_pattern(
 
 
 def choose(estimates: Sequence[PatternEstimate]) -> int:
-    """The number of the best: of those that dig most, to a tenth of a bucket or so, the least cost."""
+    """The number of the best: the least cost of those that leave nothing, or else of those that dig most."""
     most = max(one.bank for one in estimates)
-    enough = [index for index, one in enumerate(estimates) if one.bank >= 0.98 * most]
+    done = [index for index, one in enumerate(estimates) if one.finished and one.bank > _ENOUGH * most]
+    enough = done or [index for index, one in enumerate(estimates) if one.bank >= _ENOUGH * most]
     return int(min(enough, key=lambda index: estimates[index].cost)) if np.isfinite(most) else 0

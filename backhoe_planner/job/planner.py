@@ -13,6 +13,7 @@ from backhoe_planner.arrays import as_count
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
+from backhoe_planner.job.cycles.dump_checks import check_dump
 from backhoe_planner.job.cycles.dumping import dump_of
 from backhoe_planner.job.cycles.patterns import NextCut, next_cut, patterns_to_compare
 from backhoe_planner.job.estimates import choose, estimate_pattern
@@ -101,6 +102,7 @@ class _Run:
         self._design = site.design_heights()
         self._allowed, self._by = allowed_heights(site, self._lanes, self._design)
         check_job(site, self._lanes, self._design)
+        check_dump(site)
         self._dump = dump_of(site)
         self._patterns = patterns_to_compare(site)
         self._compared: tuple[PatternEstimate, ...] = ()

@@ -32,10 +32,12 @@ _RUN_INS = (0.3, 0.0)  # m beyond what is left, where a cut begins: at the end o
 _INWARD = 0.3  # m of radius between places from which a cut is tried; chosen
 _EVERY = 3  # places of a cut from one at which the arm is held against the ground to the next: 9 cm
 _MOST_LAYERS = 1000
+_AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
 _SHALLOWER = (1.0, 0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
 _FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
 _CLOSE = 0.97  # of the wanted volume: near enough
 _MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
+_ENTRIES = (None, 0.8, 0.45)  # rad, of the edge into the ground: steep, and gentler where nothing else will do; chosen
 _REST = 12.0  # s of a cycle beside its cut, about
 
 
@@ -129,12 +131,14 @@ def _best(
     best: Cut | None = None
     refused: NoCut | None = None
     places = left[::-1][:: max(int(_INWARD / (left[1] - left[0])), 1)] if len(left) > 1 else left
-    for place, part in itertools.product(places.tolist(), _SHALLOWER):
+    for entry, place, part in itertools.product(_ENTRIES, places.tolist(), _SHALLOWER):
+        if entry is not None and best is not None and best.fill >= _WORTH:
+            break
         for run_in in _RUN_INS:
             start = min(max(place + run_in, lane.end + _SHORTEST), lane.start)
             found = find_cut(
                 site.digger, profile, swing=lane.swing, start=start, end=lane.end, depth=part * depth,
-                floor=(lane.r, floor), volume=site.volume, leave=LEAVE,
+                floor=(lane.r, floor), volume=site.volume, entry=entry, leave=LEAVE,
             )  # fmt: skip
             if isinstance(found, Cut) and not arm.clears(found.q[::_EVERY], raised).all():
                 found = NoCut("reach", f"boom or stick would touch the ground with the teeth at r {start:.2f} m", start)
@@ -142,7 +146,7 @@ def _best(
                 refused = refused or found
                 continue
             best = found if best is None or _rate(found) > _rate(best) else best
-            if found.fill > _FULL or (found.r[-1] < left[0] and place == left[-1]):
+            if found.fill > _FULL or (found.r[-1] < left[0] and place == left[-1] and found.fill >= _WORTH):
                 return found
     if best is None or best.fill < _WORTH:
         return refused or NoCut("nothing", f"what is left at r {left[-1]:.2f} m fills less than {100 * _WORTH:.0f} %")
@@ -187,18 +191,23 @@ def _floors(
 
         order = sorted(every, key=far, reverse=True)
         return [(number, (f"lane {number + 1}" if len(lanes) > 1 else "face", lanes[number].line)) for number in order]
+    found: list[tuple[int, tuple[str, Vector]]] = []
+    layers = 0
     for layer in range(1, _MOST_LAYERS):
-        found, last = [], True
+        last, here = True, []
         for number in every:
             lane = lanes[number]
             level = _first_ground(site, lane) - layer * pattern.depth
             floor = np.maximum(lane.line, level)
             last = last and bool(np.all(floor <= lane.line + 1e-9))
             if len(_left(site, lane, profiles[number], floor)):
-                found.append((number, (f"layer {layer}", floor)))
-        if found or last:
-            return found
-    return []
+                here.append((number, (f"layer {layer}", floor)))
+        found += here
+        layers += bool(here)
+        # what cannot be cut of one layer is cut with the next
+        if last or layers == _AHEAD:
+            break
+    return found
 
 
 def _first_ground(site: Worksite, lane: Lane) -> Vector:

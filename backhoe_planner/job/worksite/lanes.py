@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.job.cuts.edge_path import Descent, Underground
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -22,10 +22,12 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 ENTRY, LEAVE = 1.4, 1.2  # rad: 80 degrees as of the cuts; and 69, chosen: a steeper edge pushes the soil out again
 _STEP = 0.025  # m of radius: half of a cell of 5 cm
 _ACROSS = 7  # places across the blade; chosen, less than two cells of 5 cm apart
-_PITCHES = np.linspace(-2.7, -0.6, 8)  # rad at which teeth may dig: from nearly level to a plate that points down
+_PITCHES = np.linspace(-2.7, -0.6, 12)  # rad at which teeth may dig: from nearly level to a plate that points down
 _DOWN = 0.05  # m by which a place is looked for deeper; chosen, a cell
 _SPARE = 0.01  # m beyond every clearance, for what lies between the places looked at; chosen
 _SAME = 1e-9  # m
+_BACK = 0.1  # m from the bucket's back to the ground that is left; chosen: cuts keep 3 cm, and turn only slowly
+_ARM = 0.05  # m that boom and stick keep from it beyond the clearance; chosen, for the same reason
 _FAN = 0.04  # rad between lanes of a wide design: 20 cm at 5 m; chosen, a third of a bucket's width
 
 
@@ -109,15 +111,36 @@ def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
     inside &= deepest < ground - _SAME
     if np.count_nonzero(inside) < 2:
         return None
-    floor, cause, causes = _reachable(site, swing, r, np.where(inside, deepest, np.nan), ground, screen)
+    places = _Places(site, swing, r, screen)
+    first = np.where(inside, deepest, np.nan)
+    floor, cause, causes = places.reachable(first, ground, None)
+    line = _line(profile, r, floor, ground, inside)
+    if line is not None:
+        # again beside the ground that is left there
+        left = np.where(inside, line[0], ground)
+        again = places.reachable(np.where(inside, np.maximum(floor, first), np.nan), ground, left)
+        raised = again[0] > floor + _SAME
+        shift = len(causes) - 1
+        cause = np.where(raised, np.where(again[1] > 0, again[1] + shift, 0), cause)
+        floor, causes = np.maximum(again[0], floor), (*causes, *again[2][1:])
+        line = _line(profile, r, floor, ground, inside)
+    if line is None:
+        return Lane(swing, r, deepest, ground, ground, cause, causes, float(r[-1]), float(r[0]))
+    lowest, start, end = line
+    return Lane(swing, r, deepest, floor, np.where(inside, lowest, ground), cause, causes, start, end)
+
+
+def _line(
+    profile: Profile, r: Vector, floor: Vector, ground: Vector, inside: Flags
+) -> tuple[Vector, float, float] | None:
+    """(K,) the lowest line of an edge over a floor, and the radii between which it is dug; None where it is nowhere."""
     dug = np.flatnonzero(inside & (floor < ground - _SAME))
     if len(dug) < 2:
-        return Lane(swing, r, deepest, ground, ground, cause, causes, float(r[-1]), float(r[0]))
+        return None
     start, end = float(r[dug[-1]]), float(r[dug[0]])
     under = Underground(profile, (r, floor), end=end, start=start)
     lowest = under.line(float(np.max(ground - floor)) + 1.0, end, Descent(ENTRY, LEAVE))
-    line = np.minimum(np.interp(r, under.r, lowest), ground)
-    return Lane(swing, r, deepest, floor, np.where(inside, line, ground), cause, causes, start, end)
+    return np.minimum(np.interp(r, under.r, lowest), ground), start, end
 
 
 def _blade_points(site: Worksite, swing: float, r: Vector) -> Array:
@@ -129,55 +152,79 @@ def _blade_points(site: Worksite, swing: float, r: Vector) -> Array:
     return np.asarray(middle[:, None, :] + offsets[:, None] * left)
 
 
-def _reachable(
-    site: Worksite, swing: float, r: Vector, design: Vector, ground: Vector, screen: ClearanceScreen
-) -> tuple[Vector, NDArray[np.int64], tuple[tuple[str, str], ...]]:
-    """(K,) the lowest heights at which the teeth can be, (K,) what stops them there, and a list of that."""
-    floor, cause = ground.copy(), np.zeros(len(r), dtype=np.int64)
-    causes: list[tuple[str, str]] = [("", "")]
-    proximity = Proximity(site.robot, site.problem.obstacles)
-    # the arm above the ground as it is when all is dug
-    wide = Profile.of_terrain(site.ground, site.plane, swing, width=site.arm.span)
-    final = np.fmin(np.interp(r, wide.r, np.max(wide.surface, axis=1)), design)
-    raised = (r, site.arm.raise_by_clearance(final))
-    for index in np.flatnonzero(np.isfinite(design)).tolist():
-        depths = np.arange(ground[index], design[index], -_DOWN)
-        for height in [*depths[1:].tolist(), float(design[index])]:
-            stopped = _stopped(site, (swing, float(r[index]), height), screen, proximity, raised)
-            if stopped is not None:
-                if stopped not in causes:
-                    causes.append(stopped)
-                cause[index] = causes.index(stopped)
-                break
-            floor[index] = height
-    return floor, cause, tuple(causes)
+class _Places:
+    """Where the teeth can be in one plane."""
 
+    def __init__(self, site: Worksite, swing: float, r: Vector, screen: ClearanceScreen) -> None:
+        self._site, self._swing, self._r, self._screen = site, swing, r, screen
+        self._proximity = Proximity(site.robot, site.problem.obstacles)
+        self._raised: tuple[Vector, Vector] | None = None
+        self._final: Vector | None = None
 
-def _stopped(
-    site: Worksite,
-    place: tuple[float, float, float],
-    screen: ClearanceScreen,
-    proximity: Proximity,
-    raised: tuple[Vector, Vector],
-) -> tuple[str, str] | None:
-    """What keeps the teeth from a swing, radius and height at every pitch, as kind and name; None where nothing."""
-    swing, r, z = place
-    q = site.plane.joints(swing, np.full(len(_PITCHES), r), np.full(len(_PITCHES), z), _PITCHES)
-    q = q[~np.isnan(q[:, 0])]
-    if not len(q):
-        return "out_of_reach", ""
-    q = q[site.arm.clears(q, raised)]
-    if not len(q):
-        return "out_of_reach", "the ground beside it, which boom or stick would touch"
-    for row in q:
-        if screen.keeps_unchecked(row):
+    def reachable(
+        self, design: Vector, ground: Vector, final: Vector | None
+    ) -> tuple[Vector, NDArray[np.int64], tuple[tuple[str, str], ...]]:
+        """(K,) the lowest heights at which the teeth can be, (K,) what stops them there, and a list of that.
+
+        Parameters
+        ----------
+        design: (K,) no deeper than this; nan where nothing is dug.
+        ground: (K,) before the first cut.
+        final: (K,) the ground when all is dug, which arm and the bucket's back must not touch; None to leave it out.
+        """
+        self._final = final
+        if final is not None:
+            site = self._site
+            wide = Profile.of_terrain(site.ground, site.plane, self._swing, width=site.arm.span)
+            beside = np.fmin(np.interp(self._r, wide.r, np.max(wide.surface, axis=1)), final)
+            self._raised = (self._r, site.arm.raise_by_clearance(beside) + _ARM)
+        floor, cause = ground.copy(), np.zeros(len(self._r), dtype=np.int64)
+        causes: list[tuple[str, str]] = [("", "")]
+        for index in np.flatnonzero(np.isfinite(design)).tolist():
+            depths = np.arange(ground[index], design[index], -_DOWN)
+            for height in [*depths[1:].tolist(), float(design[index])]:
+                stopped = self._stopped(float(self._r[index]), height)
+                if stopped is not None:
+                    if stopped not in causes:
+                        causes.append(stopped)
+                    cause[index] = causes.index(stopped)
+                    break
+                floor[index] = height
+        return floor, cause, tuple(causes)
+
+    def _stopped(self, r: float, z: float) -> tuple[str, str] | None:
+        """What keeps the teeth from a radius and a height at every pitch, as kind and name; None where nothing does."""
+        count = len(_PITCHES)
+        q = self._site.plane.joints(self._swing, np.full(count, r), np.full(count, z), _PITCHES)
+        reached = ~np.isnan(q[:, 0])
+        q, pitch = q[reached], _PITCHES[reached]
+        if not len(q):
+            return "out_of_reach", ""
+        if self._final is not None and self._raised is not None:
+            free = self._back(r, z, pitch) >= _BACK
+            free[free] = self._site.arm.clears(q[free], self._raised)
+            q = q[free]
+            if not len(q):
+                return "out_of_reach", "boom, stick or the bucket's back would touch the ground beside it"
+        for row in q:
+            if self._screen.keeps_unchecked(row):
+                return None
+        tightest = [self._proximity.tightest(row) for row in q]
+        named = [one for one in tightest if one is not None]
+        if not named:
             return None
-    tightest = [proximity.tightest(row) for row in q]
-    named = [one for one in tightest if one is not None]
-    if not named:
-        return None
-    best = max(named, key=lambda one: one.margin)
-    return ("protected" if best.kind == "obstacle" else "out_of_reach"), best.name
+        best = max(named, key=lambda one: one.margin)
+        return ("protected" if best.kind == "obstacle" else "out_of_reach"), best.name
+
+    def _back(self, r: float, z: float, pitch: Vector) -> Vector:
+        """(P,) how far the bucket's back is above the ground that is left behind the teeth, at each pitch [m]."""
+        assert self._final is not None
+        x, y = self._site.bucket.back.T
+        x = x - self._site.bucket.length
+        cosine, sine = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
+        at_r, at_z = r + x * cosine - y * sine, z + x * sine + y * cosine
+        over = np.interp(at_r, self._r, self._final)
+        return np.asarray(np.min(np.where(at_r > r, at_z - over, np.inf), axis=1))
 
 
 def allowed_heights(site: Worksite, lanes: tuple[Lane, ...], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:

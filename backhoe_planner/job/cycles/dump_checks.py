@@ -1,0 +1,66 @@
+"""What cannot be right about where the soil is to go: said before anything is planned, with what would do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.errors import SceneError
+from backhoe_planner.job.cycles.dumping import postures_over
+from backhoe_planner.job.worksite.worksite import Worksite
+
+_RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which a dump is tried, for messages
+
+
+def check_dump(site: Worksite) -> None:
+    """Check where the soil is to go.
+
+    Raises
+    ------
+    SceneError: a heap lies within its edge distance, or a place is out of reach; or a truck takes no bucketful.
+    """
+    heap, truck, job = site.job.dump.heap, site.job.dump.truck, site.job
+    if heap is not None:
+        for number, place in enumerate(heap.places):
+            at = np.array(place)
+            key = "dump.heap.at" if len(heap.places) == 1 else f"dump.heap.at[{number}]"
+            last = site.ground.low + site.ground.cell * (np.array(site.ground.shape[::-1]) - 1)
+            if (at < site.ground.low).any() or (at > last).any():
+                raise SceneError(
+                    "lies beyond the ground that the job has", file=job.file, key=key, found=list(place),
+                    allowed=f"{site.ground.low.tolist()} to {last.tolist()}",
+                    hint="ground.low and ground.high say how far it goes",
+                )  # fmt: skip
+            if bool(site.design.within(at, heap.edge_distance)):
+                raise SceneError(
+                    "lies within the edge distance of what is dug", file=job.file, key=key, found=list(place),
+                    allowed=f"more than {heap.edge_distance:g} m from it, and the heap's own foot besides",
+                    hint="move it away, or lower dump.heap.edge_distance",
+                )  # fmt: skip
+            _check_reach(site, at, 0.0, key)
+    if truck is not None:
+        if truck.capacity < site.volume:
+            raise SceneError(
+                "takes less than one bucketful", file=job.file, key="dump.truck.capacity", found=truck.capacity,
+                allowed=f"{site.volume:.2f} m^3 or more",
+            )  # fmt: skip
+        x, y, z = truck.bed.position
+        _check_reach(site, np.array([x, y]), z + truck.bed.size[2], "dump.truck.bed.position")
+
+
+def _check_reach(site: Worksite, at: np.ndarray, top: float, key: str) -> None:
+    """SceneError where no bucket can be emptied over a place (2,) whose top is at a height [m]."""
+    if len(postures_over(site, at, top)[0]):
+        return
+    off = at - site.plane.axis
+    ahead = off / max(float(np.linalg.norm(off)), 1e-9)
+    reached = [r for r in _RADII if len(postures_over(site, site.plane.axis + r * ahead, top)[0])]
+    limits, swing = site.plane.limits, float(np.degrees(np.arctan2(off[1], off[0])))
+    if reached:
+        allowed = f"{min(reached):.1f} to {max(reached):.1f} m from the swing axis in this direction"
+    else:
+        allowed = f"swings of {np.degrees(limits.lower[0]):.0f} to {np.degrees(limits.upper[0]):.0f} degrees"
+    raise SceneError(
+        "is out of reach: the bucket cannot be emptied there", file=site.job.file, key=key,
+        found=f"{float(np.linalg.norm(off)):.2f} m from the swing axis at {swing:.0f} degrees, {top:.2f} m high",
+        allowed=allowed,
+    )  # fmt: skip

@@ -1,0 +1,96 @@
+"""A job of a few cycles: its volumes, its proof, its file, its going on after an interruption, its refusals."""
+
+from __future__ import annotations
+
+import copy
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from validation.job_check import leg_refutations, volume_errors
+
+TINY: dict[str, Any] = {
+    "version": 1,
+    "start": {"swing": 0.0, "boom": 0.9, "stick": -1.6, "bucket": -1.8},
+    "site": {"clearance": 0.1},
+    "ground": {"low": [0.5, -4.5], "high": [5.5, 1.0], "level": 0.0},
+    "dig": {"trench": {"from": [4.2, 0.0], "to": [3.2, 0.0], "width": 0.6, "depth": 0.4}},
+    "dump": {"heap": {"at": [2.4, -2.8], "edge_distance": 0.6}},
+    "bucket": {"capacity": 0.2},
+    "pattern": {"face": 0.4},
+}
+
+
+@cache
+def plan() -> bp.JobPlan:
+    return bp.plan_job(bp.job_from_dict(TINY), effort="quick")
+
+
+def test_every_motion_is_proven_and_the_design_met() -> None:
+    assert plan().verified, plan().note
+    assert plan().over <= 0.05
+    assert plan().under <= 0.05
+    assert all(leg.certificate.verified for cycle in plan().cycles for leg in cycle.legs)
+
+
+def test_no_soil_is_lost() -> None:
+    assert volume_errors(plan()) == []
+    area = plan().start.cell ** 2
+    gone = float((plan().start.bank - plan().end.bank).sum()) * area
+    assert plan().bank == pytest.approx(gone, abs=1e-9)
+    assert plan().end.loose_volume == pytest.approx(1.25 * gone, abs=1e-9)
+
+
+def test_the_independent_check_does_not_refute_a_cycle() -> None:
+    cycle = plan().cycles[-1]
+    assert [what for leg in cycle.legs for what in leg_refutations(plan(), leg, refine=2)] == []
+
+
+def test_a_job_goes_on_after_an_interruption_as_if_there_had_been_none(tmp_path: Path) -> None:
+    parts: list[bp.JobPlan] = []
+    file = tmp_path / "job.json"
+
+    class StopError(Exception):
+        pass
+
+    def stop(step: bp.JobStep) -> None:
+        parts.append(step.plan)
+        if len(step.plan.cycles) == 1:
+            step.plan.save(file)
+            raise StopError
+
+    with pytest.raises(StopError):
+        bp.plan_job(bp.job_from_dict(TINY), effort="quick", watch=stop)
+    resumed = bp.plan_job(bp.job_from_dict(TINY), effort="quick", resume=bp.load_job_plan(file))
+    assert len(resumed.cycles) == len(plan().cycles)
+    for one, other in zip(resumed.cycles, plan().cycles, strict=True):
+        for a, b in zip(one.legs, other.legs, strict=True):
+            np.testing.assert_array_equal(a.trajectory.q, b.trajectory.q)
+    np.testing.assert_array_equal(resumed.end.surface, plan().end.surface)
+
+
+@pytest.mark.parametrize(
+    ("key", "change", "said"),
+    [
+        ("dig", {"trench": {"from": [8.0, 0.0], "to": [7.0, 0.0], "width": 0.6, "depth": 0.4}}, "beyond the ground"),
+        ("dig", {"trench": {"from": [4.2, 0.0], "to": [3.2, 0.0], "width": 0.3, "depth": 0.4}}, "bucket is wider"),
+        ("dump", {"heap": {"at": [3.5, 0.6]}}, "edge distance"),
+        ("dump", {"heap": {"at": [0.8, -0.9]}}, "out of reach"),
+        ("ground", {"file": "no_such_survey.csv"}, "no_such_survey"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_key(key: str, change: dict[str, Any], said: str) -> None:
+    content = copy.deepcopy(TINY) | {key: change}
+    with pytest.raises(bp.SceneError, match=said) as refused:
+        bp.plan_job(bp.job_from_dict(content), effort="quick")
+    assert key in str(refused.value)
+
+
+def test_a_soil_that_no_cylinder_cuts_is_a_reason() -> None:
+    found = bp.plan_job(bp.job_from_dict(TINY | {"soil": {"cohesion": 5e6}}), effort="quick")
+    assert (found.verdict, found.reason) == ("failed", "too_hard")
+    assert "stick" in found.note or "boom" in found.note or "bucket" in found.note
