@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import as_count
-from backhoe_planner.errors import InputError, check_kind
+from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.dump_checks import check_dump
@@ -141,6 +141,11 @@ class _Run:
             made = planner.plan(len(cycles) + 1, at, state, found)
             if isinstance(made, Failed):
                 note, refused = made.words, refused + 1
+                if made.part == "approach" and not cycles and made.words.startswith("at the start "):
+                    raise SceneError(
+                        "stands in the ground or too near to it", file=site.job.file, key="start", found=made.words,
+                        allowed=f"a posture that keeps {site.problem.scene.clearance:g} m from ground and obstacles",
+                    )  # fmt: skip
                 if made.part == "full":
                     failure = "full"
                     break

@@ -80,6 +80,7 @@ def test_a_job_goes_on_after_an_interruption_as_if_there_had_been_none(tmp_path:
         ("dig", {"trench": {"from": [4.2, 0.0], "to": [3.2, 0.0], "width": 0.3, "depth": 0.4}}, "bucket is wider"),
         ("dump", {"heap": {"at": [3.5, 0.6]}}, "edge distance"),
         ("dump", {"heap": {"at": [0.8, -0.9]}}, "out of reach"),
+        ("start", {"swing": 0.0, "boom": 0.0, "stick": -1.6, "bucket": -1.8}, "stands in the ground"),
         ("ground", {"file": "no_such_survey.csv"}, "no_such_survey"),
     ],
 )
