@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -690,8 +691,13 @@ def test_scene_written_as_json_which_is_yaml_is_read_as_the_same_scene(
     assert load_scene(file).to_dict() == scene_from_dict(data).to_dict()
 
 
+@cache
+def validator() -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(scene_schema())
+
+
 def check_schema(data: object) -> None:
-    jsonschema.Draft202012Validator(scene_schema()).validate(data)
+    validator().validate(data)
 
 
 def test_schema_is_a_schema() -> None:
