@@ -14,7 +14,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.files.output_file import check_ending, check_output, whole_file
 from backhoe_planner.job import JobPlan, build_worksite
 from backhoe_planner.motion import Problem, Trajectory
-from backhoe_planner.show.drawing.drawing import PlanAnimation, Track, draw, mesh
+from backhoe_planner.show.drawing.drawing import PlanAnimation, Track, draw, mesh, node_names
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import LOOSE_SOIL, SOIL
 from backhoe_planner.show.drawing.scene_graph import HIDDEN, SceneGraph
@@ -84,6 +84,7 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     display.tell(
         "job",
         {
+            "buried": _buried(problem, graph, float(ground.surface.min())),
             "ground": start_of(ground) | {"node": _NODE, "colours": [SOIL, LOOSE_SOIL]},
             "changes": changes_of(plan, frames.parts),
             "parts": frames.parts,
@@ -99,8 +100,15 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
 def _words(plan: JobPlan) -> str:
     trench, what = plan.job.dig.trench, "a surface"
     if trench is not None:
-        what = f"a trench of {trench.length:g} m, {trench.width:g} m wide, {trench.depth:g} m deep"
+        length, width, depth = (f"{round(size, 2):g} m" for size in (trench.length, trench.width, trench.depth))
+        what = f"a trench of {length}, {width} wide, {depth} deep"
     return f"digs {what}"
+
+
+def _buried(problem: Problem, graph: SceneGraph, lowest: float) -> list[str]:
+    """Nodes of the obstacles that lie below the ground, by where their names are written."""
+    nodes = node_names(obstacle.name for obstacle in problem.obstacles)
+    return [nodes[name] for name, place in graph.anchors.items() if place is not None and place[2] < lowest]
 
 
 def _problem(plan: JobPlan) -> Problem:

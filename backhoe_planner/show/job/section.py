@@ -42,7 +42,7 @@ class Section:
 
 def section_of(plan: JobPlan) -> Section:
     """Along a trench, from its nearer end; through the middle of any other dig, away from the machine."""
-    axis = BatchKinematics(plan.robot).at(plan.robot.middle[None]).origins[0, 0, :2]
+    axis = _axis(plan.robot)
     trench = plan.job.dig.trench
     if trench is not None:
         ends = np.array(sorted((trench.start, trench.end), key=lambda end: float(np.linalg.norm(end - axis))))
@@ -72,6 +72,7 @@ def section_content(plan: JobPlan, problem: Problem, q: Matrix) -> dict[str, Any
     station, aside = section.stations(at.tip_position)
     return {
         "length": section.length,
+        "axis": float(section.stations(_axis(plan.robot)[None])[0][0]),
         "columns": index,
         "start": ground.surface.ravel()[index],
         "design": plan.design.ravel()[index],
@@ -84,10 +85,14 @@ def section_content(plan: JobPlan, problem: Problem, q: Matrix) -> dict[str, Any
     }
 
 
+def _axis(robot: Robot) -> Vector:
+    """(2,) where the swing axis stands."""
+    return np.asarray(BatchKinematics(robot).at(robot.middle[None]).origins[0, 0, :2])
+
+
 def _heading(robot: Robot, section: Section) -> Vector:
     """(2,) outward from the swing axis to the middle of the section."""
-    axis = BatchKinematics(robot).at(robot.middle[None]).origins[0, 0, :2]
-    return np.asarray(section.begin + 0.5 * section.length * section.along - axis)
+    return np.asarray(section.begin + 0.5 * section.length * section.along - _axis(robot))
 
 
 def _outline(robot: Robot) -> Matrix:

@@ -72,6 +72,17 @@
   surface.frustumCulled = false;
   viewer.scene_tree.find(job.ground.node).set_object(surface);
 
+  // What lies in the ground shows through it, paler than where it is open.
+  for (const name of job.buried) {
+    const solids = [];
+    viewer.scene_tree.find(["site", name]).object.traverse((one) => { if (one.isMesh) solids.push(one); });
+    for (const solid of solids) {
+      const through = new THREE.Mesh(solid.geometry, solid.material.clone());
+      Object.assign(through.material, { depthFunc: THREE.GreaterDepth, depthWrite: false, transparent: true, opacity: 0.25 });
+      solid.add(through);
+    }
+  }
+
   // ---- cycles ------------------------------------------------------------------------
 
   get("panel").insertBefore(get("cycles-section"), get("margins").parentElement);
@@ -146,6 +157,7 @@
 
   // ---- section -----------------------------------------------------------------------
 
+  const BELOW = 36;  // px of the section for the numbers and words below it
   const section = job.section, canvas = get("section"), card = get("section-card");
   const known = (values) => values.filter((value) => value !== null);
   const depths = [...known(section.design), ...section.end, ...section.start,
@@ -167,7 +179,7 @@
     const width = canvas.clientWidth;
     if (width === 0) return;
     const left = 34, scale = (width - left - 8) / section.length;
-    const tall = Math.min(Math.max((highest - lowest) * scale + 24, 90), 260), stretch = (tall - 24) / (highest - lowest);
+    const tall = Math.min(Math.max((highest - lowest) * scale + BELOW, 90), 272), stretch = (tall - BELOW) / (highest - lowest);
     const ratio = devicePixelRatio || 1;
     canvas.width = Math.round(width * ratio);
     canvas.height = Math.round(tall * ratio);
@@ -191,10 +203,10 @@
       pen.setLineDash([]);
     };
     pen.fillStyle = "#eaf1f7";
-    pen.fillRect(left, 6, width - left - 8, tall - 24);
+    pen.fillRect(left, 6, width - left - 8, tall - BELOW);
     pen.save();
     pen.beginPath();
-    pen.rect(left, 6, width - left - 8, tall - 24);
+    pen.rect(left, 6, width - left - 8, tall - BELOW);
     pen.clip();
     const now = section.columns.map((k) => heights[k]);
     pen.beginPath();
@@ -219,6 +231,11 @@
       pen.ellipse(px(one.station), py(one.z), Math.max(scale * one.half, 2), Math.max(stretch * one.radius, 2), 0, 0, 7);
       pen.fillStyle = "#f29e1a";
       pen.fill();
+      pen.fillStyle = "#3d3226";
+      pen.font = "10px system-ui, sans-serif";
+      pen.textAlign = "center";
+      pen.textBaseline = "top";
+      pen.fillText(one.name, px(one.station), py(one.z - one.radius - one.clearance) + 2);
     }
     drawBucket(pen, Math.round(frame), px, py);
     pen.restore();
@@ -230,7 +247,8 @@
     for (let z = Math.ceil(lowest / step) * step; z <= highest; z += step) pen.fillText(number(z, 1), left - 4, py(z));
     pen.textAlign = "center";
     pen.textBaseline = "top";
-    for (let s = 0; s <= section.length; s += 1) pen.fillText(s === 0 ? "0 m" : String(s), px(s), tall - 15);
+    for (let s = Math.ceil(-section.axis); s <= section.length - section.axis; s += 1) pen.fillText(String(s), px(s + section.axis), tall - 27);
+    pen.fillText("distance from the swing axis and height [m]", left + 0.5 * (width - left), tall - 14);
   }
 
   function drawBucket(pen, frame, px, py) {
