@@ -483,6 +483,8 @@ PLAIN = yaml.safe_dump(REACH)
         ("version: 1\n\ttask: 3\n", ["line 2", "tab", "spaces"]),
         (PLAIN + "version: 1\n", ["version", "twice", "line"]),
         ("- 1\n", ["keys and values"]),
+        ('{"format": "backhoe-planner/plan", "version": 1}\n', ["is a plan, not a scene"]),
+        ('{"format": "backhoe-planner/job", "version": 1}\n', ["is the plan of a job, not a scene"]),
         (PLAIN.replace("2.6", ".nan"), ["task.goal.position[0]", "finite"]),
         (PLAIN.replace("2.6", ".inf"), ["task.goal.position[0]", "finite"]),
         (PLAIN.replace("joint2: 0.3", "joint2: -.inf"), ["start.joints.joint2", "finite"]),
@@ -625,3 +627,10 @@ def test_what_is_written_of_a_plan_replaces_no_file_of_it(run: Run, tmp_path: Pa
         ("export", "plan.json", "backhoe.hydraulics.yaml"),
     ):
         assert "input of this command" in refused(run, tmp_path, *arguments)
+
+
+def test_the_plan_of_a_job_is_not_plotted_nor_played_live(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "job.json"
+    file.write_text('{"format": "backhoe-planner/job"}\n', encoding="utf-8")
+    for command in (("plot", file, "job.png"), ("view", file)):
+        assert "view PLAN --html PAGE" in refused(run, tmp_path, *map(str, command))

@@ -95,6 +95,12 @@ def view(
     """Play a plan in the browser, or write it as one page."""
     if html is not None:
         check_output(html, [plan_file])
+    if job.is_job_plan(plan_file):
+        if html is None:
+            raise _refused(plan_file, "is played from a page", hint="view PLAN --html PAGE writes one")
+        print_warnings(show.write_job_page(bp.load_job_plan(plan_file, urdf=urdf), html))
+        _print_page(html)
+        return VERIFIED
     loaded = bp.load_plan(plan_file, urdf=urdf)
     if html is not None:
         print_warnings(show.write_page(loaded, html))
@@ -126,6 +132,9 @@ def plot(
     urdf: PlanUrdf = None,
 ) -> int:
     """Plot a plan over time: joints, margins, limits, power."""
+    if job.is_job_plan(plan_file):
+        hint = "export PLAN FILE.csv writes its motions, view PLAN --html PAGE a page"
+        raise _refused(plan_file, "is not plotted", hint=hint)
     return _write(show.plot_plan, plan_file, urdf, file)
 
 
@@ -143,6 +152,10 @@ def export(
         OUT.print(f"wrote {file}")
         return VERIFIED
     return _write(planning.export_plan, plan_file, urdf, file)
+
+
+def _refused(plan_file: Path, problem: str, *, hint: str) -> bp.PlanFileError:
+    return bp.PlanFileError(f"the plan of a job {problem}", file=plan_file, hint=hint)
 
 
 def _write(write: Callable[[bp.Plan, Path], object], plan_file: Path, urdf: str | None, file: Path) -> int:

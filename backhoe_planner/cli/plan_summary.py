@@ -55,7 +55,8 @@ def _print_legs(found: bp.Plan) -> None:
         near = "" if tightest is None else f", margin {tightest.margin:+.3f} m ({tightest.link}, {tightest.name})"
         work = planning.describe_quantity(leg.metrics.energy["work"], "J")
         wrong = "" if leg.certificate.verified else ", not verified"
-        OUT.print(f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s, {work}{near}{wrong}")
+        error = f", tip error {1e3 * leg.certificate.tracking.max_error:.2f} mm"
+        OUT.print(f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s, {work}{near}{error}{wrong}")
 
 
 def _print_tracking_error(found: bp.Plan) -> None:

@@ -23,6 +23,8 @@ KeyPath = tuple[str | int, ...]
 # keys and entries of one file, aliases written out: 1 kB of aliases can stand for 10^9 of them
 _MOST_KEYS = 200_000
 
+_PLAN = re.compile(r'"format":\s*"backhoe-planner/(\w+)"')  # as the files of plans begin
+
 
 class _Loader(yaml.SafeLoader):
     """SafeLoader with the scalars of YAML 1.2's core schema."""
@@ -62,6 +64,10 @@ def read_yaml(
     error: the file cannot be read, is empty, is not YAML, or names a key twice.
     """
     text = read_text(path, what=what, error=error)
+    planned = _PLAN.search(text[:200])
+    if planned is not None:
+        kind = "the plan of a job" if planned[1] == "job" else "a plan"
+        raise error(f"is {kind}, not a {what}", file=path, allowed=f"the {what} file from which it was planned")
     loader: _Loader | None = None
     try:
         loader = _Loader(text)

@@ -83,7 +83,9 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
         tracking=_whole_tracking(legs, missing),
         tip_speed=_most(legs, "tip_speed"),
         problems=tuple(problems),
-        keep=tuple(_later(use, leg) for leg in legs for use in leg.certificate.keep),
+        keep=tuple(
+            replace(_later(use, leg), words=f"{_place(leg)}{use.words}") for leg in legs for use in leg.certificate.keep
+        ),
         legs=legs,
     )
 

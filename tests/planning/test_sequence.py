@@ -27,7 +27,7 @@ START = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
 POST = {"name": "post", "shape": "cylinder", "radius": 0.1, "length": 3.0, "position": [2.5, 3.0, 1.5]}
 LEGS: list[dict[str, Any]] = [
     {"name": "reach", "goal": {"position": [4.0, 0.0, 0.8]}},
-    {"name": "swing", "goal": {"position": [2.5, 2.5, 1.2]}, "payload": 250.0, "speed": 1.0},
+    {"name": "swing", "goal": {"position": [2.5, 2.5, 1.2]}, "payload": 250.0, "speed": 1.0, "keep": {"above": 0.5}},
     {"name": "rest", "wait": 0.7},
     {"name": "cut", "path": {"waypoints": [{"position": [2.5, 2.0, 1.0]}, {"position": [2.2, 1.8, 1.0]}]}},
 ]
@@ -69,6 +69,8 @@ def test_the_whole_is_the_sum_and_the_tightest_of_its_legs(done: Plan) -> None:
     ratios = [leg.certificate.hydraulics.ratio for leg in done.legs if leg.certificate.hydraulics]
     assert done.certificate.hydraulics is not None
     assert done.certificate.hydraulics.ratio == max(ratios)
+    (kept,) = done.certificate.keep
+    assert kept.words.startswith(f"leg 'swing', from {done.legs[1].begins:.2f} s on: ")  # its times count from there
 
 
 def test_a_plan_of_a_sequence_is_proven_anew_from_its_file(done: Plan, tmp_path: Path) -> None:

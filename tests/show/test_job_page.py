@@ -58,6 +58,7 @@ def test_the_section_runs_along_the_trench_and_has_the_pipe_in_it(plan: JobPlan)
     """From 0.6 m before the nearer end, at x = 3.2: so the pipe across x = 3.6 is 1 m along it."""
     section = section_content(plan, plan.cycles[0].legs[0].problem, job_frames(plan).timeline.q)
     assert section["length"] == pytest.approx(1.2 + 2 * 0.6)
+    assert section["axis"] == pytest.approx(-2.6)  # the machine swings about x = y = 0
     (pipe,) = section["crossings"]
     assert (pipe["name"], pipe["station"], pipe["z"]) == ("pipe", pytest.approx(1.0), pytest.approx(-1.0))
     assert pipe["half"] == pytest.approx(0.1)
@@ -96,6 +97,9 @@ def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp
         f".geometry.attributes.position.getZ({row * ground.shape[1] + column})"
     )
     assert page.evaluate(height) == pytest.approx(0.0, abs=1e-3)
+    through = "let n = 0; backhoe.viewer.scene_tree.find(['site', 'pipe']).object.traverse((one) => {"
+    through += " if (one.isMesh && one.material.depthFunc === MeshCat.THREE.GreaterDepth) n += 1; }); return n;"
+    assert page.evaluate(f"() => {{ {through} }}") == 1  # it lies 1 m deep, and shows through the ground
     page.evaluate("backhoe.seek(1e9)")
     assert page.evaluate(height) == pytest.approx(-0.3, abs=0.02)
     assert page.inner_text("#now") == f"Cycle {len(plan.cycles)} of {len(plan.cycles)}: {plan.cycles[-1].legs[-1].name}"
