@@ -75,7 +75,7 @@ SUITES = {
     # rooms within a room; "" is what stands in the room itself
     "machine": ["shape", "clusters", "hydraulics", "description", "", "kinematics", "capability"],
     "site": ["schema", "pairs", ""],
-    "motion": ["", "timing"],
+    "motion": ["", "timing", "following"],
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "", "sequence"],
     "live": ["braking", "recovery", "servo", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],

@@ -16,13 +16,13 @@ import numpy as np
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Kinematics, TargetBatch, bend_weights, tip_travel_bound
-from backhoe_planner.motion.chords import chord_errors
+from backhoe_planner.motion.following.chords import chord_errors
+from backhoe_planner.motion.following.orientation import angle_bounds
+from backhoe_planner.motion.following.spot_turns import SpotTurn, largest_spot_turn
+from backhoe_planner.motion.following.waypoint_steps import WaypointStep, longest_step
 from backhoe_planner.motion.goals import ANGLE_TOLERANCE, Goal
-from backhoe_planner.motion.orientation import angle_bounds
 from backhoe_planner.motion.path import TURN_LEVER, TipPath, targets_along
-from backhoe_planner.motion.spot_turns import SpotTurn, largest_spot_turn
 from backhoe_planner.motion.trajectory import Trajectory
-from backhoe_planner.motion.waypoint_steps import WaypointStep, longest_step
 from backhoe_planner.site import Obstruction
 
 _BEGINNING = 0.1  # part of the path; chosen: while less is done, the tip may still be approaching
