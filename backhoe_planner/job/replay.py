@@ -11,11 +11,11 @@ import numpy as np
 
 from backhoe_planner.errors import InputError, PlanFileError, RobotError, SceneError, check_path
 from backhoe_planner.job.cycles.cut_leg import cut_problem
-from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, dig_and_spill
+from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Dug, dig_and_spill
 from backhoe_planner.job.cycles.dumping import SiteState, dump_of
 from backhoe_planner.job.cycles.transfers import make_leg
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.result.cycles import Cycle, CycleLeg, Load
+from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName, Load
 from backhoe_planner.job.result.job_plan import JobPlan, PatternEstimate
 from backhoe_planner.job.result.job_plan_file import CycleRecord, JobPlanRecord, LegRecord, read_job_plan_file
 from backhoe_planner.job.schema.job_file import Job, job_from_dict
@@ -24,6 +24,9 @@ from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import build_worksite, plain_soil
 
 _SAME_VOLUME = 1e-9  # m^3
+_SAME_MASS = 1e-6  # kg, of volumes that are the same to 1e-9 m^3
+_SAME_ANGLE = 1e-9  # rad: rounding
+_LIGHTER = 0.1  # of a full bucket: a cut is found on a profile, which was up to 6 % lighter than the swept grid
 
 
 def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | None = None) -> JobPlan:
@@ -117,10 +120,10 @@ class _Replay:
     def cycle(self, number: int, record: CycleRecord) -> Cycle:
         """The cycle of a record, against the ground that the cycles before leave."""
         site, planner, before = self._site, self._planner, self._state
+        key = f"cycles[{number - 1}]"
         motions = {leg.name: leg for leg in record.legs}
-        if "cut" not in motions:
-            raise PlanFileError("has no cut", file=self._file, key=f"cycles[{number - 1}].legs")
-        load = Load(record.load.swing, np.array(record.load.r), np.array(record.load.mass))
+        self._check_names([leg.name for leg in record.legs], key)
+        load = self._load(record, key)
         try:
             cut_motion = motions["cut"].trajectory
             across = planner.across(load.swing)
@@ -128,13 +131,14 @@ class _Replay:
             after_cut = planner.after_cut(dug.ground, before)
             after = planner.dumped(after_cut, np.array(record.place[:2]), dug.held, record.truck)
         except InputError as error:
-            raise PlanFileError(str(error), file=self._file, key=f"cycles[{number - 1}]") from None
+            raise PlanFileError(str(error), file=self._file, key=key) from None
         if isinstance(after, str):
             self.problems.append(f"cycle {number}: {after}")
             after = after_cut
         for name, found, said in (("bank", dug.bank, record.bank), ("held", dug.held, record.held)):
-            if abs(found - said) > _SAME_VOLUME:
+            if not abs(found - said) <= _SAME_VOLUME:
                 self.problems.append(f"cycle {number}: the file says {said:.6f} m^3 {name}, the cut takes {found:.6f}")
+        self._check_soil(number, record, load, dug)
         legs = []
         for one in record.legs:
             state = {"approach": before, "cut": before, "swing": after_cut}.get(one.name, after)
@@ -145,6 +149,49 @@ class _Replay:
             bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=np.array(record.place),
             truck=record.truck, step=record.step, filled=dug.held / site.bucket.capacity, depth=record.depth,
         )  # fmt: skip
+
+    def _check_names(self, names: list[LegName], key: str) -> None:
+        """A cycle digs, swings and dumps, in this order."""
+        inner = names[names[:1] == ["approach"] : len(names) - (names[-1:] == ["return"])]
+        if inner != ["cut", "swing", "dump"]:
+            allowed = "cut, swing, dump, with an approach before and a return after them"
+            raise PlanFileError("are not those of a cycle", file=self._file, key=f"{key}.legs", found=names,
+                                allowed=allowed)  # fmt: skip
+
+    def _load(self, record: CycleRecord, key: str) -> Load:
+        r, mass = np.array(record.load.r), np.array(record.load.mass)
+        if len(r) != len(mass) or len(r) == 0 or np.any(np.diff(r) > 0.0):
+            raise PlanFileError("is not the load along a cut", file=self._file, key=f"{key}.load",
+                                found=f"{len(r)} distances and {len(mass)} masses",
+                                allowed="one mass for every distance, these not increasing")  # fmt: skip
+        return Load(record.load.swing, r, mass)
+
+    def _check_soil(self, number: int, record: CycleRecord, load: Load, dug: Dug) -> None:
+        """What the legs carry is what the cut has dug, in the plane of the cut, and it falls where the bucket is."""
+        site, digging = self._site, dug.digging
+        per_volume = site.digger.soil.density / site.job.soil.swell
+        held = per_volume * np.minimum(site.job.soil.swell * digging.bank + digging.loose, site.bucket.capacity)
+        out = np.linalg.norm(digging.edge[:, :2] - site.plane.axis, axis=1)
+        said = np.interp(out, load.r[::-1], load.mass[::-1])
+        if np.any(held - said > _LIGHTER * per_volume * site.bucket.capacity):
+            lack = float(np.max(held - said))
+            self.problems.append(
+                f"cycle {number}: during the cut the bucket holds {lack:.0f} kg more than the file says"
+            )
+        full = per_volume * dug.held
+        for leg in record.legs:
+            if leg.name in ("swing", "dump") and abs(leg.payload - full) > _SAME_MASS:
+                words = f"the file says {leg.payload:.3f} kg in the bucket, the cut has dug {full:.3f} kg"
+                self.problems.append(f"cycle {number}, {leg.name}: {words}")
+            elif leg.name in ("approach", "return") and leg.payload != 0.0:
+                self.problems.append(f"cycle {number}, {leg.name}: the bucket is empty, not with {leg.payload:g} kg")
+            motion = leg.trajectory
+            if leg.name == "cut" and site.plane.swings and np.any(np.abs(motion.q[:, 0] - load.swing) > _SAME_ANGLE):
+                self.problems.append(f"cycle {number}: the cut leaves the plane in which it digs")
+            if leg.name == "dump":
+                tip = site.plane.kinematics.at(motion.q[-1:]).tip_position[0, :2]
+                if np.linalg.norm(tip - record.place[:2]) > site.bucket.length:
+                    self.problems.append(f"cycle {number}: the soil is not dumped where the bucket opens")
 
     def _leg(self, number: int, record: LegRecord, load: Load, ground: Terrain, state: SiteState) -> CycleLeg:
         motion = record.trajectory

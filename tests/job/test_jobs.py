@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ TINY: dict[str, Any] = {
     "bucket": {"capacity": 0.2},
     "pattern": {"face": 0.4},
 }
+BALL = {"name": "ball", "shape": "sphere", "radius": 0.5, "position": [3.7, 0.0, 0.5]}
 
 
 @cache
@@ -82,6 +84,9 @@ def test_a_job_goes_on_after_an_interruption_as_if_there_had_been_none(tmp_path:
         ("dump", {"heap": {"at": [0.8, -0.9]}}, "out of reach"),
         ("start", {"swing": 0.0, "boom": 0.0, "stick": -1.6, "bucket": -1.8}, "stands in the ground"),
         ("ground", {"file": "no_such_survey.csv"}, "no_such_survey"),
+        ("soil", {"width": 0.3}, "narrower than the bucket"),
+        ("site", {"obstacles": [BALL | {"appears_at": 60.0}]}, "does not stand still"),
+        ("site", {"obstacles": [BALL | {"velocity": [0.0, -0.2, 0.0]}]}, "does not stand still"),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_key(key: str, change: dict[str, Any], said: str) -> None:
@@ -89,6 +94,29 @@ def test_what_cannot_be_is_refused_with_its_key(key: str, change: dict[str, Any]
     with pytest.raises(bp.SceneError, match=said) as refused:
         bp.plan_job(bp.job_from_dict(content), effort="quick")
     assert key in str(refused.value)
+
+
+def test_a_plan_of_a_job_that_was_edited_is_not_verified(tmp_path: Path) -> None:
+    file = tmp_path / "job.json"
+    plan().save(file)
+    content = json.loads(file.read_text())
+    content["cycles"] = content["cycles"][:1]
+    edited = copy.deepcopy(content)
+    cycle = edited["cycles"][0]
+    cycle["bank"] = None
+    cycle["place"][:2] = [4.0, -3.0]
+    cycle["load"]["mass"] = [0.0] * len(cycle["load"]["mass"])
+    for leg in cycle["legs"]:
+        leg["payload"] = 0.0
+    file.write_text(json.dumps(edited))
+    found = bp.load_job_plan(file)
+    assert not found.verified
+    for said in ("nan m^3 bank", "not dumped where", "more than the file says", "swing: the file says 0.000 kg"):
+        assert said in found.note
+    without_swing = content["cycles"][0] | {"legs": content["cycles"][0]["legs"][:2]}
+    file.write_text(json.dumps(content | {"cycles": [without_swing]}))
+    with pytest.raises(bp.PlanFileError, match="not those of a cycle"):
+        bp.load_job_plan(file)
 
 
 def test_a_soil_that_no_cylinder_cuts_is_a_reason() -> None:

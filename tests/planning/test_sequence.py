@@ -103,6 +103,12 @@ def test_too_short_a_wait_and_a_leg_that_is_left_out_are_refuted(backhoe: Robot,
     assert found.problems == ("the leg 'rest' is not begun", "the leg 'cut' is not begun")
 
 
+def test_a_sequence_may_begin_with_a_wait(backhoe: Robot) -> None:
+    found = plan(backhoe, scene_of({"name": "warm up", "wait": 0.5}, LEGS[0]), effort="quick")
+    assert found.verified, found.message
+    assert found.legs[0].trajectory.duration == pytest.approx(0.5, abs=1e-9)
+
+
 def test_a_motion_without_legs_is_no_motion_of_a_sequence(backhoe: Robot, done: Plan) -> None:
     with pytest.raises(InputError, match=r"trajectory\.begins"):
         certify(backhoe, scene_of(*LEGS), replace(done.trajectory, begins=()))

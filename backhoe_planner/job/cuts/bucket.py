@@ -25,6 +25,7 @@ _LIP_LENGTH = 0.15  # m from the teeth: nearer, the shape is that of teeth and l
 _BACK_STEP = 0.1  # m between the points of the back that are looked at; chosen, a sixth of the heel's distance
 _ACROSS = 0.5  # part of the bucket's width: a piece that is wider is a plate from side to side; chosen
 _AT_TEETH = 0.1  # part of the mouth: how far its end may be from the teeth; chosen, half a plate's thickness is 3 %
+_SAME_WIDTH = 0.01  # m by which the cutting edge may be narrower than the shape: side plates stand out so far; chosen
 _CELLS = 200  # of the grid on which the inside is measured, each way; the area is then right to 0.5 %
 
 
@@ -73,7 +74,13 @@ class Bucket:
         if not robot.has_pitch:
             problem = "a bucket digs in an upright plane: the axis of the last joint must stay horizontal"
             raise InputError(problem, key="bucket", found=robot.name)
-        width = bucket_width(robot) if width is None else as_number(width, key="bucket.width", above=0.0)
+        shape = bucket_width(robot)
+        width = shape if width is None else as_number(width, key="bucket.width", above=0.0)
+        if width < shape - _SAME_WIDTH:
+            raise InputError(
+                "is narrower than the bucket's shape, which goes into the ground too", key="soil.width", found=width,
+                allowed=f"{shape:.3f} m or more",
+            )  # fmt: skip
         section = _section(robot)
         struck, centre = section.inside()
         if capacity is not None:

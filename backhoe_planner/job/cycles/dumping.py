@@ -225,7 +225,10 @@ class TruckDump:
     def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
         """See `DumpSite`."""
         assert state.truck is not None
-        truck = state.truck if number == state.truck.number else Truck(number, self._empty)
+        now = state.truck.number
+        if number not in (now, now + 1) or number > self._trucks.count:
+            return f"truck {number} does not come after truck {now} of {self._trucks.count}"
+        truck = state.truck if number == now else Truck(number, self._empty)
         if truck.loaded + volume > self._trucks.capacity + 1e-9:
             would = truck.loaded + volume
             most = self._trucks.capacity

@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import Field, StrictInt, ValidationError
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.errors import PlanFileError
+from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
@@ -106,6 +106,10 @@ class LegRecord(Record):
     @property
     def trajectory(self) -> Trajectory:
         """The motion; InputError where the samples make none."""
+        joints = {len(row) for row in self.q}
+        if len(joints) != 1 or len(self.q) != len(self.time):
+            raise InputError("is no motion", key=f"{self.name}.q", found=f"rows of {sorted(joints)} joints at "
+                             f"{len(self.time)} times", allowed="one row of all joints for every time")  # fmt: skip
         return Trajectory.from_steps(np.array(self.time, dtype=float), np.array(self.q, dtype=float))
 
 

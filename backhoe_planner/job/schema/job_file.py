@@ -140,7 +140,7 @@ def _site(job: Job, folder: Path) -> Scene:
     """The scene of the site, whose task and start say nothing."""
     if isinstance(job.site, str):
         try:
-            return load_scene(job.folder / job.site)
+            return _standing(load_scene(job.folder / job.site), job.file)
         except SceneError as error:
             raise SceneError(str(error), file=job.file, key="site") from None
     unknown = next((key for key in job.site if key not in _SITE_KEYS), None)
@@ -148,6 +148,19 @@ def _site(job: Job, folder: Path) -> Scene:
         raise SceneError.unknown_name("there is no such key", unknown, names=_SITE_KEYS, file=job.file, key="site")
     idle = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0.0, 0.0, 0.0]}}}
     try:
-        return scene_from_dict({**idle, **job.site}, folder=folder, file=job.file)
+        scene = scene_from_dict({**idle, **job.site}, folder=folder, file=job.file)
     except SceneError as error:
         raise SceneError(error.problem, file=job.file, key="site") from None
+    return _standing(scene, job.file)
+
+
+def _standing(scene: Scene, file: Path | None) -> Scene:
+    """The site where all of its obstacles stand: every motion of a job has a clock of its own."""
+    for index, one in enumerate(scene.obstacles):
+        for key, moves in (("velocity", any(one.velocity)), ("appears_at", one.appears_at > 0.0)):
+            if moves:
+                raise SceneError(
+                    "does not stand still", file=file, key=f"site.obstacles[{index}].{key}", found=getattr(one, key),
+                    allowed=f"obstacles that stand from the first cycle to the last, such as {one.name} without {key}",
+                )  # fmt: skip
+    return scene

@@ -45,7 +45,11 @@ class LegPlanner:
         time: when it begins [s].
         asked: the same leg asking for more, such as one posture at its end; what is proven is the leg itself.
         """
-        problem = leg.problem if start is None else leg.problem.beginning(start, time)
+        problem = leg.problem
+        if start is None and problem.wait is not None:
+            start = problem.start_q  # where it waits is the place that it has to keep
+        if start is not None:
+            problem = problem.beginning(start, time)
         if leg.motion is not None:
             return self._ready(leg.motion, problem)
         more = problem if asked is None else replace(problem, goals=asked.problem.goals, path=asked.problem.path)
