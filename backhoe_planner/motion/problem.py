@@ -133,7 +133,15 @@ def _legs(whole: Problem) -> tuple[Problem, ...]:
         except SceneError as error:
             raise _in_leg(error, scene, index) from None
         speed = leg.speed if leg.goal is not None else None
-        found.append(replace(built, name=leg.name, wait=leg.wait, tip_speed=speed))
+        one = replace(built, name=leg.name, wait=leg.wait, tip_speed=speed)
+        if index == 0 and leg.wait is not None:
+            if one.start_q is None:
+                raise SceneError(
+                    "a sequence that begins with a wait needs the joints at its start", file=scene.file,
+                    key=f"{leg_key(scene, index)}.wait", found=leg.wait, allowed="start: {joints: {...}} in the scene",
+                )  # fmt: skip
+            one = one.beginning(one.start_q)
+        found.append(one)
     return tuple(found)
 
 

@@ -13,6 +13,7 @@ from backhoe_planner import (
     InputError,
     Plan,
     Robot,
+    SceneError,
     Trajectory,
     build_problem,
     certify,
@@ -213,3 +214,18 @@ def test_where_a_later_leg_fails_other_ends_are_tried(backhoe: Robot) -> None:
     ahead = plan_legs(legs, effort=EFFORTS["quick"])
     assert ahead.certificate.verified, ahead.certificate.problems
     assert ahead.done[0].certificate.goal == 2
+
+
+def test_a_sequence_may_begin_with_a_wait_where_the_joints_are_given(backhoe: Robot) -> None:
+    legs = [{"name": "pause", "wait": 0.5}, {"name": "on", "goal": {"position": [4.0, 1.0, 0.5]}}]
+    start: dict[str, object] = {"joints": {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}}
+    content: dict[str, object] = {"version": 1, "task": {"sequence": legs}}
+    made = plan(backhoe, scene_from_dict(content | {"start": start}), effort="quick")
+    assert made.verified
+    begins = made.trajectory.time[list(made.trajectory.begins)]
+    assert begins.tolist() == pytest.approx([0.0, 0.5])
+    still = made.trajectory.time <= 0.5
+    assert np.ptp(made.trajectory.q[still], axis=0).max() == 0.0
+    start = {"tip": {"position": [4.0, 0.0, 0.5]}}
+    with pytest.raises(SceneError, match=r"task\.sequence\[0\] \(pause\)\.wait|needs the joints at its start"):
+        plan(backhoe, scene_from_dict(content | {"start": start}), effort="quick")
