@@ -51,7 +51,7 @@ def job(
     loaded = bp.load_job(file)
     for target in (output, html):
         if target is not None:
-            check_output(target, loaded.files)
+            check_output(target, (*loaded.files, *(() if from_terrain is None else (from_terrain,))))
     if html is not None:
         check_ending(html, show.PAGE_FORMATS, what="a page")
     terrain = None if from_terrain is None else jobs.read_ground(loaded, from_terrain)

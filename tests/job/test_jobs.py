@@ -119,6 +119,32 @@ def test_a_plan_of_a_job_that_was_edited_is_not_verified(tmp_path: Path) -> None
         bp.load_job_plan(file)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("-0.3,deep", "row 1, column 2"), ("-0.3,-0.3\n-0.3", "different lengths"), (",\n,", "nowhere how deep"),
+     ("-0.3,-1e308", "row 1, column 2")],
+)  # fmt: skip
+def test_a_design_surface_that_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "design.csv").write_text(text)
+    surface = {"surface": {"file": "design.csv", "low": [3.2, -0.3], "cell": 0.1}}
+    with pytest.raises(bp.SceneError, match=said):
+        bp.plan_job(bp.job_from_dict(TINY | {"dig": surface}, folder=tmp_path), effort="quick")
+
+
+def test_a_surface_of_which_nothing_can_be_dug_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "design.csv").write_text("\n".join([",".join(["-0.3"] * 11)] * 7))
+    surface = {"surface": {"file": "design.csv", "low": [3.2, -0.3], "cell": 0.1}}
+    slab = {"name": "slab", "shape": "box", "size": [3.0, 3.0, 0.2], "position": [3.7, 0.0, -0.15]}
+    job = TINY | {"dig": surface, "site": {"clearance": 0.1, "obstacles": [slab]}}
+    with pytest.raises(bp.SceneError, match=r"cannot be dug anywhere.*slab"):
+        bp.plan_job(bp.job_from_dict(job, folder=tmp_path), effort="quick")
+
+
+def test_depth_counts_from_the_ground_of_the_job_whatever_a_survey_says() -> None:
+    found = bp.plan_job(bp.job_from_dict(TINY), effort="quick", terrain=plan().end)
+    assert np.nanmin(found.design) == pytest.approx(-0.4, abs=1e-12)
+
+
 def test_a_soil_that_no_cylinder_cuts_is_a_reason() -> None:
     found = bp.plan_job(bp.job_from_dict(TINY | {"soil": {"cohesion": 5e6}}), effort="quick")
     assert (found.verdict, found.reason) == ("failed", "too_hard")

@@ -67,7 +67,7 @@ class Surface(Record):
     """CSV of heights z [m] without header, rows along y, columns along x; empty where nothing is to be dug."""
     low: _Point
     """x, y of the first height [m]."""
-    cell: _Length
+    cell: Annotated[float, Field(strict=True, ge=0.005, le=5.0)]
     """Between neighbouring heights [m]."""
     tolerance: Annotated[float, Field(strict=True, gt=0.0, le=0.5)] = 0.05
     """How far the ground may lie above or below the design [m]."""

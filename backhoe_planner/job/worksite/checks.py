@@ -11,6 +11,7 @@ from backhoe_planner.errors import SceneError
 from backhoe_planner.job.worksite.lanes import Lane
 from backhoe_planner.job.worksite.worksite import Worksite
 
+_ANYTHING = 1e-3  # m below the ground: less is no digging
 _ENOUGH = 0.02  # m^3 that may be dug: less is no job
 
 
@@ -78,6 +79,8 @@ def _check_lanes(site: Worksite, lanes: Sequence[Lane]) -> None:
         )  # fmt: skip
     if trench is not None:
         _check_reach(site, within)
+    else:
+        _check_some_reach(site, within)
 
 
 def _beside(site: Worksite) -> str:
@@ -87,6 +90,18 @@ def _beside(site: Worksite) -> str:
     off = site.plane.axis - np.array(trench.start)
     beside = abs(float(off[0] * ahead[1] - off[1] * ahead[0]))
     return f"a trench whose middle passes {beside:.2f} m beside the swing axis"
+
+
+def _check_some_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
+    """A surface of which nothing can be dug."""
+    if any((lane.line[np.isfinite(lane.design)] < lane.floor.max() - _ANYTHING).any() for lane in lanes):
+        return
+    kinds = sorted({lane.causes[int(index)] for lane in lanes for index in lane.cause if index > 0})
+    why = "; ".join(f"{kind.replace('_', ' ')}{': ' + name if name else ''}" for kind, name in kinds)
+    raise SceneError(
+        "cannot be dug anywhere", file=site.job.file, key="dig.surface", found=why or "out of reach",
+        hint="stand nearer or farther, or leave out what lies under obstacles",
+    )  # fmt: skip
 
 
 def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:

@@ -21,6 +21,7 @@ from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Soil, scene_from_dict
 
+_HIGHEST = 1e4  # m above or below zero that a design may lie; chosen, higher than any mountain
 _AROUND = 1.0  # m of ground around what is dug and heaped
 _ARM_SPARE = 0.015  # m beyond the clearance, for what lies between the places looked at; a few mm were seen
 _HEADINGS = 91  # at which the machine's reach is looked at; chosen
@@ -93,8 +94,10 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
                          file=job.file, key="machine", found=robot.name)  # fmt: skip
     problem = _problem(job, robot)
     digger = _digger(job, problem)
-    ground = _ground(job, digger.plane) if terrain is None else terrain
-    design = _design(job, ground)
+    # a survey of what was dug says nothing about how deep it was to be dug
+    own = _ground(job, digger.plane) if terrain is None or job.dig.trench is not None else terrain
+    ground = own if terrain is None else terrain
+    design = _design(job, own)
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, design, arm)
 
@@ -207,9 +210,29 @@ def _design(job: Job, ground: Terrain) -> Design:
     assert surface is not None
     file = job.folder / surface.file
     text = read_text(file, what="design surface", error=SceneError)
-    rows = [[float("nan") if not part.strip() else float(part) for part in line.split(",")]
-            for line in text.splitlines() if line.strip()]  # fmt: skip
-    return SurfaceDesign(np.array(surface.low), surface.cell, np.array(rows))
+    rows = [_heights(line, number, file) for number, line in enumerate(text.splitlines(), start=1) if line.strip()]
+    lengths = sorted({len(row) for row in rows})
+    if len(lengths) != 1:
+        raise SceneError("the rows have different lengths", file=file, found=lengths)
+    z = np.array(rows)
+    if not np.isfinite(z).any():
+        raise SceneError("says nowhere how deep is to be dug", file=file, found="no height in any cell")
+    return SurfaceDesign(np.array(surface.low), surface.cell, z)
+
+
+def _heights(line: str, row: int, file: Path) -> list[float]:
+    """The heights in a row of a design surface [m], nan in empty cells."""
+    found = []
+    for column, part in enumerate(line.split(","), start=1):
+        try:
+            height = float(part) if part.strip() else float("nan")
+        except ValueError:
+            height = float("inf")
+        if abs(height) > _HIGHEST:
+            raise SceneError("is no height", file=file, key=f"row {row}, column {column}", found=part.strip()[:40],
+                             allowed=f"a number of metres up to {_HIGHEST:g}, or nothing")  # fmt: skip
+        found.append(height)
+    return found
 
 
 def _height_at(ground: Terrain, point: Vector, job: Job) -> float:
