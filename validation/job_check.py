@@ -74,7 +74,9 @@ def _scene_with_maps(plan: bp.JobPlan, leg: bp.CycleLeg, folder: Path) -> bp.Sce
     for obstacle in leg.problem.obstacles:
         if obstacle.name in known:
             continue
-        assert obstacle.cluster is not None
+        if obstacle.cluster is None:  # what the job adds to the site
+            maps.append(obstacle.spec.model_dump(mode="json", exclude_unset=True) | {"clearance": obstacle.clearance})
+            continue
         solid: Any = obstacle.cluster.solid
         heights: Matrix = solid._heights
         file = folder / f"map{len(maps)}.csv"

@@ -145,6 +145,12 @@ def test_depth_counts_from_the_ground_of_the_job_whatever_a_survey_says() -> Non
     assert np.nanmin(found.design) == pytest.approx(-0.4, abs=1e-12)
 
 
+def test_level_ground_does_not_end_with_its_grid() -> None:
+    below = {"start": {"swing": 1.2, "boom": -0.5, "stick": -1.0, "bucket": -1.0}}  # the bucket at z -3 m, off the grid
+    with pytest.raises(bp.SceneError, match="inside the ground north of what is known"):
+        bp.plan_job(bp.job_from_dict(TINY | below), effort="quick")
+
+
 def test_a_soil_that_no_cylinder_cuts_is_a_reason() -> None:
     found = bp.plan_job(bp.job_from_dict(TINY | {"soil": {"cohesion": 5e6}}), effort="quick")
     assert (found.verdict, found.reason) == ("failed", "too_hard")

@@ -7,12 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import as_number
+from backhoe_planner.arrays import Vector, as_number
 from backhoe_planner.errors import check_kind
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.machine import TerrainSolid
+from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
+
+_DEEP = 20.0  # m of ground beyond the grid; chosen, deeper than any arm reaches
 
 
 def terrain_obstacle(
@@ -57,3 +60,40 @@ def terrain_obstacle(
         ),
         cluster=body,
     )
+
+
+def ground_around(ground: Terrain, level: float, low: Vector, high: Vector, clearance: float) -> tuple[Obstacle, ...]:
+    """Level ground beyond the grid of a terrain, as boxes on its sides; none where the grid reaches so far.
+
+    Parameters
+    ----------
+    level: its height z [m].
+    low, high: (2,) least and greatest x, y to which it goes [m].
+    clearance: to be kept from it [m].
+    """
+    (west, south), (east, north) = ground.low.tolist(), ground.high.tolist()
+    least, most = np.minimum(low, ground.low), np.maximum(high, ground.high)
+    sides = {
+        "west": (least, (west, most[1])), "east": ((east, least[1]), most),
+        "south": ((west, least[1]), (east, south)), "north": ((west, north), (east, most[1])),
+    }  # fmt: skip
+    found = []
+    for name, (start, end) in sides.items():
+        length, width = (np.asarray(end, dtype=float) - np.asarray(start, dtype=float)).tolist()
+        if min(length, width) <= ground.cell:
+            continue
+        x, y = (0.5 * (np.asarray(end, dtype=float) + np.asarray(start, dtype=float))).tolist()
+        size, place = (length, width, _DEEP), (x, y, level - 0.5 * _DEEP)
+        title = f"the ground {name} of what is known"
+        found.append(
+            Obstacle(
+                name=title,
+                pieces=(shapes.box(np.array(size), pin.SE3(np.eye(3), np.array(place))),),
+                clearance=as_number(clearance, key="clearance", least=0.0),
+                links=None,
+                appears_at=0.0,
+                velocity=np.zeros(3),
+                spec=obstacle_shapes.Box(name=title, shape="box", size=size, position=place),
+            )
+        )
+    return tuple(found)

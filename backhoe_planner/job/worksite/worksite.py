@@ -13,6 +13,7 @@ from backhoe_planner.files.text_file import read_text
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
+from backhoe_planner.job.ground.obstacle import ground_around
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.arm_clearance import ArmOutline
@@ -98,6 +99,12 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
     own = _ground(job, digger.plane) if terrain is None or job.dig.trench is not None else terrain
     ground = own if terrain is None else terrain
     design = _design(job, own)
+    if job.ground.file is None:
+        reach = reach_area(digger.plane)
+        around = ground_around(
+            ground, job.ground.level or 0.0, reach.min(axis=0), reach.max(axis=0), problem.scene.clearance
+        )
+        problem = replace(problem, obstacles=(*problem.obstacles, *around))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
     return Worksite(job, problem.robot, problem, digger, ground, design, arm)
 
