@@ -167,7 +167,14 @@ class _Run:
 
     def _tell(self, watch: Callable[[JobStep], object] | None, cycles: list[Cycle], expected: int) -> None:
         if watch is not None:
-            watch(JobStep(self._plan(cycles, "interrupted", "planning goes on"), max(expected, len(cycles))))
+            watch(
+                JobStep(
+                    self._plan(
+                        cycles, "interrupted", f"ended after {len(cycles)} cycles; the same command goes on there"
+                    ),
+                    max(expected, len(cycles)),
+                )
+            )
 
     def _plan(self, cycles: list[Cycle], failure: JobReason, note: str) -> JobPlan:
         site = self._site
