@@ -7,6 +7,7 @@ joints' rates and accelerations allow; work is that against gravity and soil.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -73,9 +74,15 @@ def estimate_pattern(
     return PatternEstimate(pattern.name, cycles, bank, duration, work, cost, finished)
 
 
-def choose(estimates: Sequence[PatternEstimate]) -> int:
-    """The number of the best: the least cost of those that leave nothing, or else of those that dig most."""
+def in_full(estimates: Sequence[PatternEstimate]) -> list[PatternEstimate]:
+    """The same, with `finished` only where as much is dug as by the pattern that digs most, nearly."""
     most = max(one.bank for one in estimates)
-    done = [index for index, one in enumerate(estimates) if one.finished and one.bank > _ENOUGH * most]
+    return [replace(one, finished=one.finished and one.bank > _ENOUGH * most) for one in estimates]
+
+
+def choose(estimates: Sequence[PatternEstimate]) -> int:
+    """The number of the best of `in_full`: the least cost of those that leave nothing, else of those that dig most."""
+    most = max(one.bank for one in estimates)
+    done = [index for index, one in enumerate(estimates) if one.finished]
     enough = done or [index for index, one in enumerate(estimates) if one.bank >= _ENOUGH * most]
     return int(min(enough, key=lambda index: estimates[index].cost)) if np.isfinite(most) else 0

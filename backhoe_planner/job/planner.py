@@ -16,7 +16,7 @@ from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
 from backhoe_planner.job.cycles.dump_checks import check_dump
 from backhoe_planner.job.cycles.dumping import dump_of
 from backhoe_planner.job.cycles.patterns import NextCut, next_cut, patterns_to_compare
-from backhoe_planner.job.estimates import choose, estimate_pattern
+from backhoe_planner.job.estimates import choose, estimate_pattern, in_full
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate
@@ -101,8 +101,8 @@ class _Run:
         self._lanes = lanes_of(site)
         self._design = site.design_heights()
         self._allowed, self._by = allowed_heights(site, self._lanes, self._design)
-        check_job(site, self._lanes, self._design)
-        check_dump(site)
+        check_job(site, self._lanes, self._design, self._allowed)
+        check_dump(site, self._allowed)
         self._dump = dump_of(site)
         self._patterns = patterns_to_compare(site)
         self._compared: tuple[PatternEstimate, ...] = ()
@@ -111,7 +111,7 @@ class _Run:
         """The plan of the whole job."""
         site = self._site
         if resume is None:
-            estimates = [estimate_pattern(site, self._lanes, one, self._dump.near) for one in self._patterns]
+            estimates = in_full([estimate_pattern(site, self._lanes, one, self._dump.near) for one in self._patterns])
             best = choose(estimates)
             chosen = [replace(one, chosen=index == best) for index, one in enumerate(estimates)]
             order = sorted(range(len(chosen)), key=lambda index: (not chosen[index].chosen, chosen[index].cost))
@@ -181,7 +181,9 @@ class _Run:
         end = cycles[-1].after if cycles else site.ground
         hard = note if failure == "too_hard" else ""
         heights = (self._design, self._allowed, self._by)
-        undug = () if failure == "interrupted" else find_undug(site, self._lanes, heights, end, hard=hard)
+        undug = (
+            () if failure == "interrupted" else find_undug(site, self._lanes, heights, end, hard=hard, ended=failure)
+        )
         return JobPlan(
             job=site.job, robot=site.robot, start=site.ground, design=self._design, allowed=self._allowed,
             outline=site.design.outline, cycles=tuple(cycles), undug=undug, compared=self._compared,

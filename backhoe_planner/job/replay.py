@@ -75,7 +75,9 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
     return JobPlan(
         job=job, robot=site.robot, start=site.ground, design=design, allowed=allowed, outline=site.design.outline,
         cycles=cycles,
-        undug=() if record.reason == "interrupted" else find_undug(site, lanes, (design, allowed, by), end, hard=hard),
+        undug=() if record.reason == "interrupted" else find_undug(
+            site, lanes, (design, allowed, by), end, hard=hard, ended=record.reason
+        ),
         compared=tuple(PatternEstimate(**one.model_dump()) for one in record.compared),
         capacity=site.bucket.capacity, effort=record.effort, seed=record.seed,
         failure="not_done" if problems else (record.reason if record.reason not in ("blocked", "not_done") else ""),

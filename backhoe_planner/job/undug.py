@@ -9,11 +9,16 @@ from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Flags, Matrix
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.job.result.job_plan import Undug, UndugReason
+from backhoe_planner.job.result.job_plan import JobReason, Undug, UndugReason
 from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane
 from backhoe_planner.job.worksite.worksite import Worksite
 
 _LEAST = 1e-4  # m^3: less is rounding
+_EARLY: dict[JobReason, str] = {
+    "full": "not dug: no soil could be dumped any more",
+    "blocked": "not dug: the job ended early",
+    "unreachable": "not dug: the job ended early",
+}
 
 
 def find_undug(
@@ -23,6 +28,7 @@ def find_undug(
     end: Terrain,
     *,
     hard: str = "",
+    ended: JobReason = "",
 ) -> tuple[Undug, ...]:
     """All that stays above the design by more than its tolerance, by reason, the largest volume first.
 
@@ -32,6 +38,7 @@ def find_undug(
     heights: (rows, columns) the design, what may be dug, and the number of the lane, see `allowed_heights`.
     end: the ground after the last cycle.
     hard: the cylinder that cannot cut what is left, in words; empty where none is the reason.
+    ended: why the job ended early; empty where it did not.
     """
     design, allowed, by = heights
     tolerance = site.job.dig.tolerance
@@ -48,7 +55,7 @@ def find_undug(
         if number < 0:
             add("out_of_reach", "no plane of the arm has room for the bucket there", row, column)
         elif end.surface[row, column] - allowed[row, column] > tolerance:
-            add("too_hard" if hard else "left", hard, row, column)
+            add("too_hard" if hard else "left", hard or _EARLY.get(ended, ""), row, column)
         else:
             lane = lanes[number]
             heading = site.plane.heading(lane.swing)
@@ -92,6 +99,7 @@ def _undug(site: Worksite, end: Terrain, design: Matrix, columns: Flags, reason:
         "protected": f"protected by {cause}",
         "out_of_reach": cause or "out of the machine's reach",
         "too_hard": cause,
-        "left": "left between cuts",
+        "left": cause or "left between cuts",
     }[reason]
-    return Undug(reason, cause, columns, volume, low, high, f"{where}: {why}")
+    by = "" if reason == "left" else cause
+    return Undug(reason, by, columns, volume, low, high, f"{where}: {why}")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import SceneError
 from backhoe_planner.job.cycles.dumping import postures_over
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -11,12 +14,17 @@ from backhoe_planner.job.worksite.worksite import Worksite
 _RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which a dump is tried, for messages
 
 
-def check_dump(site: Worksite) -> None:
+def check_dump(site: Worksite, allowed: Matrix) -> None:
     """Check where the soil is to go.
+
+    Parameters
+    ----------
+    allowed: (rows, columns) down to where is dug, see `allowed_heights` [m].
 
     Raises
     ------
-    SceneError: a heap lies within its edge distance, or a place is out of reach; or a truck takes no bucketful.
+    SceneError: a heap lies within its edge distance, or a place is out of reach; or a truck takes no bucketful, or
+        all trucks together less than what must be dug.
     """
     heap, truck, job = site.job.dump.heap, site.job.dump.truck, site.job
     if heap is not None:
@@ -45,6 +53,23 @@ def check_dump(site: Worksite) -> None:
             )  # fmt: skip
         x, y, z = truck.bed.position
         _check_reach(site, np.array([x, y]), z + truck.bed.size[2], "dump.truck.bed.position")
+        loose = _least_loose(site, allowed)
+        if loose > truck.capacity * truck.count:
+            raise SceneError(
+                "trucks take less than what is to be dug", file=job.file, key="dump.truck.count", found=truck.count,
+                allowed=f"{math.ceil(loose / truck.capacity)} or more: {loose:.2f} m^3 of loose soil, "
+                f"{truck.capacity:.2f} m^3 in each",
+                hint="or dig less of it",
+            )  # fmt: skip
+
+
+def _least_loose(site: Worksite, allowed: Matrix) -> float:
+    """Loose soil that is dug where the design is just met within its tolerance [m^3]."""
+    ground, upper = site.ground, allowed + site.job.dig.tolerance
+    bank = np.fmax(ground.bank - upper, 0.0)
+    loose = np.clip(ground.surface - upper, 0.0, ground.loose)
+    each = np.where(np.isfinite(allowed), bank * ground.swell + loose, 0.0)
+    return float(each.sum()) * ground.cell**2
 
 
 def _check_reach(site: Worksite, at: np.ndarray, top: float, key: str) -> None:

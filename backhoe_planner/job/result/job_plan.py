@@ -110,8 +110,18 @@ class JobPlan:
 
     @property
     def verified(self) -> bool:
-        """Whether every cycle's certificates hold and the design is met wherever it may be dug."""
+        """Whether every cycle's certificates hold and the design is met wherever it may be dug.
+
+        Never where there was soil to dig and none of it is dug.
+        """
+        if not self.cycles and self._is_asked:
+            return False
         return not self.failure and all(cycle.verified for cycle in self.cycles) and self.is_met
+
+    @property
+    def _is_asked(self) -> bool:
+        """Whether there was soil to dig."""
+        return _most(self.start.surface - self.design) > self.job.dig.tolerance + 1e-9
 
     @property
     def verdict(self) -> Literal["verified", "failed"]:

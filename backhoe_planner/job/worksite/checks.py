@@ -11,20 +11,28 @@ from backhoe_planner.errors import SceneError
 from backhoe_planner.job.worksite.lanes import Lane
 from backhoe_planner.job.worksite.worksite import Worksite
 
-_ANYTHING = 1e-3  # m below the ground: less is no digging
-_ENOUGH = 0.02  # m^3 that may be dug: less is no job
+_COLUMNS = 4  # of the ground side by side under the blade, at least; chosen: of fewer, the edges alone are half
+
+_FAR = 0.25  # of the depth that is asked for: missed by more, the bottom is far out of reach; chosen
 
 
-def check_job(site: Worksite, lanes: Sequence[Lane], design: Matrix) -> None:
+def check_job(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Matrix) -> None:
     """Check what a job asks for against its machine and its ground.
+
+    Parameters
+    ----------
+    design, allowed: (rows, columns) what is to be dug and what can be, see `allowed_heights` [m].
 
     Raises
     ------
     SceneError: names the key, what was found, and what would do.
     """
     _check_width(site)
+    _check_cell(site)
     _check_design(site, design)
     _check_lanes(site, lanes)
+    _check_any(site, lanes, design, allowed)
+    _check_depth(site, lanes)
 
 
 def _check_width(site: Worksite) -> None:
@@ -35,6 +43,16 @@ def _check_width(site: Worksite) -> None:
             allowed=f"{width:.2f} m, the bucket's width, or more (less by up to twice the tolerance, "
             f"{width - 2.0 * trench.tolerance:.2f} m)",
             hint="a narrower bucket, or a wider trench",
+        )  # fmt: skip
+
+
+def _check_cell(site: Worksite) -> None:
+    trench, cell = site.job.dig.trench, site.ground.cell
+    width = site.bucket.width if trench is None else min(site.bucket.width, trench.width)
+    if cell > width / _COLUMNS:
+        raise SceneError(
+            "is too coarse for what is dug", file=site.job.file, key="ground.cell", found=cell,
+            allowed=f"up to {width / _COLUMNS:.2f} m: {_COLUMNS} columns side by side under the blade",
         )  # fmt: skip
 
 
@@ -79,8 +97,44 @@ def _check_lanes(site: Worksite, lanes: Sequence[Lane]) -> None:
         )  # fmt: skip
     if trench is not None:
         _check_reach(site, within)
-    else:
-        _check_some_reach(site, within)
+
+
+def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
+    """A bottom that the teeth reach nowhere, or nowhere nearly where nothing is protected."""
+    missing = []
+    for lane in lanes:
+        asked = np.isfinite(lane.design)
+        is_protected = np.array([kind == "protected" for kind, _ in lane.causes])[lane.cause[asked]]
+        gap = (lane.floor - lane.design)[asked]
+        # beside what is protected, boom and stick may be held up by the soil that is left there
+        depth = float(np.max(site.ground.surface)) - lane.design[asked]
+        most = np.where(is_protected.any(), _FAR * depth, site.job.dig.tolerance)
+        if is_protected.all() or (gap <= most)[~is_protected].any():
+            return
+        missing.append(float(np.min(gap[~is_protected])))
+    trench = site.job.dig.trench
+    least = min(missing)
+    raise SceneError(
+        "is deeper than the machine digs there", file=site.job.file,
+        key="dig.trench.depth" if trench is not None else "dig.surface",
+        found=trench.depth if trench is not None else f"its teeth stay {least:.2f} m above it everywhere",
+        allowed=f"about {trench.depth - least:.2f} m where they reach deepest" if trench is not None else None,
+        hint="stand nearer, or dig less deep",
+    )  # fmt: skip
+
+
+def _check_any(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Matrix) -> None:
+    """Soil is to be dug, and none of it can be."""
+    ground, tolerance = site.ground.surface, site.job.dig.tolerance
+    wanted = ground - design > tolerance
+    if not wanted.any() or (ground - allowed > tolerance)[wanted].any():
+        return
+    raise SceneError(
+        "cannot be dug anywhere", file=site.job.file,
+        key="dig.trench" if site.job.dig.trench is not None else "dig.surface", found=_causes(lanes) or "out of reach",
+        hint="stand nearer or farther; what is protected stays, with its clearance; the teeth go in and come out "
+        "along slopes, which needs length",
+    )  # fmt: skip
 
 
 def _beside(site: Worksite) -> str:
@@ -90,18 +144,6 @@ def _beside(site: Worksite) -> str:
     off = site.plane.axis - np.array(trench.start)
     beside = abs(float(off[0] * ahead[1] - off[1] * ahead[0]))
     return f"a trench whose middle passes {beside:.2f} m beside the swing axis"
-
-
-def _check_some_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
-    """A surface of which nothing can be dug."""
-    if any((lane.line[np.isfinite(lane.design)] < lane.floor.max() - _ANYTHING).any() for lane in lanes):
-        return
-    kinds = sorted({lane.causes[int(index)] for lane in lanes for index in lane.cause if index > 0})
-    why = "; ".join(f"{kind.replace('_', ' ')}{': ' + name if name else ''}" for kind, name in kinds)
-    raise SceneError(
-        "cannot be dug anywhere", file=site.job.file, key="dig.surface", found=why or "out of reach",
-        hint="stand nearer or farther, or leave out what lies under obstacles",
-    )  # fmt: skip
 
 
 def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
@@ -115,11 +157,9 @@ def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
     asked = lane.r[np.isfinite(lane.design)]
     out = asked[(lane.cause[np.isfinite(lane.design)] > 0) & _is_out(lane)[np.isfinite(lane.design)]]
     if len(reached) == 0:
-        kinds = sorted({lane.causes[int(index)] for index in lane.cause if index > 0})
-        why = "; ".join(f"{kind.replace('_', ' ')}{': ' + name if name else ''}" for kind, name in kinds)
         raise SceneError(
             "cannot be dug anywhere", file=job.file, key="dig.trench",
-            found=why or "out of reach", hint=_from_where(site, asked),
+            found=_causes(lanes[:1]) or "out of reach", hint=_from_where(site, asked),
         )  # fmt: skip
     beyond = out[(out > reached.max()) | (out < reached.min())]
     if len(beyond) and float(np.ptp(beyond)) > 0.1:
@@ -130,6 +170,12 @@ def _check_reach(site: Worksite, lanes: Sequence[Lane]) -> None:
             allowed=f"{reached.min():.2f} to {reached.max():.2f} m from the swing axis at this depth",
             hint=_from_where(site, asked),
         )  # fmt: skip
+
+
+def _causes(lanes: Sequence[Lane]) -> str:
+    """What holds the teeth up in some lanes, in words; empty where nothing does."""
+    kinds = sorted({lane.causes[int(index)] for lane in lanes for index in lane.cause if index > 0})
+    return "; ".join(f"{kind.replace('_', ' ')}{': ' + name if name else ''}" for kind, name in kinds)
 
 
 def _is_out(lane: Lane) -> Flags:

@@ -1,0 +1,86 @@
+"""What a job asks for against machine, ground and trucks: refused before it is planned, or said why it is not dug."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_jobs import small_job
+
+import backhoe_planner as bp
+from backhoe_planner.job import plan_job
+from backhoe_planner.job.estimates import choose, in_full
+from backhoe_planner.job.result.job_plan import PatternEstimate
+
+_TRUCK: dict[str, Any] = {"bed": {"position": [1.8, 2.9, 0.9], "size": [3.6, 1.9, 0.5]}}
+_WIDE = {"low": [0.5, -4.5], "high": [6.0, 4.5]}
+
+
+def trench(**keys: float) -> dict[str, Any]:
+    return {"trench": {"from": [4.4, 0.0], "to": [3.2, 0.0], "width": 0.6, "depth": 0.3} | keys}
+
+
+@pytest.mark.parametrize(
+    ("keys", "key", "said"),
+    [
+        ({"ground": {"cell": 0.5}}, "ground.cell", "too coarse"),
+        ({"dig": trench(depth=4.0)}, "dig.trench.depth", "deeper than the machine digs"),
+        # at least 0.3 m deep over half of 1.2 m x 0.6 m: 0.11 m^3 as it lies, 0.13 m^3 loose, in a truck of 0.12
+        (
+            {"dump": {"truck": {**_TRUCK, "capacity": 0.12}}, "bucket": {"capacity": 0.1}, "ground": _WIDE},
+            "dump.truck.count", "take less than what is to be dug",
+        ),
+    ],
+)  # fmt: skip
+def test_what_cannot_come_out_is_refused_before_anything_is_planned(keys: dict[str, Any], key: str, said: str) -> None:
+    with pytest.raises(bp.SceneError, match=said) as refused:
+        plan_job(small_job(**keys), effort="quick")
+    assert refused.value.key == key
+
+
+def test_a_surface_out_of_reach_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "surface.csv"
+    np.savetxt(file, np.full((7, 11), -0.3), delimiter=",")
+    dig = {"surface": {"file": str(file), "low": [5.9, -0.3], "cell": 0.1}}
+    with pytest.raises(bp.SceneError, match="cannot be dug anywhere") as refused:
+        plan_job(small_job(dig=dig, ground={}), effort="quick")
+    assert refused.value.key == "dig.surface"
+
+
+def test_a_pattern_that_digs_less_than_another_is_not_finished_and_not_chosen() -> None:
+    def estimate(name: str, bank: float, cost: float) -> PatternEstimate:
+        return PatternEstimate(name, 3, bank, 1.0, 1.0, cost, True)
+
+    found = in_full([estimate("all", 0.50, 107.0), estimate("nearly all", 0.48, 110.0), estimate("part", 0.30, 84.0)])
+    assert [one.finished for one in found] == [True, True, False]
+    assert choose(found) == 0
+
+
+@pytest.fixture(scope="module")
+def steps() -> list[bp.JobPlan]:
+    """The plans before the first cycle, after it, and at the end: the truck has no room for a second bucketful."""
+    found: list[bp.JobPlan] = []
+    job = small_job(dump={"truck": {**_TRUCK, "capacity": 0.21}}, ground=_WIDE)
+    found.append(plan_job(job, effort="quick", watch=lambda step: found.append(step.plan)))
+    return found
+
+
+def test_what_no_truck_takes_is_told_as_that(steps: list[bp.JobPlan]) -> None:
+    assert (steps[-1].reason, len(steps[-1].cycles)) == ("full", 1)
+    left = [one for one in steps[-1].undug if one.reason == "left"]
+    assert left
+    assert all("no soil could be dumped any more" in one.words and not one.by for one in left)
+
+
+def test_a_job_that_digs_nothing_of_what_it_should_is_not_verified(steps: list[bp.JobPlan]) -> None:
+    before = steps[0]
+    may = np.where(np.isfinite(before.design), before.start.surface, np.nan)
+    nothing = replace(before, allowed=may, failure="")
+    assert nothing.is_met
+    assert not nothing.verified
+    assert nothing.reason == "not_done"
+    asked_for_nothing = replace(nothing, design=may)
+    assert asked_for_nothing.verified
