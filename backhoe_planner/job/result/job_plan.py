@@ -120,8 +120,9 @@ class JobPlan:
 
     @property
     def _is_asked(self) -> bool:
-        """Whether there was soil to dig."""
-        return _most(self.start.surface - self.design) > self.job.dig.tolerance + 1e-9
+        """Whether there was soil to dig, and none of it was dug before."""
+        asked = (self.start.surface - self.design)[np.isfinite(self.design)]
+        return bool((asked > self.job.dig.tolerance + 1e-9).all())
 
     @property
     def verdict(self) -> Literal["verified", "failed"]:

@@ -126,8 +126,9 @@ def _check_depth(site: Worksite, lanes: Sequence[Lane]) -> None:
 def _check_any(site: Worksite, lanes: Sequence[Lane], design: Matrix, allowed: Matrix) -> None:
     """Soil is to be dug, and none of it can be."""
     ground, tolerance = site.ground.surface, site.job.dig.tolerance
-    wanted = ground - design > tolerance
-    if not wanted.any() or (ground - allowed > tolerance)[wanted].any():
+    known, wanted = np.isfinite(design), ground - design > tolerance
+    # where a part is dug already, the rest may be what stays
+    if not wanted[known].all() or (ground - allowed > tolerance)[wanted].any():
         return
     raise SceneError(
         "cannot be dug anywhere", file=site.job.file,
