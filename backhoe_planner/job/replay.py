@@ -50,6 +50,7 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
         job = _job(record, file, urdf)
     except SceneError as error:
         raise PlanFileError(str(error), file=file, key="job") from None
+    _check_choices(record, job, file)
     try:
         terrain = Terrain(
             np.array(record.ground.low), record.ground.cell, record.ground.grid("bank"), record.ground.grid("loose"),
@@ -108,6 +109,22 @@ def _job(record: JobPlanRecord, file: Path, urdf: Path | None) -> Job:
         folder=file.parent / record.folder,
         site_folder=file.parent / record.site_folder,
     )
+
+
+def _check_choices(record: JobPlanRecord, job: Job, file: Path) -> None:
+    """What a job goes on with is there: the pattern that was chosen, and trucks only where there are any."""
+    chosen = sum(one.chosen for one in record.compared)
+    if chosen != 1:
+        raise PlanFileError(
+            "does not say which pattern is planned", file=file, key="compared",
+            found=f"{chosen} of {len(record.compared)} are chosen", allowed="one that is chosen",
+        )  # fmt: skip
+    for index, cycle in enumerate(record.cycles):
+        if (cycle.truck == 0) != (job.dump.truck is None):
+            raise PlanFileError(
+                "is not where the job dumps", file=file, key=f"cycles[{index}].truck", found=cycle.truck,
+                allowed="0 for a heap" if job.dump.truck is None else "the number of a truck, from 1",
+            )  # fmt: skip
 
 
 class _Replay:

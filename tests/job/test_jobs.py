@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from functools import cache
+from functools import cache, reduce
 from pathlib import Path
 from typing import Any
 
@@ -103,7 +103,7 @@ def test_a_plan_of_a_job_that_was_edited_is_not_verified(tmp_path: Path) -> None
     content["cycles"] = content["cycles"][:1]
     edited = copy.deepcopy(content)
     cycle = edited["cycles"][0]
-    cycle["bank"] = None
+    cycle["bank"] = 9.0
     cycle["place"][:2] = [4.0, -3.0]
     cycle["load"]["mass"] = [0.0] * len(cycle["load"]["mass"])
     for leg in cycle["legs"]:
@@ -111,7 +111,12 @@ def test_a_plan_of_a_job_that_was_edited_is_not_verified(tmp_path: Path) -> None
     file.write_text(json.dumps(edited))
     found = bp.load_job_plan(file)
     assert not found.verified
-    for said in ("nan m^3 bank", "not dumped where", "more than the file says", "swing: the file says 0.000 kg"):
+    for said in (
+        "says 9.000000 m^3 bank",
+        "not dumped where",
+        "more than the file says",
+        "swing: the file says 0.000 kg",
+    ):
         assert said in found.note
     without_swing = content["cycles"][0] | {"legs": content["cycles"][0]["legs"][:2]}
     file.write_text(json.dumps(content | {"cycles": [without_swing]}))
@@ -149,6 +154,26 @@ def test_level_ground_does_not_end_with_its_grid() -> None:
     below = {"start": {"swing": 1.2, "boom": -0.5, "stick": -1.0, "bucket": -1.0}}  # the bucket at z -3 m, off the grid
     with pytest.raises(bp.SceneError, match="inside the ground north of what is known"):
         bp.plan_job(bp.job_from_dict(TINY | below), effort="quick")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("cycles[0].bank", None), ("cycles[0].held", None), ("cycles[0].spilt", -0.1),
+        ("cycles[0].legs[2].payload", -500.0), ("cycles[0].load.mass[1]", -1e4), ("cycles[0].truck", 7),
+        ("effort", "x"), ("seed", -5), ("compared", []),
+    ],
+)  # fmt: skip
+def test_numbers_that_cannot_be_are_refused_with_file_and_key(key: str, value: Any, tmp_path: Path) -> None:
+    file = tmp_path / "job.json"
+    plan().save(file)
+    content = json.loads(file.read_text())
+    *above, last = [int(part) if part.isdigit() else part for part in key.replace("[", ".").replace("]", "").split(".")]
+    reduce(lambda node, part: node[part], above, content)[last] = value
+    file.write_text(json.dumps(content))
+    with pytest.raises(bp.PlanFileError) as refused:
+        bp.load_job_plan(file)
+    assert f"{file}: {key}: " in str(refused.value)
 
 
 def test_a_soil_that_no_cylinder_cuts_is_a_reason() -> None:

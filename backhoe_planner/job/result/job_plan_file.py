@@ -13,7 +13,7 @@ import os
 import platform
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from pydantic import Field, StrictInt, ValidationError
@@ -28,10 +28,15 @@ from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, Undug, UndugReason
 from backhoe_planner.machine import Robot, shipped_folder
 from backhoe_planner.motion import Trajectory
+from backhoe_planner.planning import EffortName
 from backhoe_planner.site import Finite
 
 FORMAT: Literal["backhoe-planner/job"] = "backhoe-planner/job"
 VERSION: Literal[1] = 1
+
+# what is computed anew from the motions and held against the file: null would be like any number
+Amount = Annotated[float, Field(strict=True, ge=0.0, le=1e30, allow_inf_nan=False)]
+Number = Annotated[StrictInt, Field(ge=0)]
 
 
 class GroundRecord(Record):
@@ -74,7 +79,7 @@ class LegRecord(Record):
     """One motion."""
 
     name: LegName
-    payload: Finite
+    payload: Amount
     """In the bucket [kg]."""
     time: list[Finite]
     """(T,) [s], from 0."""
@@ -83,7 +88,7 @@ class LegRecord(Record):
     verdict: Literal["verified", "failed"]
     clearance: Figure
     """The least margin beyond any clearance [m]; null where nothing can be touched."""
-    work: Figure
+    work: Amount
     """Of the joints [J]."""
     hydraulic: Figure
     """What the pump gives [J]."""
@@ -120,7 +125,7 @@ class LoadRecord(Record):
     """Angle of the arm's plane [rad]."""
     r: list[Finite]
     """Distances of the teeth from the swing axis, not increasing [m]."""
-    mass: list[Finite]
+    mass: list[Amount]
     """Held there [kg]."""
 
 
@@ -133,23 +138,23 @@ class CycleRecord(Record):
     load: LoadRecord
     place: tuple[Finite, Finite, Finite]
     """Where the soil is dumped, the top of what lies there afterwards [m]."""
-    truck: StrictInt
+    truck: Number
     """Its number, from 1; 0 for a heap."""
-    bank: Figure
+    bank: Amount
     """Undisturbed soil that left the ground [m^3]."""
-    taken: Figure
+    taken: Amount
     """Loose soil taken with it [m^3]."""
-    held: Figure
+    held: Amount
     """Loose soil in the bucket [m^3]."""
-    spilt: Figure
+    spilt: Amount
     """Loose soil that fell back [m^3]."""
-    filled: Figure
+    filled: Amount
     """Part of the bucket's capacity."""
-    depth: Figure
+    depth: Amount
     """Greatest depth of the teeth below the ground [m]."""
-    duration: Figure
+    duration: Amount
     """[s]"""
-    work: Figure
+    work: Amount
     """Of the joints [J]."""
 
 
@@ -171,8 +176,8 @@ class PatternRecord(Record):
     """The estimate of a pattern."""
 
     name: str
-    cycles: StrictInt
-    bank: Figure
+    cycles: Number
+    bank: Amount
     """[m^3]"""
     duration: Figure
     """[s]"""
@@ -256,8 +261,8 @@ class JobPlanRecord(Record):
     """Where the files lie that the job names, relative to this one."""
     site_folder: str = "."
     """The same of the site."""
-    effort: str
-    seed: StrictInt
+    effort: EffortName
+    seed: Number
     versions: dict[str, str] = Field(default_factory=dict)
     """Of the program and its libraries."""
     figures: JobFigures
@@ -282,7 +287,7 @@ def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
         job=plan.job.to_dict(),
         folder=_relative(plan.job.folder, folder),
         site_folder=_relative(plan.job.site_scene.folder, folder),
-        effort=plan.effort,
+        effort=cast(EffortName, plan.effort),
         seed=plan.seed,
         versions=_versions(),
         figures=JobFigures.of(plan),
