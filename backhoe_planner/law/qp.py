@@ -124,9 +124,24 @@ class StackedRows(NamedTuple):
         return cls(G, low, h, senses, soft)
 
 
+_SPARE = 4  # rows; chosen
+
+
 @lru_cache(maxsize=32)
 def _no_rows(n: int) -> StackedRows:
     return StackedRows(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(n, dtype=np.int32), 0)
+
+
+@lru_cache(maxsize=32)
+def _spare_rows(n: int) -> StackedRows:
+    """Soft rows on x (n,) that say nothing.
+
+    daqp 0.11.0 has been seen to write beyond its workspace, whose size follows from the number of soft rows: a
+    drive of 42,711 programs ended in "free(): invalid next size" in each of seven runs, and in none of two with
+    these rows.
+    """
+    senses: Indices = np.full(_SPARE, Kind.SOFT, dtype=np.int32)
+    return StackedRows(np.zeros((_SPARE, n)), np.full(_SPARE, -UNBOUNDED), np.full(_SPARE, UNBOUNDED), senses, _SPARE)
 
 
 class Solution(NamedTuple):
@@ -183,15 +198,20 @@ def solve_program(
     """
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
-    upper, lower = program.high, program.low
-    if len(stacked.high):
+    upper, lower, G, senses = program.high, program.low, stacked.G, stacked.senses
+    spare = _spare_rows(len(program.f)) if stacked.soft else None
+    if spare is not None:
+        upper, lower = (
+            np.concatenate((upper, stacked.high, spare.high)),
+            np.concatenate((lower, stacked.low, spare.low)),
+        )
+        G, senses = np.concatenate((G, spare.G)), np.concatenate((senses, spare.senses))
+    elif len(stacked.high):
         upper, lower = np.concatenate((upper, stacked.high)), np.concatenate((lower, stacked.low))
-    x, _, flag, more = daqp.solve(
-        program.H, program.f, stacked.G, upper, lower, stacked.senses, iter_limit=most_iterations
-    )
+    x, _, flag, more = daqp.solve(program.H, program.f, G, upper, lower, senses, iter_limit=most_iterations)
     if flag < 1 or not all(map(math.isfinite, x.tolist())):
         return None
-    return Solution(program, x, more["lam"], more["iterations"])
+    return Solution(program, x, more["lam"][: len(program.f) + len(stacked.high)], more["iterations"])
 
 
 def step_on_path(
