@@ -6,12 +6,7 @@ computed anew.
 
 from __future__ import annotations
 
-import contextlib
-import importlib.metadata
 import json
-import os
-import platform
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -21,12 +16,12 @@ from pydantic import Field, StrictInt, ValidationError
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, PlanFileError
 from backhoe_planner.files.output_file import check_output, whole_file
+from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, Undug, UndugReason
-from backhoe_planner.machine import Robot, shipped_folder
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.planning import EffortName
 from backhoe_planner.site import Finite
@@ -282,14 +277,14 @@ def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
         verdict=plan.verdict,
         reason=plan.reason,
         message=plan.note,
-        machine=_machine(plan.robot, folder),
+        machine=plan.robot.urdf.source_from(folder),
         sha256=plan.robot.urdf.sha256,
         job=plan.job.to_dict(),
-        folder=_relative(plan.job.folder, folder),
-        site_folder=_relative(plan.job.site_scene.folder, folder),
+        folder=relative_path(plan.job.folder, folder),
+        site_folder=relative_path(plan.job.site_scene.folder, folder),
         effort=cast(EffortName, plan.effort),
         seed=plan.seed,
-        versions=_versions(),
+        versions=installed_versions(),
         figures=JobFigures.of(plan),
         compared=tuple(_pattern(one) for one in plan.compared),
         undug=tuple(_undug(one) for one in plan.undug),
@@ -378,27 +373,3 @@ def _undug(one: Undug) -> UndugRecord:
     return UndugRecord(
         reason=one.reason, by=one.by, volume=one.volume, low=(low[0], low[1]), high=(high[0], high[1]), words=one.words
     )
-
-
-def _machine(robot: Robot, folder: Path | None) -> str:
-    path = robot.urdf.path.resolve()
-    if robot.urdf.source.startswith("example:"):
-        return robot.urdf.source
-    return f"example:{path.stem}" if path.parent == shipped_folder("models").resolve() else _relative(path, folder)
-
-
-def _relative(path: Path, folder: Path | None) -> str:
-    if folder is None:
-        return str(path)
-    try:
-        return os.path.relpath(path.resolve(), folder.resolve())
-    except ValueError:  # another drive
-        return str(path.resolve())
-
-
-def _versions(names: Sequence[str] = ("backhoe_planner", "pin", "coal", "numpy")) -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in names:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found

@@ -23,6 +23,7 @@ from lxml import etree
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import RobotError
+from backhoe_planner.files.provenance import relative_path
 from backhoe_planner.machine.description.plain_urdf import Joint, Tree, names_a_mesh, read_tree
 
 _MOVING = ("revolute", "continuous", "prismatic")
@@ -67,6 +68,14 @@ class Urdf:
     sha256: str
     robot: Tree
     acceleration: dict[str, float]
+
+    def source_from(self, folder: Path | None) -> str:
+        """How a file in `folder` names it: ``example:NAME`` for a shipped model, else its path relative to there."""
+        if self.source.startswith("example:"):
+            return self.source
+        path = self.path.resolve()
+        is_shipped = path.parent == shipped_folder("models").resolve()
+        return f"example:{path.stem}" if is_shipped else relative_path(path, folder)
 
     @cached_property
     def joints(self) -> dict[str, Joint]:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib.metadata
 import json
 import os
-import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +14,8 @@ from numpy.typing import NDArray
 
 from backhoe_planner.errors import PlanFileError, RobotError, SceneError, check_path
 from backhoe_planner.files.output_file import check_output, whole_file
-from backhoe_planner.machine import Kinematics, MotionEnergy, Robot, shipped_folder
+from backhoe_planner.files.provenance import installed_versions, relative_path
+from backhoe_planner.machine import Kinematics, MotionEnergy, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem, leg_parts, trajectory_energy
 from backhoe_planner.planning.result.bound import Bound
 from backhoe_planner.planning.result.findings import NOTHING, Findings
@@ -287,17 +285,17 @@ def _record(plan: Plan, folder: Path | None) -> PlanRecord:
         reason=plan.reason,
         message=plan.message,
         robot=RobotRecord(
-            urdf=_source(plan.robot, folder),
+            urdf=plan.robot.urdf.source_from(folder),
             sha256=urdf.sha256,
             joints=tuple(plan.robot.joint_names),
             tip=plan.robot.tip,
         ),
         scene=plan.scene.to_dict(),
-        scene_folder=_relative(plan.scene.folder, folder),
+        scene_folder=relative_path(plan.scene.folder, folder),
         method=plan.method,
         seed=plan.seed,
         effort=plan.effort,
-        versions=_versions(),
+        versions=installed_versions(),
         trajectory=TrajectoryRecord(time=motion.time.tolist(), q=motion.q.tolist(), v=motion.v.tolist()),
         dynamics=DynamicsRecord(
             **{
@@ -320,14 +318,6 @@ def _record(plan: Plan, folder: Path | None) -> PlanRecord:
     )  # fmt: skip
 
 
-def _source(robot: Robot, folder: Path | None) -> str:
-    """Where the URDF lies: ``example:NAME`` for a shipped model, else its path relative to `folder`."""
-    path = robot.urdf.path.resolve()
-    if robot.urdf.source.startswith("example:"):
-        return robot.urdf.source
-    return f"example:{path.stem}" if path.parent == shipped_folder("models").resolve() else _relative(path, folder)
-
-
 def _locate(source: str, file: Path) -> str:
     """The path of a URDF that a plan file names: relative to the file, or to the working directory."""
     if source.startswith("example:"):
@@ -342,20 +332,3 @@ def _locate(source: str, file: Path) -> str:
         found=source,
         hint="say where it lies now: --urdf FILE, in the library load_plan(..., urdf=FILE)",
     )
-
-
-def _relative(path: Path, folder: Path | None) -> str:
-    if folder is None:
-        return str(path)
-    try:
-        return os.path.relpath(path.resolve(), folder.resolve())
-    except ValueError:  # another drive
-        return str(path.resolve())
-
-
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in ("backhoe_planner", "pin", "coal", "numpy"):
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
