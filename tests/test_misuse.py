@@ -503,7 +503,7 @@ def cycle() -> bp.Cycle:
     return bp.Cycle(
         1, (), bp.Digging(none, np.zeros((0, 3)), np.zeros(3), 0.6, none, none), bp.Load(0.0, none, none),
         before=terrain(), dug=terrain(), after=terrain(), bank=0.0, taken=0.0, held=0.0, spilt=0.0,
-        place=np.zeros(3), truck=0, step="", filled=0.0, depth=0.0,
+        place=np.zeros(3), truck=0, truck_load=None, step="", filled=0.0, depth=0.0,
     )  # fmt: skip
 
 

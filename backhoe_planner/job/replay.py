@@ -166,7 +166,8 @@ class _Replay:
         return Cycle(
             number, tuple(legs), dug.digging, load, before=before.ground, dug=dug.ground, after=after.ground,
             bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=np.array(record.place),
-            truck=record.truck, step=record.step, filled=dug.held / site.bucket.capacity, depth=record.depth,
+            truck=record.truck, truck_load=after.truck_load, step=record.step, filled=dug.held / site.bucket.capacity,
+            depth=record.depth,
         )  # fmt: skip
 
     def _check_names(self, names: list[LegName], key: str) -> None:

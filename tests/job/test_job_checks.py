@@ -14,6 +14,7 @@ import backhoe_planner as bp
 from backhoe_planner.job import plan_job
 from backhoe_planner.job.estimates import choose, in_full
 from backhoe_planner.job.result.job_plan import PatternEstimate
+from backhoe_planner.show.job.truck_load import load_body
 
 _TRUCK: dict[str, Any] = {"bed": {"position": [1.8, 2.9, 0.9], "size": [3.6, 1.9, 0.5]}}
 _WIDE = {"low": [0.5, -4.5], "high": [6.0, 4.5]}
@@ -84,3 +85,13 @@ def test_a_job_that_digs_nothing_of_what_it_should_is_not_verified(steps: list[b
     assert nothing.reason == "not_done"
     asked_for_nothing = replace(nothing, design=may)
     assert asked_for_nothing.verified
+
+
+def test_a_plan_has_the_load_of_the_truck_after_each_cycle(steps: list[bp.JobPlan]) -> None:
+    (cycle,) = steps[-1].cycles
+    assert cycle.truck_load is not None
+    assert cycle.truck_load.loose_volume == pytest.approx(cycle.held, rel=1e-9)
+    assert cycle.place[2] == pytest.approx(0.9 + cycle.truck_load.loose.max(), abs=0.02)  # the floor is at 0.9 m
+    body = load_body(cycle.truck_load)
+    assert body.is_watertight
+    assert body.volume == pytest.approx(cycle.held, rel=0.1)  # drawn through every third column

@@ -173,8 +173,8 @@ class CyclePlanner:
             cycle = Cycle(
                 number, (*legs, swing.leg, opening), dug.digging, load_of(cut), before=state.ground, dug=dug.ground,
                 after=after.ground, bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=option.place,
-                truck=option.number, step=chosen.step, filled=dug.held / site.bucket.capacity,
-                depth=float(np.max(cut.depth)),
+                truck=option.number, truck_load=after.truck_load, step=chosen.step,
+                filled=dug.held / site.bucket.capacity, depth=float(np.max(cut.depth)),
             )  # fmt: skip
             return cycle, after
         return failed

@@ -8,7 +8,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import SceneError
-from backhoe_planner.job.cycles.dumping import postures_over
+from backhoe_planner.job.cycles.dumping import empty_bed, postures_over
 from backhoe_planner.job.worksite.worksite import Worksite
 
 _RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which a dump is tried, for messages
@@ -46,11 +46,13 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
                 )  # fmt: skip
             _check_reach(site, at, 0.0, key)
     if truck is not None:
-        if truck.capacity < site.volume:
+        bucketful = site.bucket.capacity
+        if truck.capacity < bucketful:
             raise SceneError(
                 "takes less than one bucketful", file=job.file, key="dump.truck.capacity", found=truck.capacity,
-                allowed=f"{site.volume:.2f} m^3 or more",
+                allowed=f"{bucketful:.2f} m^3 or more: what the bucket holds", hint="or a smaller bucket.capacity",
             )  # fmt: skip
+        empty_bed(site, truck)
         x, y, z = truck.bed.position
         _check_reach(site, np.array([x, y]), z + truck.bed.size[2], "dump.truck.bed.position")
         loose = _least_loose(site, allowed)

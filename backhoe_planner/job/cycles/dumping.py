@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Matrix, Vector
-from backhoe_planner.job.ground.heaps import Refusal, deposited, poured
+from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.job.ground.heaps import Refusal, deposited
 from backhoe_planner.job.ground.obstacle import terrain_obstacle
 from backhoe_planner.job.ground.terrain import Terrain
+from backhoe_planner.job.ground.truck_bed import Bed
 from backhoe_planner.job.schema.work import Heap
 from backhoe_planner.job.schema.work import Truck as Trucks
 from backhoe_planner.job.worksite.worksite import Worksite
-from backhoe_planner.machine import Cluster, JointLimits
+from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Obstacle
 
 OPEN = -1.2  # rad: the pitch at which the bucket is empty; chosen, its plate then stands at 110 degrees
@@ -37,16 +38,11 @@ class Truck:
     Attributes
     ----------
     number: from 1.
-    bed: what lies in it, in the bed's own axes: its origin in the middle of the floor, z up from there.
+    bed: with what lies in it.
     """
 
     number: int
-    bed: Terrain
-
-    @property
-    def loaded(self) -> float:
-        """Loose soil in it [m^3]."""
-        return self.bed.loose_volume
+    bed: Bed
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +66,11 @@ class SiteState:
     def obstacles(self) -> tuple[Obstacle, ...]:
         """All of them."""
         return (self.obstacle,) if self.load is None else (self.obstacle, self.load)
+
+    @property
+    def truck_load(self) -> Terrain | None:
+        """What lies in the truck, in the axes of its bed; None for a heap."""
+        return None if self.truck is None else self.truck.bed.load
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,17 +176,13 @@ class TruckDump:
 
     def __init__(self, site: Worksite, trucks: Trucks) -> None:
         self._site, self._trucks = site, trucks
-        length, width, _ = trucks.bed.size
-        self._placement = pin.SE3(
-            pin.rpy.rpyToMatrix(0.0, 0.0, trucks.bed.yaw), np.array(trucks.bed.position, dtype=float)
-        )
-        self._empty = Terrain.level(
-            0.0, (-0.5 * length, -0.5 * width), (0.5 * length, 0.5 * width), site.ground.cell,
-            soil=site.ground.soil, swell=site.ground.swell, repose=site.ground.repose,
-        )  # fmt: skip
+        self._empty = empty_bed(site, trucks)
+        length = trucks.bed.size[0]
         # off the walls by the bucket's width: from beside them, half of what falls would miss the bed
         room = max(0.5 * length - 0.6 * site.bucket.width, 0.0)
-        self._places = [np.array([part * room, 0.0]) for part in _ALONG_BED]
+        own = [np.array([part * room, 0.0, trucks.bed.size[2]]) for part in _ALONG_BED]
+        # on the upper edge of the walls, world
+        self._places = [np.asarray(self._empty.placement.act(place)) for place in own]
 
     def first(self, ground: Terrain, obstacle: Obstacle) -> SiteState:
         """See `DumpSite`."""
@@ -193,8 +190,7 @@ class TruckDump:
 
     def near(self, start: Vector) -> tuple[Vector, Vector] | None:
         """See `DumpSite`."""
-        top = self._trucks.bed.size[2]
-        return _soonest(self._site, [self._world(place, top) for place in self._places], start)
+        return _soonest(self._site, [(place[:2], float(place[2])) for place in self._places], start)
 
     def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
         """See `DumpSite`."""
@@ -204,12 +200,12 @@ class TruckDump:
             return truck
         found = []
         for place in self._places:
-            after = poured(truck.bed, place, volume)
-            at, top = self._world(place, max(_height(after, place), self._trucks.bed.size[2]))
-            arrivals, openings = postures_over(self._site, at, top)
+            after = truck.bed.loaded(place[:2], volume)
+            assert isinstance(after, Bed)
+            top = after.top_at(place[:2])
+            arrivals, openings = postures_over(self._site, place[:2], max(top, float(place[2])))
             if len(arrivals):
-                top = self._world(place, _height(after, place))[1]
-                found.append(Dumping(np.array([*at, top]), arrivals, openings, truck.number))
+                found.append(Dumping(np.array([*place[:2], top]), arrivals, openings, truck.number))
         if not found:
             return "the bucket cannot be emptied over the truck's bed: out of reach"
         limits = self._site.problem.limits
@@ -229,33 +225,43 @@ class TruckDump:
         if number not in (now, now + 1) or number > self._trucks.count:
             return f"truck {number} does not come after truck {now} of {self._trucks.count}"
         truck = state.truck if number == now else Truck(number, self._empty)
-        if truck.loaded + volume > self._trucks.capacity + 1e-9:
-            would = truck.loaded + volume
-            most = self._trucks.capacity
+        bed = truck.bed.loaded(place, volume)
+        if isinstance(bed, Refusal):
+            most, would = truck.bed.capacity, truck.bed.volume + volume
             return f"truck {number} takes {most:.2f} m^3, with this bucketful it would hold {would:.2f} m^3"
-        local = (np.array([*place, 0.0]) - self._placement.translation) @ self._placement.rotation
-        return self._with(state, Truck(number, poured(truck.bed, local[:2], volume)))
+        return self._with(state, Truck(number, bed))
 
     def _truck_for(self, truck: Truck, volume: float) -> Truck | str:
         """The truck that takes the next bucketful; or that all are full."""
         given = self._trucks
-        if truck.loaded + volume <= given.capacity:
+        if volume <= truck.bed.room:
             return truck
         if truck.number < given.count:
             return Truck(truck.number + 1, self._empty)
         which = "the truck is" if given.count == 1 else f"all {given.count} trucks are"
-        what = f"{which} full: {truck.loaded:.2f} of {given.capacity:.2f} m^3, and a bucketful is {volume:.2f} m^3"
+        what = f"{which} full: {truck.bed.volume:.2f} of {given.capacity:.2f} m^3, and a bucketful is {volume:.2f} m^3"
         return f"{what} (dump.truck.count says how many trucks come)"
 
     def _with(self, state: SiteState, truck: Truck) -> SiteState:
-        found = terrain_obstacle(truck.bed, _TRUCK, self._site.problem.scene.clearance)
-        assert found.cluster is not None
-        cluster = Cluster(found.cluster.solid, self._placement * found.cluster.placement)
-        return replace(state, truck=truck, load=replace(found, cluster=cluster))
+        load = truck.bed.load_obstacle(_TRUCK, self._site.problem.scene.clearance, before=state.load)
+        return replace(state, truck=truck, load=load)
 
-    def _world(self, place: Vector, height: float) -> tuple[Vector, float]:
-        at = self._placement.act(np.array([place[0], place[1], height]))
-        return at[:2], float(at[2])
+
+def empty_bed(site: Worksite, trucks: Trucks) -> Bed:
+    """The bed of a truck that has just come.
+
+    Raises
+    ------
+    SceneError: it is none, or its capacity is more than it holds heaped.
+    """
+    given = trucks.bed
+    try:
+        return Bed.empty(
+            given.position, given.size, yaw=given.yaw, capacity=trucks.capacity, repose=site.job.soil.repose
+        )
+    except InputError as error:
+        key = "dump.truck.capacity" if error.key == "capacity" else "dump.truck.bed.size"
+        raise SceneError(error.problem, file=site.job.file, key=key, found=error.found, allowed=error.allowed) from None
 
 
 def postures_over(site: Worksite, place: Vector, top: float) -> tuple[Matrix, Matrix]:

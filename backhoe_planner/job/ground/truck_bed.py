@@ -14,18 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Matrix, Vector, as_number, as_vector
+from backhoe_planner.arrays import Matrix, Vector, as_number, as_vector
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.job.ground.heaps import Refusal, level_for
 from backhoe_planner.job.ground.obstacle import terrain_obstacle
 from backhoe_planner.job.ground.terrain import REPOSE, Terrain
-from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle
-from backhoe_planner.site.schema import obstacle_shapes
 
 _CELL = 0.05  # m, as of the ground
-_LEAST = 4 * _CELL  # m: a smaller bed is none
-_WALL = 0.05  # m that walls and floor are thick, outward and down; chosen, those of dump bodies are thinner
+_LEAST, _MOST = 4 * _CELL, 30.0  # m: a smaller bed is none, and no truck has a larger one
 _FULL_WITHIN = 1e-9  # m^3
 
 
@@ -66,10 +63,11 @@ class Bed:
         InputError: an argument is no such number, or more than it can hold.
         """
         position, size = as_vector(position, 3, key="position"), as_vector(size, 3, key="size")
-        if (size[:2] < _LEAST).any() or size[2] <= 0.0:
+        if (size[:2] < _LEAST).any() or (size > _MOST).any() or size[2] <= 0.0:
             raise InputError(
-                "is no bed", key="size", found=size.tolist(), allowed=f"{_LEAST:g} m or more, walls higher than 0"
-            )
+                "is no bed", key="size", found=size.tolist(),
+                allowed=f"{_LEAST:g} to {_MOST:g} m, walls higher than 0",
+            )  # fmt: skip
         counts = np.floor(size[:2] / _CELL + _FULL_WITHIN).astype(int)
         low = -0.5 * _CELL * (counts - 1)
         load = Terrain.level(0.0, low, -low, _CELL, repose=repose)
@@ -153,30 +151,6 @@ class Bed:
             update={"position": tuple(place.translation.tolist()), "rpy": (0.0, 0.0, self.yaw)}
         )
         return replace(found, cluster=found.cluster.moved_to(place), spec=spec)
-
-    def walls_obstacle(self, name: str, clearance: float, links: Sequence[str] | None = None) -> Obstacle:
-        """Its four walls and its floor as an obstacle; parameters as of `terrain_obstacle`."""
-        length, width, height = np.asarray(self.size, dtype=float).tolist()
-        tall, middle = height + _WALL, 0.5 * (height - _WALL)
-        boxes: list[tuple[Array, Array]] = [(np.array([length, width, _WALL]), np.array([0.0, 0.0, -0.5 * _WALL]))]
-        for side in (-0.5, 0.5):
-            x, y = side * (length + _WALL), side * (width + _WALL)
-            boxes.append((np.array([_WALL, width + 2.0 * _WALL, tall]), np.array([x, 0.0, middle])))
-            boxes.append((np.array([length, _WALL, tall]), np.array([0.0, y, middle])))
-        around = (length + 2.0 * _WALL, width + 2.0 * _WALL, tall)
-        place = self.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, middle]))
-        return Obstacle(
-            name=name,
-            pieces=tuple(shapes.box(size, self.placement * pin.SE3(np.eye(3), centre)) for size, centre in boxes),
-            clearance=as_number(clearance, key="clearance", least=0.0),
-            links=None if links is None else tuple(links),
-            appears_at=0.0,
-            velocity=np.zeros(3),
-            spec=obstacle_shapes.Box(
-                name=name, shape="box", size=around, position=tuple(place.translation.tolist()),
-                rpy=(0.0, 0.0, self.yaw),
-            ),
-        )  # fmt: skip
 
     def _highest(self) -> Matrix:
         """(rows, columns) how high its load can be at most [m]."""

@@ -103,6 +103,8 @@ class Cycle:
     spilt: loose soil that falls back beside the cut [m^3].
     place: (3,) where the soil is dumped, the top of what lies there afterwards [m], world.
     truck: number of the truck, from 1; 0 for a heap.
+    truck_load: what lies in the truck after the dump, in the axes of its bed: floor at z = 0, its middle the origin;
+        None for a heap.
     step: which part of the pattern it belongs to, in words: ``layer 2``.
     filled: part of the bucket's capacity that is filled.
     depth: greatest depth of the edge below the ground along the cut [m].
@@ -121,6 +123,7 @@ class Cycle:
     spilt: float
     place: Vector
     truck: int
+    truck_load: Terrain | None
     step: str
     filled: float
     depth: float

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import trimesh
 
 from backhoe_planner.arrays import Vector
@@ -24,14 +23,13 @@ from backhoe_planner.show.job.ground_changes import changes_of, start_of
 from backhoe_planner.show.job.job_facts import cycle_rows, job_facts
 from backhoe_planner.show.job.job_frames import JobFrames, Part, job_frames
 from backhoe_planner.show.job.section import section_content
+from backhoe_planner.show.job.truck_load import draw_truck_load
 from backhoe_planner.show.page.display import Display
 from backhoe_planner.show.page.page import PAGE_FORMATS, page_of, read_parts
 from backhoe_planner.show.page.page_content import frame_numbers, tell_problem
 from backhoe_planner.site.schema import obstacle_shapes
 
 _LOAD_INSIDE = 0.9  # of the bucket's hull, as which the soil in it is drawn; chosen by eye
-_TOP = 0.7  # of a truck's load, as wide as its bottom; chosen by eye
-_SOON = 1e-3  # s in which one truck takes the other's place in the picture
 _NODE = ("ground", "terrain")  # where the page puts the ground in the viewer's tree
 
 
@@ -76,7 +74,7 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     graph = SceneGraph(visualizer, problem, q=line.q[0], apart=apart, opening=opening)
     tracks = list(graph.animation(line).tracks)
     tracks += _draw_load(visualizer, graph, plan, frames.parts, line.time)
-    tracks += _draw_truck(visualizer, graph, plan, frames.parts, line.time)
+    tracks += draw_truck_load(visualizer, graph.prefix, plan, frames.parts, line.time)
     visualizer.set_animation(PlanAnimation(tracks, float(line.time[-1])), play=False)
     view = graph.look_at_motion(line)
     tell_problem(display, problem, graph, view, line.obstacles, task=_words(plan))
@@ -170,43 +168,3 @@ def _filled(plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> Vector:
         moments += [*(own["cut"].begin + digging.time), own["dump"].begin, own["dump"].end]
         filled += [*np.minimum(held, cycle.held) / plan.capacity, cycle.held / plan.capacity, 0.0]
     return np.interp(time, moments, np.minimum(filled, 1.0))
-
-
-def _draw_truck(
-    visualizer: Any, graph: SceneGraph, plan: JobPlan, parts: tuple[Part, ...], time: Vector
-) -> list[Track]:
-    """Draw the soil on the truck, as a block with a narrower top that grows with its volume."""
-    truck = plan.job.dump.truck
-    if truck is None or not plan.cycles:
-        return []
-    length, width, _ = truck.bed.size
-    corners = [
-        [0.5 * length * part * x, 0.5 * width * part * y, z] for z, part in ((0.0, 1.0), (1.0, _TOP))
-        for x in (-1, 1) for y in (-1, 1)
-    ]  # fmt: skip
-    block = trimesh.convex.convex_hull(np.array(corners))
-    node = visualizer["site"]["load of the truck"]
-    draw(node["soil"], mesh(facets(block), (*LOOSE_SOIL, 1.0)))
-    place = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, truck.bed.yaw), np.array(truck.bed.position))
-    node.set_transform(place.homogeneous)
-    height = _loaded(plan, parts, time) / float(block.volume)
-    scale = np.column_stack((np.ones((len(time), 2)), np.maximum(height, HIDDEN)))
-    return [Track(f"{graph.prefix}/site/load of the truck/soil", "scale", time, scale)]
-
-
-def _loaded(plan: JobPlan, parts: tuple[Part, ...], time: Vector) -> Vector:
-    """(F,) loose soil on the truck that stands there [m^3]."""
-    moments, loaded, now, number = [0.0], [0.0], 0.0, 1
-    for cycle in plan.cycles:
-        own = {part.name: part for part in parts if part.cycle == cycle.number}
-        if "dump" not in own:
-            continue
-        if cycle.truck != number:  # the next one has come
-            number, now = cycle.truck, 0.0
-            begin = min(part.begin for part in own.values())
-            moments += [begin - _SOON, begin]
-            loaded += [loaded[-1], 0.0]
-        moments += [own["dump"].begin, own["dump"].end]
-        loaded += [now, now + cycle.held]
-        now += cycle.held
-    return np.interp(time, moments, loaded)

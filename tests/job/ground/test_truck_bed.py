@@ -71,7 +71,7 @@ def test_it_fills_to_the_brim_and_no_further() -> None:
     assert full.load.shape == most
 
 
-def test_its_load_and_its_walls_are_obstacles() -> None:
+def test_its_load_is_an_obstacle() -> None:
     ball = shapes.sphere(0.1, pin.SE3.Identity())
     first = bed().load_obstacle("load", 0.1)
     full = loaded(bed(), place(0.0, 0.0), 8.0)
@@ -85,18 +85,12 @@ def test_its_load_and_its_walls_are_obstacles() -> None:
     flat = first.cluster.measure(ball, pin.SE3(np.eye(3), np.array([*place(0.8, 0.3), 4.0])))  # type: ignore[union-attr]
     assert flat is not None
     assert flat.distance == pytest.approx(2.9, abs=1e-9)
-    walls = bed().walls_obstacle("truck", 0.1)
-    gauge, there = shapes.Gauge(), place(0.0, 1.5)  # beside the wall, which is 5 cm thick
-    at = shapes.transform(np.eye(3), np.array([*there, 1.4]))
-    away = min(
-        gauge.measure(ball.shape, at, one.shape, shapes.transform(one.placement.rotation, one.placement.translation))[0]
-        for one in walls.pieces
-    )
-    assert away == pytest.approx(0.5 - 0.05 - 0.1, abs=1e-9)
 
 
 def test_what_is_no_bed_is_refused() -> None:
     with pytest.raises(InputError, match="is no bed"):
         Bed.empty((0.0, 0.0, 0.0), (0.1, 2.0, 0.5))
+    with pytest.raises(InputError, match="is no bed"):
+        Bed.empty((0.0, 0.0, 0.0), (1e3, 1e3, 0.5))
     with pytest.raises(InputError, match="is not in the bed"):
         bed().loaded((0.0, 0.0), 0.2)
