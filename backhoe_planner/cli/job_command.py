@@ -54,7 +54,15 @@ def job(
             check_output(target, (*loaded.files, *(() if from_terrain is None else (from_terrain,))))
     if html is not None:
         check_ending(html, show.PAGE_FORMATS, what="a page")
-    terrain = None if from_terrain is None else jobs.read_ground(loaded, from_terrain)
+    terrain = None
+    if from_terrain is not None:
+        survey = jobs.read_ground(loaded, from_terrain)
+        terrain = survey.terrain
+        if survey.unknown.any():
+            part = 100.0 * float(survey.unknown.mean())
+            print_warnings(
+                [f"{from_terrain} does not cover {part:.0f} % of the ground: there it is taken as the job has it"]
+            )
     resume = None if anew or terrain is not None else _begun(loaded, output, effort, seed)
     if resume is not None:
         ERR.print(f"goes on after cycle {len(resume.cycles)}, as {output} has it (--anew begins anew)")

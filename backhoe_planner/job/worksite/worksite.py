@@ -14,13 +14,14 @@ from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.bucket import Bucket
 from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.ground.obstacle import ground_around
+from backhoe_planner.job.ground.scanned import Scanned, scanned
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.arm_clearance import ArmOutline
 from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign, cell_samples
 from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.motion import Problem, build_problem
-from backhoe_planner.site import Soil, scene_from_dict
+from backhoe_planner.site import Soil, read_height_grid, scene_from_dict
 
 _HIGHEST = 1e4  # m above or below zero that a design may lie; chosen, higher than any mountain
 _AROUND = 1.0  # m of ground around what is dug and heaped
@@ -184,28 +185,37 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
         raise SceneError(str(error), file=job.file, key="ground.file") from None
 
 
-def read_ground(job: Job, file: Path) -> Terrain:
-    """The ground of a job as it was surveyed, such as what was really dug.
+def read_ground(job: Job, file: Path) -> Scanned:
+    """The ground of a job as it was surveyed on the way: what was dug and heaped meanwhile.
 
     Parameters
     ----------
-    file: as of `Terrain.from_file`; where it does not say where it lies, it lies as the job's own ground.
+    file: heights or points, as of `Terrain.from_file`. The first height of a table lies at the job's own first column.
+
+    Returns
+    -------
+    The ground on the job's own grid; where the survey does not reach, as the job has it.
 
     Raises
     ------
     InputError: the file is missing or malformed, or does not cover what is dug.
     """
-    own = build_worksite(job).ground
-    loose = {"swell": job.soil.swell, "repose": job.soil.repose}
-    found = Terrain.from_file(
-        file, low=own.low, high=own.high if file.suffix.lower() != ".csv" else None, cell=own.cell, soil=own.soil,
-        fill=job.ground.fill, **loose,
-    )  # fmt: skip
-    if found.shape != own.shape:
+    site = build_worksite(job)
+    own = site.ground
+    if file.suffix.lower() == ".csv" and (shape := read_height_grid(file).heights.shape) != own.shape:
         raise InputError(
-            "is not as large as the ground of the job", file=file, found=f"{found.shape[0]} x {found.shape[1]} heights",
+            "is not as large as the ground of the job", file=file, found=f"{shape[0]} x {shape[1]} heights",
             allowed=f"{own.shape[0]} x {own.shape[1]} heights, {own.cell:g} m apart from x {own.low[0]:g}, "
             f"y {own.low[1]:g} m", hint="ground.low, high and cell of the job say how large it is",
+        )  # fmt: skip
+    found = scanned(own, file, low=own.low, cell=own.cell, fill=job.ground.fill)
+    holes = found.unknown & np.isfinite(site.design_heights())
+    if holes.any():
+        x, y = site.nodes[holes][0].tolist()
+        raise InputError(
+            "does not cover what is dug", file=file, key=f"x {x:.2f} m, y {y:.2f} m",
+            found=f"{int(holes.sum())} of its columns without a height",
+            hint="ground.fill of the job says how far holes are filled from known columns [m]; or a larger ground.cell",
         )  # fmt: skip
     return found
 

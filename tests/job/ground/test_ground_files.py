@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
+from small_jobs import small_job
 
 from backhoe_planner.arrays import Array, Matrix
 from backhoe_planner.errors import InputError
-from backhoe_planner.job import BladeSweep, Terrain, deposited, scanned, swept
+from backhoe_planner.job import BladeSweep, Terrain, build_worksite, deposited, read_ground, scanned, swept
 from backhoe_planner.site import build_obstacle, obstacle_from_dict, read_heights
 
 NAN = float("nan")
@@ -175,6 +176,25 @@ def test_a_scan_says_what_was_dug_and_heaped(tmp_path: Path) -> None:
     assert found.terrain.bank_volume_below(dug) == pytest.approx(0.0, abs=0.06)
     with pytest.raises(InputError, match="lies nowhere on the ground"):
         scanned(before, file, low=(50.0, 0.0), cell=0.15)
+
+
+def test_a_cloud_from_the_way_is_the_ground_of_a_job_from_then_on(tmp_path: Path) -> None:
+    job = small_job()
+    own = build_worksite(job).ground
+    dug = swept(own, BladeSweep([[4.4, 0.0, -0.1], [3.2, 0.0, -0.1]], (0.0, 1.0, 0.0), 0.6)).terrain  # type: ignore[arg-type]
+    after = deposited(dug, (2.5, -3.0), 0.1)
+    assert isinstance(after, Terrain)
+    seen = np.column_stack([*(axis.ravel() for axis in np.meshgrid(after.x, after.y)), after.surface.ravel()])
+    seen = seen[seen[:, 0] > 1.5]  # nothing is known beside the machine
+    np.savetxt(tmp_path / "scan.xyz", seen, fmt="%.6f")
+    found = read_ground(job, tmp_path / "scan.xyz")
+    assert found.terrain.bank_volume_below(own) == pytest.approx(1.2 * 0.6 * 0.1, rel=0.01)
+    assert found.terrain.loose_volume == pytest.approx(0.1, rel=0.05)  # but for its foot, lower than 2 cm
+    assert (found.unknown == np.broadcast_to(own.x < 1.5 + 1e-9, own.shape)).all()
+    assert (found.terrain.surface[found.unknown] == 0.0).all()
+    np.savetxt(tmp_path / "scan.xyz", seen[np.hypot(seen[:, 0] - 3.8, seen[:, 1]) > 0.12], fmt="%.6f")
+    with pytest.raises(InputError, match=r"does not cover what is dug.*ground\.fill"):
+        read_ground(job, tmp_path / "scan.xyz")
 
 
 def test_what_a_bucket_has_no_room_for_is_spilt() -> None:
