@@ -34,6 +34,7 @@ from .live import Servo as Servo
 from .live import ServoState as ServoState
 from .live import Status as Status
 from .live import StepWork as StepWork
+from .machine import Base as Base
 from .machine import BothWays as BothWays
 from .machine import Configuration as Configuration
 from .machine import Cylinder as Cylinder

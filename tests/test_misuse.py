@@ -231,6 +231,7 @@ def calls() -> dict[str, Call]:
         "Robot.random_q": call(the.random_q, rng=(np.random.default_rng(0), THING), lists=False),
         "Robot.with_tip": call(the.with_tip, tip=("bucket_tip", optional(TEXT)), lists=False),
         "Robot.with_hold": call(the.with_hold, hold=({"boom": 0.1}, only(*HOLD, None, [], "text")), lists=False),
+        "Robot.with_base": call(the.with_base, base=(bp.Base((1.0, 2.0)), THING), lists=False),
         "Robot.carrying": call(
             lambda **keys: the.carrying(**keys).link_names, lists=False,
             name=("pipe", only(None, {"a": 1}, OBJECT, [], 3.0, "bucket")),
@@ -240,6 +241,7 @@ def calls() -> dict[str, Call]:
         "Robot.check_q": call(lambda q: the.check_q(q), q=q4),
         "Kinematics": call(bp.Kinematics, robot=(the, THING), lists=False),
         "Kinematics.at": call(lambda q: bp.Kinematics(the).at(q).J_world, q=q4),
+        "Base": call(bp.Base, position=((1.0, 2.0), vector(2)), heading=(0.5, NUMBER)),
         "TipTarget": call(
             lambda **keys: bp.TipTarget(**keys).distances(at()), position=(np.ones(3), vector(3)),
             pitch=((0.1, 0.2), optional(vector(2))), rotation=(np.eye(3), optional(MATRIX)),

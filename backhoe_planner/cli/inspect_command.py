@@ -42,11 +42,11 @@ def inspect(
     OUT.print(f"\nlinks         {', '.join(robot.all_link_names)}")
     _print_meshes(robot)
     _print_self_collision(robot)
-    _print_dh_table(robot)
+    _print_dh_table(robot.at_origin)
     _print_envelope(robot)
     _print_hydraulics(robot)
     if plot is not None:
-        show.plot_envelope(robot, plot)
+        show.plot_envelope(robot.at_origin, plot)
         OUT.print(f"\nwrote {plot}")
     return VERIFIED
 
@@ -89,7 +89,11 @@ def _print_held(robot: bp.Robot) -> None:
 
 
 def _print_joints(robot: bp.Robot, limits: bp.JointLimits) -> None:
-    OUT.print(f"{robot.name}: {robot.n} joints move {robot.tip}; {len(robot.pieces)} collision pieces\n")
+    OUT.print(f"{robot.name}: {robot.n} joints move {robot.tip}; {len(robot.pieces)} collision pieces")
+    if not robot.base.is_origin:
+        (x, y), turned = robot.base.position, DEGREES * robot.base.heading
+        OUT.print(f"stands at x {x:.4g} m, y {y:.4g} m, turned by {turned:.1f} deg")
+    OUT.print()
     table = table_of("joint", "lower", "upper", "rate", "acceleration", "effort")
     for j, name in enumerate(robot.joint_names):
         slides = bool(robot.prismatic[j])

@@ -20,6 +20,7 @@ from .collision_model import tip_tracking_error as tip_tracking_error
 from .collision_model import tip_travel_bound as tip_travel_bound
 from .collision_model import tracking_room as tracking_room
 from .collision_model import travel_bounds as travel_bounds
+from .description.base import Base as Base
 from .description.hydraulics_file import HydraulicsRecord as HydraulicsRecord
 from .description.link_shapes import LinkPiece as LinkPiece
 from .description.link_shapes import Visual as Visual

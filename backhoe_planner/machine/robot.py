@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_array, as_number, as_vector
 from backhoe_planner.errors import InputError, RobotError, check_kind, check_path
+from backhoe_planner.machine.description.base import ORIGIN, Base
 from backhoe_planner.machine.description.chain_model import chain_model
 from backhoe_planner.machine.description.held_joints import HeldJoint
 from backhoe_planner.machine.description.hydraulics_file import description_beside, read_hydraulics
@@ -105,6 +106,7 @@ class Robot:
     warnings: what the URDF does not say about its shape, in words.
     hydraulics: cylinders and pump, where the machine has a description of them.
     tube: how far it may be off where it is commanded; None where it is exact.
+    base: where its root link stands in the site.
     carried: what it carries, by the name under which it stands among the links, with its pieces in the tip's
         frame; None where that is nothing.
     """
@@ -124,6 +126,7 @@ class Robot:
     warnings: tuple[str, ...] = ()
     hydraulics: Hydraulics | None = None
     tube: TrackingTube | None = None
+    base: Base = ORIGIN
     carried: tuple[str, tuple[Piece, ...]] | None = None
 
     def __repr__(self) -> str:
@@ -300,7 +303,7 @@ class Robot:
         """The same machine with another link as its tip; itself if `tip` is None or the same."""
         if tip is None or check_kind(tip, str, key="tip") == self.tip:
             return self
-        return self._rebuilt(tip, self.hold)
+        return self._rebuilt(tip, self.hold, self.base)
 
     def with_hold(self, hold: Mapping[str, float]) -> Robot:
         """The same machine with these joints held, and no others that could move the tip; itself if they are the same.
@@ -314,7 +317,11 @@ class Robot:
         InputError: see `held_joints`, or no joint is left that moves the tip.
         """
         hold = _checked_hold(hold)
-        return self if hold == self.hold else self._rebuilt(self.tip, hold)
+        return self if hold == self.hold else self._rebuilt(self.tip, hold, self.base)
+
+    def with_base(self, base: Base) -> Robot:
+        """The same machine, standing elsewhere; itself where it stands there."""
+        return self if check_kind(base, Base, key="base") == self.base else self._rebuilt(self.tip, self.hold, base)
 
     def pieces_of(self, links: Collection[str] | None) -> tuple[int, ...]:
         """Rows of `pieces` that move and belong to these links, to any where None; a load to those that hold it."""
@@ -356,30 +363,44 @@ class Robot:
         return replace(self, pieces=(*self.pieces, *placed), carried=(name, pieces))
 
     @cached_property
+    def at_origin(self) -> Robot:
+        """The same machine with its root link in the world's axes; itself where it stands there."""
+        if self.base.is_origin:
+            return self
+        there = replace(self._unladen._rebuilt(self.tip, self.hold, ORIGIN), limits=self.limits, tube=self.tube)
+        return there if self.carried is None else there.carrying(*self.carried)
+
+    @cached_property
     def as_described(self) -> Robot:
         """The same machine with nothing held and the URDF's own limits; itself where it is that.
 
         Where it cannot be without what is held, since a joint copies it, that stays held.
         """
         if self.carried is not None:
-            name, pieces = self.carried
-            bare = replace(self, pieces=self.pieces[: -len(pieces)], carried=None)
-            return self if bare.as_described is bare else bare.as_described.carrying(name, pieces)
+            bare = self._unladen
+            return self if bare.as_described is bare else bare.as_described.carrying(*self.carried)
         own = _limits(self.urdf, self.model)
         same = np.array_equal(own.lower, self.limits.lower) and np.array_equal(own.upper, self.limits.upper)
         if same and not self.hold:
             return self
         with contextlib.suppress(RobotError):
-            return self._rebuilt(self.tip, {})
-        return self._rebuilt(self.tip, self.hold)
+            return self._rebuilt(self.tip, {}, self.base)
+        return self._rebuilt(self.tip, self.hold, self.base)
 
-    def _rebuilt(self, tip: str, hold: Mapping[str, float]) -> Robot:
+    @property
+    def _unladen(self) -> Robot:
+        """The same machine with nothing carried."""
+        return (
+            self if self.carried is None else replace(self, pieces=self.pieces[: -len(self.carried[1])], carried=None)
+        )
+
+    def _rebuilt(self, tip: str, hold: Mapping[str, float], base: Base) -> Robot:
         if self.carried is not None:
             raise InputError(
-                "a machine that carries something keeps its tip and its held joints", found=self.carried[0]
+                "a machine that carries something keeps its tip, its held joints and its place", found=self.carried[0]
             )
         hydraulics = None if self.hydraulics is None else self.hydraulics.file
-        return _build(self.urdf, tip, hydraulics, solids=self.solids, warnings=self.warnings, hold=hold)
+        return _build(self.urdf, tip, hydraulics, solids=self.solids, warnings=self.warnings, hold=hold, base=base)
 
     def check_q(self, q: object, *, what: str = "q") -> Vector:
         """(n,) a copy of `q`, checked.
@@ -452,8 +473,9 @@ def _build(
     solids: tuple[LinkSolid, ...],
     warnings: tuple[str, ...],
     hold: Mapping[str, float],
+    base: Base = ORIGIN,
 ) -> Robot:
-    chain = chain_model(urdf, tip, hold)
+    chain = chain_model(urdf, tip, hold, base)
     model = chain.model
     joint_names = tuple(str(name) for name in model.names[1:])
     return Robot(
@@ -471,6 +493,7 @@ def _build(
         visuals=visuals_of(urdf, model),
         warnings=warnings,
         hydraulics=None if hydraulics is None else read_hydraulics(hydraulics, urdf, joint_names),
+        base=base,
     )
 
 

@@ -106,7 +106,7 @@ def self_pairs(robot: Robot, posture: tuple[float, ...] | None = None) -> SelfPa
 
 @lru_cache(maxsize=8)
 def _pairs_of(shaped: _Shaped, posture: tuple[float, ...] | None) -> SelfPairs:
-    return _pairs_as_described(_Described(shaped.robot), posture)
+    return _pairs_as_described(_Described(shaped.robot.at_origin), posture)  # wherever it stands they are the same
 
 
 @lru_cache(maxsize=8)

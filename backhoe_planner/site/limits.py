@@ -11,7 +11,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import InputError, RobotError, SceneError, check_kind
-from backhoe_planner.machine import DEFAULT_VELOCITY, JointLimits, Robot, TrackingTube, held_overlaps, load_robot
+from backhoe_planner.machine import DEFAULT_VELOCITY, Base, JointLimits, Robot, TrackingTube, held_overlaps, load_robot
 from backhoe_planner.site.joint_names import check_joint_names
 from backhoe_planner.site.scene_file import Scene
 from backhoe_planner.site.schema.zone_kinds import SwingSector
@@ -63,8 +63,13 @@ def scaled_limits(robot: Robot, scene: Scene) -> JointLimits:
     )
 
 
+def base_of(scene: Scene) -> Base:
+    """Where the scene's machine stands."""
+    return Base(scene.base.position, scene.base.heading)
+
+
 def joints_on_site(robot: Robot, scene: Scene) -> Robot:
-    """The machine with the scene's tip and held joints.
+    """The machine with the scene's tip and held joints, where it stands in the site.
 
     Raises
     ------
@@ -74,11 +79,11 @@ def joints_on_site(robot: Robot, scene: Scene) -> Robot:
     check_kind(robot, Robot, key="robot")
     check_kind(scene, Scene, key="scene")
     with _errors_of(scene):
-        return robot.with_tip(scene.tip).with_hold(scene.hold)
+        return robot.with_tip(scene.tip).with_hold(scene.hold).with_base(base_of(scene))
 
 
 def machine_on_site(robot: Robot, scene: Scene) -> Robot:
-    """The machine as a scene has it: its tip, its held joints, where the others may be, its tracking error.
+    """The machine as a scene has it: its place, tip and held joints, where the others may be, its tracking error.
 
     Raises
     ------
@@ -102,7 +107,7 @@ def machine_on_site(robot: Robot, scene: Scene) -> Robot:
 
 
 def load_machine(source: str | os.PathLike[str], scene: Scene, *, tip: str | None = None) -> Robot:
-    """The machine of a URDF with the scene's tip, or `tip` where it gives none, and the scene's held joints.
+    """The machine of a URDF with the scene's tip, or `tip` where it gives none, held joints and place.
 
     Raises
     ------
@@ -110,7 +115,8 @@ def load_machine(source: str | os.PathLike[str], scene: Scene, *, tip: str | Non
     SceneError: the scene holds a joint that cannot be held there.
     """
     with _errors_of(scene):
-        return load_robot(source, tip=tip if scene.tip is None else scene.tip, hold=scene.hold)
+        robot = load_robot(source, tip=tip if scene.tip is None else scene.tip, hold=scene.hold)
+    return robot.with_base(base_of(scene))
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ from backhoe_planner.site.schema.joint_limits import Limits
 from backhoe_planner.site.schema.names import check_name
 from backhoe_planner.site.schema.obstacle_shapes import ObstacleSpec
 from backhoe_planner.site.schema.path_file import read_path_file
-from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Vector3
+from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Turn, Vector3
 from backhoe_planner.site.schema.sequence import ObjectiveName, Task
 from backhoe_planner.site.schema.tasks import PathTask, Start, Waypoint
 from backhoe_planner.site.schema.zone_kinds import ZoneSpec
@@ -48,6 +48,15 @@ class TrackingError(Record):
     """Of the tip's position [m], where that is known to be less than what the joints' errors allow."""
 
 
+class StandingPlace(Record):
+    """Where the machine stands in the site."""
+
+    position: tuple[Finite, Finite] = (0.0, 0.0)
+    """x, y of the URDF's root link [m], world."""
+    heading: Turn = 0.0
+    """The angle about the vertical from the world's x to the root link's [rad]."""
+
+
 class Scene(Record):
     """A task, and the site in which it is to be done."""
 
@@ -57,6 +66,8 @@ class Scene(Record):
     """The link that is moved; bucket_tip, else the only leaf frame."""
     hold: dict[str, Finite] = Field(default_factory=dict)
     """Joints of any part of the machine by name, and where they stand [rad or m]: the planner does not move them."""
+    base: StandingPlace = StandingPlace()
+    """Where the machine stands; left out, its root link has the world's axes."""
     start: Start | None = None
     """Where the machine stands; left out with a path: the planner chooses."""
     task: Task

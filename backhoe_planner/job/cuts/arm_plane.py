@@ -49,7 +49,7 @@ class ArmPlane:
 
     Attributes
     ----------
-    axis: (2,) x, y of the swing axis [m], world; (0, 0) where nothing swings.
+    axis: (2,) x, y of the swing axis [m], world; where nothing swings, of the root link.
     swings: whether the first joint turns the plane.
     closed: whether its joints follow in closed form.
 
@@ -69,7 +69,7 @@ class ArmPlane:
         at = self._kinematics.at(self._zero[None, :])
         self.swings = bool(abs(at.axes[0, 0, 2]) > 1.0 - _SAME and not robot.prismatic[0] and robot.n > 1)
         self._sense = float(np.sign(at.axes[0, 0, 2])) if self.swings else 0.0
-        self.axis = at.origins[0, 0, :2].copy() if self.swings else np.zeros(2)
+        self.axis = at.origins[0, 0, :2].copy() if self.swings else np.array(robot.base.position)
         across = at.pitch_sense * at.axes[0, -1]
         forward = np.array([-across[1], across[0]])
         self._zero_heading = float(np.arctan2(forward[1], forward[0]))

@@ -68,7 +68,7 @@ def working_envelope(robot: Robot) -> Envelope | None:
     """The envelope; None for a machine that does not work in an upright plane, or whose swing or bucket is held."""
     if not robot.has_pitch or _ends_held(robot):
         return None
-    plane = _Plane(robot)
+    plane = _Plane(robot.at_origin)
     loading = plane.loading()
     limits = robot.limits
     return Envelope(

@@ -10,6 +10,7 @@ import pinocchio as pin
 from lxml import etree
 
 from backhoe_planner.errors import InputError, RobotError
+from backhoe_planner.machine.description.base import Base
 from backhoe_planner.machine.description.held_joints import HeldJoint, held_joints
 from backhoe_planner.machine.description.plain_urdf import Joint
 from backhoe_planner.machine.description.urdf import Urdf, axis_of, se3
@@ -31,7 +32,7 @@ class ChainModel:
     held: tuple[HeldJoint, ...]
 
 
-def chain_model(urdf: Urdf, tip: str | None, hold: Mapping[str, float]) -> ChainModel:
+def chain_model(urdf: Urdf, tip: str | None, hold: Mapping[str, float], base: Base) -> ChainModel:
     """Pinocchio's model in which only the joints between the root and the tip move that are not held.
 
     Parameters
@@ -39,6 +40,7 @@ def chain_model(urdf: Urdf, tip: str | None, hold: Mapping[str, float]) -> Chain
     urdf: the machine.
     tip: the link; by default ``bucket_tip``, else the only leaf link.
     hold: joints by name, and where they are held [rad or m].
+    base: where the root link stands.
 
     Raises
     ------
@@ -55,7 +57,10 @@ def chain_model(urdf: Urdf, tip: str | None, hold: Mapping[str, float]) -> Chain
             f"leaves no joint that moves the tip, {tip}", key="hold", found=", ".join(hold),
             allowed=f"at most {len(moving) - 1} of {', '.join(moving)}",
         )  # fmt: skip
-    return ChainModel(tip, _model(urdf, {joint.name: joint.position for joint in held}), held)
+    model = _model(urdf, {joint.name: joint.position for joint in held})
+    if not base.is_origin:
+        _place(model, base.placement)
+    return ChainModel(tip, model, held)
 
 
 def _find_tip(urdf: Urdf, tip: str | None) -> str:
@@ -103,6 +108,16 @@ def _model(urdf: Urdf, held: Mapping[str, float]) -> pin.Model:
         return pin.buildModelFromXML(etree.tostring(root).decode())
     except ValueError as error:
         raise RobotError(f"Pinocchio cannot build a model of it: {error}", file=urdf.path) from error
+
+
+def _place(model: pin.Model, T_world_root: pin.SE3) -> None:
+    """Put a model whose root link stands in the world's axes elsewhere."""
+    for joint in range(1, model.njoints):
+        if model.parents[joint] == 0:
+            model.jointPlacements[joint] = T_world_root * model.jointPlacements[joint]
+    for index in range(1, model.nframes):  # the first is the world itself
+        if model.frames[index].parentJoint == 0:
+            model.frames[index].placement = T_world_root * model.frames[index].placement
 
 
 def _hold(element: etree._Element, joint: Joint, position: float) -> None:

@@ -31,6 +31,13 @@ def _radians(rpy: tuple[float, float, float]) -> tuple[float, float, float]:
     return rpy
 
 
+def _one_turn(angle: float) -> float:
+    if abs(angle) > 2.0 * math.pi:
+        raise ValueError(f"the angle is in radians, within one turn either way; {angle} looks like degrees")
+    return angle
+
+
+Turn = Annotated[Finite, AfterValidator(_one_turn)]
 RollPitchYaw = Annotated[Vector3, AfterValidator(_radians)]
 
 _ROUNDING = 1e-14  # a length this near 1 is 1, so that what was normalised once stays as it is

@@ -1,0 +1,132 @@
+"""Where the machine stands: a machine and a site that are moved together are the same problem."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.machine import Base, Kinematics, Robot, self_pairs
+from backhoe_planner.motion import build_problem
+
+AT, HEADING = (12.5, -3.0), 0.7  # m, rad
+START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
+
+
+def _moved(point: list[float]) -> list[float]:
+    """The point at which the site's `point` lies after base and site were moved."""
+    cosine, sine = math.cos(HEADING), math.sin(HEADING)
+    x, y, z = point
+    return [AT[0] + cosine * x - sine * y, AT[1] + sine * x + cosine * y, z]
+
+
+def _scene(*, moved: bool) -> bp.Scene:
+    place = _moved if moved else list
+    heading = HEADING if moved else 0.0
+    content: dict[str, Any] = {
+        "version": 1,
+        "start": {"joints": START},
+        "task": {"path": {"waypoints": [{"position": place([4.6, 0.0, -0.3])}, {"position": place([3.4, 0.3, -1.0])}]}},
+        "obstacles": [
+            {"name": "pipe", "shape": "capsule", "from": place([1.2, 1.0, -0.9]), "to": place([5.5, 1.0, -0.9]),
+             "radius": 0.1},
+            {"name": "bank", "shape": "box", "size": [4.0, 2.0, 2.0], "position": place([3.6, -1.8, -1.01]),
+             "rpy": [0.0, 0.0, heading]},
+        ],
+    }  # fmt: skip
+    if moved:
+        content["base"] = {"position": list(AT), "heading": HEADING}
+    return bp.scene_from_dict(content)
+
+
+def test_the_tip_is_where_turning_and_moving_by_hand_put_it(backhoe: Robot) -> None:
+    q = np.array([0.3, 0.5, -1.2, -0.8])
+    here, there = (Kinematics(robot).at(q) for robot in (backhoe, backhoe.with_base(Base(AT, HEADING))))
+    np.testing.assert_allclose(there.tip_position, _moved(here.tip_position.tolist()), atol=1e-12)
+    np.testing.assert_allclose(there.T_world_tip.rotation, pin.rpy.rpyToMatrix(0, 0, HEADING) @ here.tip_rotation,
+                               atol=1e-12)  # fmt: skip
+    assert there.pitch == pytest.approx(here.pitch, abs=1e-12)
+
+
+def test_links_that_do_not_move_stand_with_the_root(backhoe: Robot) -> None:
+    moved = backhoe.with_base(Base(AT, HEADING))
+    fixed = [row for row, piece in enumerate(backhoe.pieces) if piece.joint == 0]
+    assert fixed
+    for row in fixed:
+        here, there = (robot.pieces[row].piece.placement.translation for robot in (backhoe, moved))
+        np.testing.assert_allclose(there, _moved(here.tolist()), atol=1e-12)
+    for here, there in zip(backhoe.visuals, moved.visuals, strict=True):
+        if here.joint == 0:
+            expected = _moved(here.placement.translation.tolist())
+            np.testing.assert_allclose(there.placement.translation, expected, atol=1e-12)
+
+
+def test_one_motion_has_the_same_certificate_wherever_machine_and_site_stand(backhoe: Robot) -> None:
+    here = bp.plan(backhoe, _scene(moved=False), effort="quick")
+    there = bp.certify(backhoe, _scene(moved=True), here.trajectory)
+    assert here.verdict == "verified"
+    assert here.certificate is not None
+    assert there.verified
+    for one, other in zip(here.certificate.clearances, there.clearances, strict=True):
+        assert one.obstacle == other.obstacle
+        assert one.distance == pytest.approx(
+            other.distance, abs=1e-4
+        )  # both bounds are proven to within their own slack
+
+
+def test_a_plan_of_a_machine_that_stands_elsewhere_is_verified_and_read_again(backhoe: Robot, tmp_path: Any) -> None:
+    plan = bp.plan(backhoe, _scene(moved=True), effort="quick")
+    assert plan.verdict == "verified"
+    plan.save(tmp_path / "plan.json")
+    again = bp.load_plan(tmp_path / "plan.json")
+    assert again.problem.robot.base == Base(AT, HEADING)
+    assert again.verdict == "verified"
+
+
+def test_the_pairs_of_own_links_do_not_depend_on_where_it_stands(backhoe: Robot) -> None:
+    assert self_pairs(backhoe.with_base(Base(AT, HEADING))) == self_pairs(backhoe)
+
+
+def test_tip_and_held_joints_keep_the_place(backhoe: Robot) -> None:
+    moved = backhoe.with_base(Base(AT, HEADING))
+    assert moved.with_hold({"swing": 0.1}).base == moved.base
+    assert moved.at_origin.base == Base()
+    assert moved.with_base(Base()).model.jointPlacements[1] == backhoe.model.jointPlacements[1]
+
+
+def test_a_scene_of_its_own_puts_a_machine_back(backhoe: Robot) -> None:
+    moved = backhoe.with_base(Base(AT, HEADING))
+    assert build_problem(moved, _scene(moved=False)).robot.base == Base()
+
+
+def test_the_servo_stands_where_the_scene_says(backhoe: Robot) -> None:
+    servo = bp.Servo(backhoe, _scene(moved=True), dt=0.01)
+    at = Kinematics(backhoe).at(np.array(list(START.values()))).tip_position
+    np.testing.assert_allclose(servo.robot.base.position, AT)
+    np.testing.assert_allclose(Kinematics(servo.robot).at(servo.q).tip_position, _moved(at.tolist()), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("base", "key"),
+    [
+        ({"position": [1.0]}, "base.position"),
+        ({"position": [1.0, 2.0, 3.0]}, "base.position"),
+        ({"heading": 90.0}, "base.heading"),
+        ({"heading": "north"}, "base.heading"),
+        ({"at": [0.0, 0.0]}, "base.at"),
+    ],
+)
+def test_a_place_that_is_none_is_an_error_that_names_its_key(base: dict[str, Any], key: str) -> None:
+    content = _scene(moved=False).to_dict() | {"base": base}
+    with pytest.raises(SceneError, match=key):
+        bp.scene_from_dict(content)
+
+
+def test_a_base_of_other_than_finite_numbers_is_misuse() -> None:
+    with pytest.raises(InputError, match=r"base\.position"):
+        Base((math.nan, 0.0))
