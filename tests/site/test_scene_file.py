@@ -253,7 +253,7 @@ def test_what_is_wrong_with_one_obstacle_is_said_as_of_a_scene(data: Data, said:
 
 BAD: dict[str, tuple[Data, list[str]]] = {
     "unknown key": (scene(clearence=0.1), ["clearence", "no such key", "did you mean 'clearance'?", "influence"]),
-    "unknown key, like none": (scene(wibble=1), ["wibble: there is no such key. Allowed: clearance"]),
+    "unknown key, like none": (scene(wibble=1), ["wibble: there is no such key. Allowed: base, clearance"]),
     "unknown key of an obstacle": (obstacle(radios=1), ["obstacles[0].radios", "did you mean 'radius'?", "velocity"]),
     "key of another shape": (obstacle(length=1), ["obstacles[0].length", "no such key"]),
     "unknown key of a goal": (goal(pich=1), ["task.goal.pich", "did you mean 'pitch'?"]),

@@ -15,7 +15,7 @@ from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSo
 from backhoe_planner.machine import shipped_folder
 from backhoe_planner.site import Scene, load_scene, scene_from_dict
 
-_SITE_KEYS = ("tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
+_SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
 
 
 class Job(Record):
