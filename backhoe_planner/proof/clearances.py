@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.motion import Trajectory
 from backhoe_planner.site import Obstruction, Proximity
 
@@ -31,6 +31,7 @@ STEP_ROUNDING = (
     2e-5  # m by which the proof of a motion may fall short; chosen: far below a clearance, far above rounding
 )
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`
+_FIRST_LOOKS = 16  # samples from one first look to the next; chosen
 _NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
 
 
@@ -51,21 +52,33 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     owners = np.where(proximity.owner >= 0, proximity.owner, len(proximity.obstacles))
     searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
     least = np.full(len(searches), _NEVER)
-    before = np.zeros(0)
-    for row in range(len(time)):
+
+    def look(row: int, beyond: Vector | float) -> tuple[Vector, Flags]:
+        """(P,) margins at a sample, or lower bounds that are more by `beyond` (P,) than the least; (P,) which are."""
         here = proximity.appears_at <= time[row]
-        floor = np.where(here, least[owners] + proximity.clearance, -np.inf)
+        floor = np.where(here, least[owners] + proximity.clearance + beyond, -np.inf)
         lower, measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor)
         margins = np.where(here, lower - proximity.clearance, np.inf)
-        for pair in np.flatnonzero(measured & here):
-            searches[owners[pair]].note(float(margins[pair]), float(time[row]), int(pair))
+        pairs = np.flatnonzero(measured & here)
+        for pair in pairs[margins[pairs] < least[owners[pairs]]].tolist():
+            searches[owners[pair]].note(float(margins[pair]), float(time[row]), pair)
             least[owners[pair]] = searches[owners[pair]].least
-        if row:
-            travel = np.abs(q[row] - q[row - 1]) @ proximity.travel.T + (time[row] - time[row - 1]) * proximity.speed
-            bounds = 0.5 * (before + margins - travel)
-            for pair in np.flatnonzero(~(bounds >= _to_prove(least)[owners])):
-                searches[owners[pair]].open(float(bounds[pair]), row - 1, int(pair))
-        before = margins
+        return margins, measured
+
+    # where an obstacle is nearest is known about after a few looks; what is further away is then hardly measured
+    for row in range(0, len(time), _FIRST_LOOKS):
+        look(row, 0.0)
+    travel = np.abs(np.diff(q, axis=0)) @ proximity.travel.T + np.diff(time)[:, None] * proximity.speed
+    still = np.zeros((1, len(proximity.pairs)))
+    beyond = 0.5 * np.maximum(np.vstack((travel, still)), np.vstack((still, travel)))
+    before, known_before = look(0, beyond[0])
+    for row in range(1, len(time)):
+        margins, known = look(row, beyond[row])
+        bounds = 0.5 * (before + margins - travel[row - 1])
+        for pair in np.flatnonzero(~(bounds >= _to_prove(least)[owners])).tolist():
+            ends = (float(before[pair]), float(margins[pair])) if known_before[pair] and known[pair] else None
+            searches[owners[pair]].open(float(bounds[pair]), row - 1, pair, ends)
+        before, known_before = margins, known
     found = [clearance for search in searches if (clearance := search.finish()) is not None]
     return tuple(sorted(found, key=lambda clearance: clearance.margin))
 
@@ -96,9 +109,9 @@ class _Search:
         if margin < self.least:
             self.least, self._where = margin, (moment, pair)
 
-    def open(self, bound: float, segment: int, pair: int) -> None:
-        """On this segment the margin may be as low as `bound`."""
-        heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0, None))
+    def open(self, bound: float, segment: int, pair: int, ends: tuple[float, float] | None) -> None:
+        """On this segment the margin may be as low as `bound`; `ends` are the margins at its ends, where measured."""
+        heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0, ends))
 
     def finish(self) -> Obstruction | None:
         """Halve the segment with the lowest bound until no bound is below what is to be proven.

@@ -157,7 +157,8 @@ def test_the_page_shows_the_bound_what_is_kept_and_which_goal_is_reached(
         update={"cost": ObjectiveCost(objective="kinetic", value=12345.0, unit="J s")}
     )
     write_page(
-        replace(plan, problem=problem, certificate=certificate, bound=bound, metrics=metrics), tmp_path / "plan.html"
+        replace(plan, problem=problem, certificate=certificate, read_bound=bound, metrics=metrics),
+        tmp_path / "plan.html",
     )
     tab.open((tmp_path / "plan.html").as_uri())
     facts = tab.page.locator("#facts").inner_text()

@@ -24,6 +24,7 @@ from backhoe_planner.arrays import Array, Flags, as_rows
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.hydraulics.linkage import Linkage
 
+_REMEMBERED = 8  # latest arrays of configurations whose moment arms are kept; chosen, as four are in use at a time
 SAME_LENGTH = 1e-7  # m: an angle whose length is further off belongs to another branch; chosen, far above rounding
 _BESIDE = SAME_LENGTH  # rad, at a lever of 1 m: this far beyond the end of the stroke still counts as the end
 
@@ -298,7 +299,22 @@ class Hydraulics:
 
     def _arms(self, q: Array) -> Array:
         """(..., m) dl/dq of each cylinder along its own joint [m/rad]."""
-        return self._of_linkages(lambda linkage, angle: linkage.arm(angle), q)
+        # speed, flow, force and power are asked for at the same q one after the other
+        q = as_rows(q, len(self.joint_names), key="q")
+        key = (q.shape, q.tobytes())
+        arms = self._known_arms.get(key)
+        if arms is None:
+            arms = self._of_linkages(lambda linkage, angle: linkage.arm(angle), q)
+            arms.setflags(write=False)
+            if len(self._known_arms) >= _REMEMBERED:
+                self._known_arms.clear()
+            self._known_arms[key] = arms
+        return arms
+
+    @cached_property
+    def _known_arms(self) -> dict[tuple[tuple[int, ...], bytes], Array]:
+        """The latest results of `_arms`, by shape and content of q."""
+        return {}
 
     def _of_linkages(self, compute: Callable[[Linkage, Array], Array], q: Array) -> Array:
         """(..., m) what `compute` says of each cylinder's linkage at its joint's angle, at q (..., n)."""

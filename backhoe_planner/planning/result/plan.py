@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,7 +18,7 @@ from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.machine import Kinematics, MotionEnergy, Robot
 from backhoe_planner.motion import Problem, Trajectory, build_problem, leg_parts, trajectory_energy
-from backhoe_planner.planning.result.bound import Bound
+from backhoe_planner.planning.result.bound import Bound, measure_bound
 from backhoe_planner.planning.result.findings import NOTHING, Findings
 from backhoe_planner.planning.result.metrics import Metrics, measure_motion
 from backhoe_planner.planning.result.plan_file import (
@@ -85,10 +86,10 @@ class Plan:
     findings: what the planner found out on the way, such as what is in the way.
     failure: why planning failed, by the planner; empty where it did not.
     note: the same in a sentence, with its numbers; also that time ran out while the motion was made better.
-    bound: what no motion to the goal could fall short of; None along a path, and where the plan is not verified.
-        Of a plan that was read, what its file says.
     effort: as it was given; None of a motion driven by hand, and of an older file.
     legs: of a sequence, every leg that the motion has begun; else empty.
+    boxes: how many boxes of configurations the bound may look at; 0 where the planner made no bound.
+    read_bound: of a plan that was read, the bound that its file has.
     """
 
     problem: Problem
@@ -100,9 +101,20 @@ class Plan:
     findings: Findings = NOTHING
     failure: Reason = ""
     note: str = ""
-    bound: Bound | None = None
     effort: EffortName | None = None
     legs: tuple[PlannedLeg, ...] = ()
+    boxes: int = 0
+    read_bound: Bound | None = None
+
+    @cached_property
+    def bound(self) -> Bound | None:
+        """What no motion to the goal could fall short of; None along a path, and where the plan is not verified.
+
+        It is worked out when it is first asked for. Of a plan that was read it is what the file has.
+        """
+        if self.read_bound is not None or not self.boxes:
+            return self.read_bound
+        return measure_bound(self.problem, self.trajectory, self.certificate, boxes=self.boxes)
 
     @property
     def robot(self) -> Robot:
@@ -260,7 +272,7 @@ def load_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] | No
         findings=record.findings,
         failure=record.reason,
         note=note,
-        bound=record.bound if certificate.verified else None,
+        read_bound=record.bound if certificate.verified else None,
         effort=record.effort,
         legs=planned_legs(problem, trajectory, certificate, [leg.findings for leg in record.legs]),
     )
