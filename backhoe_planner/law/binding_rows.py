@@ -60,7 +60,7 @@ def solve_with_binding_rows(
     """
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
-    count = len(stacked.high)
+    count = stacked.total
     if stacked.soft <= MOST_SOFT_ROWS:
         solution = solve_program(program, most_iterations=MOST_ITERATIONS, stacked=stacked)
         return None if solution is None else BindingSolution(solution.x, _NONE, count, 1, solution.iterations)

@@ -27,6 +27,8 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 
 PRICE = 1e6  # of what soft rows miss, see above: 1 / rho_soft of daqp
 UNBOUNDED = 1e30  # daqp takes a bound of this size for none
+_MISSED = 2  # daqp's flag where a soft row is missed
+_KEPT = 1e-5  # in the units of the conditions: ten times daqp's tolerance
 
 
 class Kind(IntEnum):
@@ -86,18 +88,26 @@ class QuadraticProgram(NamedTuple):
 class StackedRows(NamedTuple):
     """All conditions of a program one below the other, as daqp takes them; the bounds of x (n,) come first.
 
+    Beside soft rows, hard and equal ones make room for themselves with spare rows that say nothing.
+    daqp 0.11.0 takes memory for a working set of n + 1 conditions and one more for each soft row. A set whose rows
+    depend on each other, and in whose dependence a soft row has a part, it goes on with as if they did not
+    (`daqp_remove_blocking`, "blocked by the slacks"), and writes beyond that memory once such a set has grown
+    further. With the spare rows there is room for all conditions at once, and none is ever in the set twice.
+
     Attributes
     ----------
-    G: (K, n).
-    low, high: (K,); -UNBOUNDED for none.
-    senses: (n + K,) daqp's, of bounds and rows.
-    soft: how many rows are soft.
+    G: (K + S, n), with S spare rows.
+    low, high: (K + S,); -UNBOUNDED for none.
+    senses: (n + K + S,) daqp's, of bounds and rows.
+    total: K.
+    soft: how many of the K rows are soft.
     """
 
     G: Matrix
     low: Vector
     high: Vector
     senses: Indices
+    total: int
     soft: int
 
     @classmethod
@@ -106,42 +116,34 @@ class StackedRows(NamedTuple):
         blocks = [block for block in rows if len(block.h)]
         if not blocks:
             return _no_rows(n)
+        count = sum([len(block.h) for block in blocks])
+        soft = sum([len(block.h) for block in blocks if block.kind is Kind.SOFT])
+        if soft and count - soft > 1:
+            blocks.append(_spare_rows(count - soft - 1, n))
         G, h = blocks[0].G, blocks[0].h
         if len(blocks) > 1:
             G, h = np.concatenate([block.G for block in blocks]), np.concatenate([block.h for block in blocks])
         senses: Indices = np.zeros(n + len(h), dtype=np.int32)
         low = np.full(len(h), -UNBOUNDED)
-        first = soft = 0
+        first = 0
         for block in blocks:
             after = first + len(block.h)
             if block.kind is not Kind.HARD:
                 senses[n + first : n + after] = block.kind
-            if block.kind is Kind.SOFT:
-                soft += len(block.h)
-            elif block.kind is Kind.EQUAL:
+            if block.kind is Kind.EQUAL:
                 low[first:after] = block.h
             first = after
-        return cls(G, low, h, senses, soft)
-
-
-_SPARE = 4  # rows; chosen
+        return cls(G, low, h, senses, count, soft)
 
 
 @lru_cache(maxsize=32)
 def _no_rows(n: int) -> StackedRows:
-    return StackedRows(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(n, dtype=np.int32), 0)
+    return StackedRows(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(n, dtype=np.int32), 0, 0)
 
 
 @lru_cache(maxsize=32)
-def _spare_rows(n: int) -> StackedRows:
-    """Soft rows on x (n,) that say nothing.
-
-    daqp 0.11.0 has been seen to write beyond its workspace, whose size follows from the number of soft rows: a
-    drive of 42,711 programs ended in "free(): invalid next size" in each of seven runs, and in none of two with
-    these rows.
-    """
-    senses: Indices = np.full(_SPARE, Kind.SOFT, dtype=np.int32)
-    return StackedRows(np.zeros((_SPARE, n)), np.full(_SPARE, -UNBOUNDED), np.full(_SPARE, UNBOUNDED), senses, _SPARE)
+def _spare_rows(count: int, n: int) -> Rows:
+    return Rows("spare", np.zeros((count, n)), np.full(count, UNBOUNDED))
 
 
 class Solution(NamedTuple):
@@ -198,20 +200,27 @@ def solve_program(
     """
     if stacked is None:
         stacked = StackedRows.of(program.rows, len(program.f))
-    upper, lower, G, senses = program.high, program.low, stacked.G, stacked.senses
-    spare = _spare_rows(len(program.f)) if stacked.soft else None
-    if spare is not None:
-        upper, lower = (
-            np.concatenate((upper, stacked.high, spare.high)),
-            np.concatenate((lower, stacked.low, spare.low)),
-        )
-        G, senses = np.concatenate((G, spare.G)), np.concatenate((senses, spare.senses))
-    elif len(stacked.high):
+    upper, lower = program.high, program.low
+    if stacked.total:
         upper, lower = np.concatenate((upper, stacked.high)), np.concatenate((lower, stacked.low))
-    x, _, flag, more = daqp.solve(program.H, program.f, G, upper, lower, senses, iter_limit=most_iterations)
+    x, _, flag, more = daqp.solve(
+        program.H, program.f, stacked.G, upper, lower, stacked.senses, iter_limit=most_iterations
+    )
     if flag < 1 or not all(map(math.isfinite, x.tolist())):
         return None
-    return Solution(program, x, more["lam"][: len(program.f) + len(stacked.high)], more["iterations"])
+    multipliers = more["lam"]
+    known = len(x) + stacked.total
+    if flag == _MISSED and stacked.total > stacked.soft and not _keeps(program, stacked, x):
+        return None
+    return Solution(program, x, multipliers if len(multipliers) == known else multipliers[:known], more["iterations"])
+
+
+def _keeps(program: QuadraticProgram, stacked: StackedRows, x: Vector) -> bool:
+    """Whether x (n,) keeps bounds, hard and equal rows, which daqp does not see to where it misses a soft row."""
+    off = np.maximum(program.low - x, x - program.high)
+    Gx = stacked.G @ x
+    miss = np.maximum(stacked.low - Gx, Gx - stacked.high)[stacked.senses[len(x) :] != Kind.SOFT]
+    return float(off.max()) <= _KEPT and float(miss.max()) <= _KEPT
 
 
 def step_on_path(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,6 +17,7 @@ from backhoe_planner.law import (
     Kind,
     QuadraticProgram,
     Rows,
+    StackedRows,
     solve_program,
     solve_with_binding_rows,
 )
@@ -114,3 +118,48 @@ def test_a_solver_that_needs_too_many_iterations_has_no_solution() -> None:
     program = QuadraticProgram(np.eye(4), np.zeros(4), np.full(4, -5.0), np.full(4, 5.0), (rows,))
     assert solve_program(program) is not None
     assert solve_program(program, most_iterations=1) is None
+
+
+_OVERRUN = """
+import numpy as np
+from backhoe_planner.law import Kind, QuadraticProgram, Rows, solve_program
+
+G = np.array([[0.9168, 0.602], [-0.9169, -0.6017], [-0.9169, -0.6021]])
+hard = Rows("hard", G, np.array([0.0002, -0.5885, 0.8605]), Kind.HARD)
+soft = Rows("soft", np.array([[-0.9168, -0.6021], [-0.9169, -0.6018]]), np.array([-0.6203, 0.3517]))
+program = QuadraticProgram(np.eye(2), np.array([0.1, -0.1]), np.array([-0.3, -0.7]), np.full(2, 0.9), (hard, soft))
+assert not any([solve_program(program) for _ in range(2000)])
+"""
+
+
+def test_hard_and_soft_rows_that_contradict_each_other_leave_memory_alone() -> None:
+    """Of the first two hard rows one asks for at most 0.0002, the other for at least 0.5885 of nearly the same.
+
+    Here daqp 0.11.0 writes beyond its memory (seen with valgrind in `daqp_update_LDL_add`, and glibc's "free():
+    invalid next size"), for which the process would end.
+    """
+    done = subprocess.run([sys.executable, "-c", _OVERRUN], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("hard", "equal", "soft"), [(0, 0, 3), (1, 0, 1), (5, 0, 1), (3, 2, 4), (4, 1, 0)])
+def test_there_is_room_for_all_conditions_in_the_solver_s_working_set(hard: int, equal: int, soft: int) -> None:
+    """daqp has room for n + 1 and the soft rows; a set with hard rows alone never has more than n + 1."""
+    n = 4
+    kinds = ((Kind.HARD, hard), (Kind.EQUAL, equal), (Kind.SOFT, soft))
+    rows = StackedRows.of(tuple(Rows("test", np.ones((count, n)), np.ones(count), kind) for kind, count in kinds), n)
+    assert (rows.total, rows.soft) == (hard + equal + soft, soft)
+    assert len(rows.senses) == n + len(rows.G) == n + len(rows.high) == n + len(rows.low)
+    room = n + 1 + np.count_nonzero(rows.senses == Kind.SOFT)
+    assert room >= (n + rows.total if soft else n + 1)
+    assert not rows.G[rows.total :].any()
+    assert len(rows.G) == rows.total + (max(0, hard + equal - 1) if soft else 0)
+
+
+def test_an_answer_outside_of_the_bounds_is_no_solution() -> None:
+    """Of a hard row that asks for x >= 0.774 where x <= 0.3, daqp 0.11.0 answers x = 1.38, a soft row missed."""
+    G = np.array([[-0.2942, -0.9358], [-0.1639, -0.9549], [-0.9877, 0.0003]])
+    hard = Rows("hard", G, np.array([0.0104, 0.4949, -0.7645]), Kind.HARD)
+    soft = Rows("soft", np.array([[0.0008, -0.5714], [0.997, -0.0007]]), np.array([-0.6548, -0.305]))
+    low, high = np.array([-0.6, -0.1]), np.array([0.3, 0.0])
+    assert solve_program(QuadraticProgram(np.eye(2), np.array([-0.2, -0.6]), low, high, (hard, soft))) is None
