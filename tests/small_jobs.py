@@ -1,10 +1,28 @@
-"""A job of a few cycles: a short, shallow trench on a small piece of ground."""
+"""Jobs of a few cycles: short, shallow trenches on small pieces of ground."""
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
-from backhoe_planner.job import Job, job_from_dict
+from backhoe_planner.job import Job, JobPlan, job_from_dict, plan_job
+
+TINY: dict[str, Any] = {
+    "version": 1,
+    "start": {"swing": 0.0, "boom": 0.9, "stick": -1.6, "bucket": -1.8},
+    "site": {"clearance": 0.1},
+    "ground": {"low": [0.5, -4.5], "high": [5.5, 1.0], "level": 0.0},
+    "dig": {"trench": {"from": [4.2, 0.0], "to": [3.2, 0.0], "width": 0.6, "depth": 0.4}},
+    "dump": {"heap": {"at": [2.4, -2.8], "edge_distance": 0.6}},
+    "bucket": {"capacity": 0.2},
+    "pattern": {"face": 0.4},
+}
+
+
+@cache
+def tiny_plan() -> JobPlan:
+    """The plan of `TINY`."""
+    return plan_job(job_from_dict(TINY), effort="quick")
 
 
 def small_job(**keys: Any) -> Job:

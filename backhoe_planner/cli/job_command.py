@@ -30,8 +30,11 @@ def job(
         Path | None, typer.Option(metavar="FILE", help="Also write a page that plays the job offline.")
     ] = None,
     effort: Annotated[
-        str, typer.Option(help="quick, normal or thorough: bounds the search of every motion, in counted work.")
-    ] = "quick",
+        str | None,
+        typer.Option(
+            help="quick (so by default), normal or thorough: bounds the search of every motion, in counted work."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
     from_terrain: Annotated[
         Path | None,
@@ -46,6 +49,7 @@ def job(
 
     Where the output holds the same job, ended early, it goes on where it was.
     """
+    effort = jobs.DEFAULT_EFFORT if effort is None else effort
     if html is not None and html.resolve() == output.resolve():
         raise bp.OutputError("is where the plan goes too", file=html, key="--html")
     loaded = bp.load_job(file)

@@ -1,6 +1,4 @@
 from .cuts.bucket import Bucket as Bucket
-from .cuts.candidates import cut_candidates as cut_candidates
-from .cuts.candidates import price as price
 from .cuts.cut import Cut as Cut
 from .cuts.cut import NoCut as NoCut
 from .cuts.digger import Digger as Digger
@@ -17,10 +15,10 @@ from .ground.sweep import Sweep as Sweep
 from .ground.sweep import swept as swept
 from .ground.terrain import Terrain as Terrain
 from .ground.truck_bed import Bed as Bed
+from .planner import DEFAULT_EFFORT as DEFAULT_EFFORT
 from .planner import JobStep as JobStep
 from .planner import plan_job as plan_job
 from .replay import load_job_plan as load_job_plan
-from .replay import same_job as same_job
 from .result.cycles import Cycle as Cycle
 from .result.cycles import CycleLeg as CycleLeg
 from .result.cycles import Digging as Digging
@@ -30,6 +28,7 @@ from .result.job_plan import LITRES_PER_KWH as LITRES_PER_KWH
 from .result.job_plan import JobPlan as JobPlan
 from .result.job_plan import PatternEstimate as PatternEstimate
 from .result.job_plan import Undug as Undug
+from .result.job_plan import same_job as same_job
 from .result.job_plan_file import JobFigures as JobFigures
 from .result.job_plan_file import is_job_plan as is_job_plan
 from .result.job_plan_file import job_figures as job_figures

@@ -19,7 +19,7 @@ from backhoe_planner.job.cycles.patterns import NextCut, next_cut, patterns_to_c
 from backhoe_planner.job.estimates import choose, estimate_pattern, in_full
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle
-from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate
+from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, interruption, same_ground, same_job
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.undug import find_undug
 from backhoe_planner.job.worksite.checks import check_job
@@ -27,6 +27,7 @@ from backhoe_planner.job.worksite.lanes import allowed_heights, lanes_of
 from backhoe_planner.job.worksite.worksite import Worksite, build_worksite
 from backhoe_planner.planning import EFFORTS
 
+DEFAULT_EFFORT = "quick"  # chosen: each of the jobs in scenes/jobs is then planned within a minute
 _MOST_CYCLES = 5000
 _MOST_REFUSED = 25  # cuts in a row that cannot be planned, before the job is given up; chosen
 _BESIDE = 0.15  # m of radius that are left out where a cut could not be planned; chosen
@@ -50,7 +51,7 @@ class JobStep:
 def plan_job(
     job: Job,
     *,
-    effort: str = "normal",
+    effort: str = DEFAULT_EFFORT,
     seed: int = 0,
     terrain: Terrain | None = None,
     resume: JobPlan | None = None,
@@ -86,11 +87,25 @@ def plan_job(
         check_kind(terrain, Terrain, key="terrain")
     if resume is not None:
         check_kind(resume, JobPlan, key="resume")
+        _check_resumed(resume, job, terrain)
         terrain = resume.start
     begun = clock.process_time()
     site = build_worksite(job, terrain=terrain)
     run = _Run(site, effort, seed, begun)
     return run.all(resume, watch)
+
+
+def _check_resumed(resume: JobPlan, job: Job, terrain: Terrain | None) -> None:
+    """InputError where a plan is not a part of this job that was interrupted."""
+    if not same_job(resume, job):
+        raise InputError("is the plan of another job", key="resume", found=resume.job.name)
+    if resume.reason != "interrupted":
+        raise InputError(
+            "is not the plan of a job that was interrupted", key="resume", found=resume.note or resume.verdict,
+            allowed="a plan whose reason is interrupted",
+        )  # fmt: skip
+    if terrain is not None and not same_ground(resume.start, terrain):
+        raise InputError("began on another ground", key="terrain", allowed="that of the plan with which it goes on")
 
 
 class _Run:
@@ -169,9 +184,7 @@ class _Run:
         if watch is not None:
             watch(
                 JobStep(
-                    self._plan(
-                        cycles, "interrupted", f"ended after {len(cycles)} cycles; the same command goes on there"
-                    ),
+                    self._plan(cycles, "interrupted", interruption(len(cycles))),
                     max(expected, len(cycles)),
                 )
             )
@@ -187,7 +200,8 @@ class _Run:
         return JobPlan(
             job=site.job, robot=site.robot, start=site.ground, design=self._design, allowed=self._allowed,
             outline=site.design.outline, cycles=tuple(cycles), undug=undug, compared=self._compared,
-            capacity=site.bucket.capacity, effort=self._effort, seed=self._seed, failure=failure, note=note,
+            capacity=site.bucket.capacity, effort=self._effort, seed=self._seed,
+            surveyed=not same_ground(site.own_ground, site.ground), failure=failure, note=note,
             planning_time=clock.process_time() - self._begun,
         )  # fmt: skip
 

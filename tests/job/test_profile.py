@@ -9,7 +9,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Array, Matrix, Vector
-from backhoe_planner.job import Cut, Digger, Profile, cut_candidates, find_cut, price
+from backhoe_planner.job import Cut, Digger, Profile, find_cut
 from backhoe_planner.site import Soil
 
 
@@ -74,30 +74,6 @@ def test_profiles_are_checked() -> None:
     ):  # fmt: skip
         with pytest.raises(bp.InputError, match="profile"):
             Profile(*bad)
-
-
-FLOOR = (np.array([0.0, 1.999, 2.0, 5.0, 5.001, 9.0]), np.array([0.0, 0.0, -0.6, -0.6, 0.0, 0.0]))
-
-
-def test_candidates_come_cheapest_first(digger: Digger) -> None:
-    ground = Profile.level(0.0, 1.0, 6.0)
-    found = cut_candidates(digger, ground, swing=0.0, start=5.0, end=2.0, floor=FLOOR)
-    assert len(found) > 4
-    prices = [price(cut) for cut in found]
-    assert prices == sorted(prices)
-    for start in (5.0, 3.0):
-        own = find_cut(digger, ground, swing=0.0, start=start, end=2.0, depth=0.1, floor=FLOOR)
-        assert isinstance(own, Cut)
-        assert prices[0] <= price(own)
-    by_work = cut_candidates(digger, ground, swing=0.0, start=5.0, end=2.0, floor=FLOOR, by="work", besides=0.0)
-    works = [cut.work / cut.bank_volume for cut in by_work]
-    np.testing.assert_allclose([price(cut, by="work", besides=0.0) for cut in by_work], works, rtol=1e-9)
-    assert works == sorted(works)
-
-
-def test_where_the_design_is_met_there_are_no_candidates(digger: Digger) -> None:
-    done = Profile.level(-0.6, 1.0, 6.0)
-    assert cut_candidates(digger, done, swing=0.0, start=5.0, end=2.0, floor=FLOOR) == ()
 
 
 def test_the_estimated_duration_is_near_the_timed_one(digger: Digger) -> None:

@@ -20,6 +20,7 @@ from backhoe_planner.job.cuts.bucket import Bucket
 _CUTTING = 0.7  # rad from the path to the plate; chosen: draft is least at 35 to 45 degrees, and the back stays clear
 _STEEPEST = 1.8  # rad from the level to the plate; chosen, 103 degrees: down a wall with the back clear of it
 _FLATTEST_PITCH, _STEEPEST_PITCH = -np.pi + 1e-3, -0.2  # rad; chosen: from a level opening to teeth nearly ahead
+ENTERING = 0.15  # m ahead of the edge, where soil enters the bucket and presses on no back; chosen
 _CANDIDATES = 30  # pitches at every place: 0.1 rad apart
 _CLEAR = 0.03  # m from the back to the ground; chosen, 3 degrees at the heel
 _CLEARANCE = 0.1  # rad from the path up to the plate at least; chosen, 6 degrees, where cutting tools have 5 to 15
@@ -65,14 +66,19 @@ def wanted_pitch(r: Vector, z: Vector, lift: int, bucket: Bucket) -> tuple[Vecto
     """
     along = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(r), np.diff(z)))))
     rising = np.arctan2(np.gradient(z, along), -np.gradient(r, along))
-    most = bucket.lip - np.pi + _UPRIGHT - rising
-    least = np.minimum(bucket.lip - np.pi + _CLEARANCE - rising, bucket.lip - np.pi + _STEEPEST)
+    most = plate_pitch(bucket, rising, _UPRIGHT)
+    least = np.minimum(plate_pitch(bucket, rising, _CLEARANCE), bucket.lip - np.pi + _STEEPEST)
     least[lift:], most[lift:] = -np.inf, np.inf
     plate = np.minimum(_CUTTING - rising, _STEEPEST)
     pitch = bucket.lip - np.pi + plate
     height = z[lift:] - z[lift]
     pitch[lift:] = pitch[lift - 1] + (bucket.level_pitch - pitch[lift - 1]) * height / max(float(height[-1]), 1e-9)
     return np.clip(pitch, max(bucket.level_pitch, _FLATTEST_PITCH), _STEEPEST_PITCH), least, most
+
+
+def plate_pitch(bucket: Bucket, rising: Vector, angle: float) -> Vector:
+    """(K,) the pitch at which the plate stands at an angle to a path that rises at angles `rising` (K,) [rad]."""
+    return bucket.lip - np.pi + angle - rising
 
 
 def attitude(
@@ -94,7 +100,7 @@ def attitude(
     pitches = np.linspace(_FLATTEST_PITCH, _STEEPEST_PITCH, _CANDIDATES)
     at_r, at_z, at_pitch = (a.ravel() for a in np.broadcast_arrays(r[:, None], z[:, None], pitches))
     reached = plane.reaches(swing, at_r, at_z, at_pitch).reshape(len(r), -1)
-    free = reached & (_back(bucket, r[:, None], z[:, None], pitches[None, :], below) >= _CLEAR)
+    free = reached & (back_heights(bucket, r[:, None], z[:, None], pitches[None, :], below) >= _CLEAR)
     none = np.flatnonzero(~free.any(axis=1))
     if len(none):
         return Stuck(int(none[0]), bool(reached[none[0]].any()))
@@ -103,13 +109,13 @@ def attitude(
     lower, upper = np.clip(least, lower, upper), np.clip(most, lower, upper)
     sharp = _smoothed(np.clip(wanted, lower, upper), lower, upper)
     for pitch in (_rounded(sharp), sharp):
-        q, back = plane.joints(swing, r, z, pitch), _back(bucket, r, z, pitch, below)
+        q, back = plane.joints(swing, r, z, pitch), back_heights(bucket, r, z, pitch, below)
         if not np.isnan(q).any() and float(np.min(back)) >= _CLEAR_ROUNDED:
             return Attitude(pitch, q, back)
     return Stuck(int(np.argmax(np.isnan(q).any(axis=1))), not np.isnan(q).any())
 
 
-def _back(bucket: Bucket, r: Array, z: Array, pitch: Array, below: Callable[[Array, Array], Array]) -> Array:
+def back_heights(bucket: Bucket, r: Array, z: Array, pitch: Array, below: Callable[[Array, Array], Array]) -> Array:
     """(...) the least height of a corner of the back above the ground [m]."""
     cosine, sine = np.cos(pitch)[..., None], np.sin(pitch)[..., None]
     x, y = bucket.back.T

@@ -138,11 +138,6 @@ class Cut:
         return float(self.bank[-1] * self.swell + self.loose[-1])
 
     @property
-    def solid_volume(self) -> float:
-        """What it takes, as undisturbed soil [m^3]: loose soil counts by what it was."""
-        return self.loose_volume / self.swell
-
-    @property
     def fill(self) -> float:
         """Loose soil in the bucket over what was wanted."""
         return self.loose_volume / self.wanted

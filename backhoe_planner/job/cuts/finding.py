@@ -17,7 +17,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Vector, as_number
 from backhoe_planner.errors import InputError, check_kind
-from backhoe_planner.job.cuts.attitude import Attitude, Stuck, attitude, wanted_pitch
+from backhoe_planner.job.cuts.attitude import ENTERING, Attitude, Stuck, attitude, wanted_pitch
 from backhoe_planner.job.cuts.cut import Cut, CutGround, NoCut
 from backhoe_planner.job.cuts.digger import Digger
 from backhoe_planner.job.cuts.edge_path import Descent, Underground, spaced
@@ -26,7 +26,6 @@ from backhoe_planner.job.cuts.profile import Profile
 _THINNEST = 0.03  # m; chosen: a cut that is less deep scrapes
 _NOTHING = 0.01  # m of depth that is not worth a cut; chosen, a fifth of the usual tolerance
 _IDLE = 2e-3  # m of depth at which the edge only touches the ground; chosen: such ends of a path are left out
-_ENTERING = 0.15  # m ahead of the edge, where soil enters the bucket and presses on no back; chosen
 _ABOVE = 0.1  # m above the ground, where a cut begins; chosen
 _NEARLY_LEVEL = 0.1  # rad beyond a level opening, which still holds the heap; chosen
 _MOST_INWARD = 2.0  # m; chosen: the bucket's pin lies 1 m further out than its teeth when it is level
@@ -220,7 +219,7 @@ def _cut_to(asked: _Asked, depth: float, descent: Descent, end: float) -> Cut | 
     line = under.line(depth, end, descent)
 
     def below(at: Array, edge: Array) -> Array:
-        ahead = np.where(at > edge - _ENTERING, -np.inf, asked.profile.height(at))
+        ahead = np.where(at > edge - ENTERING, -np.inf, asked.profile.height(at))
         return np.where(at >= edge, np.interp(at, under.r, line), ahead)
 
     wanted = wanted_pitch(r, z, lift, digger.bucket)

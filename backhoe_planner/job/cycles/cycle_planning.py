@@ -8,7 +8,10 @@ import numpy as np
 
 from backhoe_planner.arrays import Vector
 from backhoe_planner.job.cuts.cut import Cut
+from backhoe_planner.job.cuts.cut_rules import broken_rules
+from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_motion, cut_path, cut_problem, load_of
+from backhoe_planner.job.cycles.dump_rules import broken_dump_rules
 from backhoe_planner.job.cycles.dumping import Dumping, DumpSite, SiteState, ground_obstacle
 from backhoe_planner.job.cycles.patterns import NextCut
 from backhoe_planner.job.cycles.transfers import Transfers, level_band, make_leg
@@ -61,11 +64,6 @@ class CyclePlanner:
     def first(self, ground: Terrain) -> SiteState:
         """The site before the first cycle."""
         return self._dump.first(ground, ground_obstacle(self._site, ground))
-
-    def across(self, swing: float) -> Vector:
-        """(3,) unit vector along the cutting edge at a swing angle, world."""
-        heading = self._site.plane.heading(swing)
-        return np.array([-np.sin(heading), np.cos(heading), 0.0])
 
     def after_cut(self, ground: Terrain, before: SiteState) -> SiteState:
         """The site with the ground after a cut."""
@@ -137,6 +135,10 @@ class CyclePlanner:
         if isinstance(path, str):
             return Failed("cut", path)
         motion = cut_motion(site, cut, path)
+        profile = Profile.of_terrain(state.ground, site.plane, cut.swing, width=site.bucket.width)
+        broken = broken_rules(site.digger, profile, motion.q, swing=cut.swing)
+        if broken:
+            return Failed("cut", "; ".join(broken))
         problem = cut_problem(site, load_of(cut), self.leg_problem("cut", motion, state, 0.0), state.ground)
         certificate = certify_problem(problem, motion)
         if not certificate.verified:
@@ -149,7 +151,7 @@ class CyclePlanner:
     ) -> tuple[Cycle, SiteState] | Failed:
         """The swing and the dump after a cut."""
         site, cut, motion = self._site, chosen.cut, legs[-1].trajectory
-        dug = dig_and_spill(site, motion, self.across(cut.swing), state.ground)
+        dug = dig_and_spill(site, motion, cut.swing, state.ground)
         after_cut = self.after_cut(dug.ground, state)
         payload = site.digger.soil.density * dug.held / site.job.soil.swell
         options = self._dump.options(after_cut, dug.held, motion.q[-1])
@@ -174,7 +176,7 @@ class CyclePlanner:
                 number, (*legs, swing.leg, opening), dug.digging, load_of(cut), before=state.ground, dug=dug.ground,
                 after=after.ground, bank=dug.bank, taken=dug.taken, held=dug.held, spilt=dug.spilt, place=option.place,
                 truck=option.number, truck_load=after.truck_load, step=chosen.step,
-                filled=dug.held / site.bucket.capacity, depth=float(np.max(cut.depth)),
+                filled=dug.held / site.bucket.capacity, depth=dug.depth,
             )  # fmt: skip
             return cycle, after
         return failed
@@ -183,7 +185,10 @@ class CyclePlanner:
         """The bucket opens over what then lies there."""
         reached = int(np.argmin(np.max(np.abs(option.arrivals - q), axis=1)))
         found = self._transfers.to("dump", q, [option.openings[reached]], ground=after.obstacles, payload=payload)
-        return Failed("dump", found.why) if found.leg is None else found.leg
+        if found.leg is None:
+            return Failed("dump", found.why)
+        broken = broken_dump_rules(self._site, found.leg.trajectory.q, option.place[:2])
+        return Failed("dump", "; ".join(broken)) if broken else found.leg
 
 
 def bucket_links(site: Worksite) -> tuple[str, ...]:
@@ -203,6 +208,7 @@ class Dug:
     taken: loose soil taken with it [m^3].
     held: loose soil in the bucket [m^3].
     spilt: loose soil that fell back [m^3].
+    depth: greatest depth of the edge below the ground before it [m].
     """
 
     digging: Digging
@@ -211,21 +217,31 @@ class Dug:
     taken: float
     held: float
     spilt: float
+    depth: float
 
 
-def dig_and_spill(site: Worksite, motion: Trajectory, across: Vector, ground: Terrain) -> Dug:
+def dig_and_spill(site: Worksite, motion: Trajectory, swing: float, ground: Terrain) -> Dug:
     """What a motion through the soil takes out of the ground; what the bucket cannot hold falls where it is lifted.
 
     Parameters
     ----------
     motion: of the machine.
-    across: (3,) unit vector along the cutting edge, world.
+    swing: angle of the arm's plane [rad].
     ground: before it.
     """
     edge = site.plane.kinematics.at(motion.q).tip_position
+    across = across_plane(site, swing)
     sweep = swept(ground, BladeSweep(edge, across, site.bucket.width))
     bank, taken, volume = float(sweep.bank[-1]), float(sweep.loose[-1]), float(sweep.volume[-1])
     held = min(volume, site.bucket.capacity)
     after = sweep.terrain if held == volume else poured(sweep.terrain, edge[-1, :2], volume - held)
     digging = Digging(motion.time, edge, across, site.bucket.width, sweep.bank, sweep.loose)
-    return Dug(digging, after, bank, taken, held, volume - held)
+    profile = Profile.of_terrain(ground, site.plane, swing, width=site.bucket.width)
+    depth = max(float(np.max(profile.depth(*site.plane.place(motion.q)[:2]))), 0.0)
+    return Dug(digging, after, bank, taken, held, volume - held, depth)
+
+
+def across_plane(site: Worksite, swing: float) -> Vector:
+    """(3,) unit vector along the cutting edge at a swing angle, world."""
+    heading = site.plane.heading(swing)
+    return np.array([-np.sin(heading), np.cos(heading), 0.0])

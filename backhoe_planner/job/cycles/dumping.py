@@ -21,7 +21,7 @@ from backhoe_planner.machine import JointLimits
 from backhoe_planner.site import Obstacle
 
 OPEN = -1.2  # rad: the pitch at which the bucket is empty; chosen, its plate then stands at 110 degrees
-_POURS_AT = -0.1  # m of radius from the bucket's pin to where the soil falls, about: while the pitch goes through -pi/2
+POURS_AT = -0.1  # m of radius from the bucket's pin to where the soil falls, about: while the pitch goes through -pi/2
 _ABOVE = 0.15  # m from the teeth of the open bucket to what lies there, beyond the clearance; chosen
 _HIGHER = (0.0, 0.25, 0.5, 0.8, 1.2)  # m, tried beyond that in turn
 _TILTS = (0.0, 0.25, 0.5)  # rad from level at which the bucket may arrive
@@ -276,7 +276,7 @@ def postures_over(site: Worksite, place: Vector, top: float) -> tuple[Matrix, Ma
     swing = swing_towards(site, off)
     limits = site.problem.limits
     arrivals, openings = [], []
-    radius = float(np.hypot(*off)) - _POURS_AT + bucket.length * float(np.cos(OPEN))
+    radius = float(np.hypot(*off)) - POURS_AT + bucket.length * float(np.cos(OPEN))
     for higher in _HIGHER:
         z = top + site.problem.scene.clearance + _ABOVE + higher
         opened = plane.joints(swing, np.array([radius]), np.array([z]), np.array([OPEN]))[0]

@@ -14,7 +14,7 @@ from backhoe_planner.errors import InputError
 
 CELL = 0.05  # m, edge of a column by default; chosen: a twelfth of a bucket's width
 _FINEST, _COARSEST = 0.005, 5.0  # m; chosen: finer or coarser says nothing about a trench
-_MOST_COLUMNS = 4_000_000  # as of a height map in a scene
+MOST_COLUMNS = 4_000_000  # as of a height map in a scene
 _NO_FURTHER = 1e-6  # cells: a point on the border of a grid lies in it, whatever rounding says
 
 
@@ -84,8 +84,8 @@ def check_counts(shape: tuple[int, ...], *, key: str) -> None:
     """InputError where `shape` is less than 2 x 2 columns, or too many."""
     if min(shape) < 2:
         raise InputError("holds less than 2 x 2 columns", key=key, found=str(shape))
-    if math.prod(shape) > _MOST_COLUMNS:
-        raise InputError("has too many columns", key=key, found=f"{math.prod(shape)}", allowed=f"{_MOST_COLUMNS}")
+    if math.prod(shape) > MOST_COLUMNS:
+        raise InputError("has too many columns", key=key, found=f"{math.prod(shape)}", allowed=f"{MOST_COLUMNS}")
 
 
 def column_means(points: Matrix, grid: HeightGrid) -> HeightGrid:

@@ -11,7 +11,7 @@ from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.proof import Certificate
 
-LegName = Literal["approach", "cut", "swing", "dump", "return"]
+LegName = Literal["approach", "cut", "swing", "dump"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Cycle:
     Attributes
     ----------
     number: from 1.
-    legs: approach, cut, swing, dump; the last cycle also has the return.
+    legs: approach, cut, swing, dump.
     digging: how the ground changes during the cut.
     load: what the bucket holds during the cut.
     before: the ground at the beginning of the cycle.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -18,6 +19,7 @@ from backhoe_planner.machine import Robot
 
 JobReason = Literal["", "unreachable", "blocked", "too_hard", "full", "not_done", "interrupted"]
 UndugReason = Literal["protected", "out_of_reach", "too_hard", "left"]
+_SAME_HEIGHT = 1e-9  # m: rounding
 LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state at partial load
 
 
@@ -87,6 +89,7 @@ class JobPlan:
     compared: the patterns, the best first.
     capacity: of the bucket, heaped, loose [m^3].
     effort, seed: as they were given.
+    surveyed: whether the ground before the first cycle was given, and is not the job's own.
     failure: why the job ended early; empty where it did not.
     note: the same in a sentence.
     planning_time: [s] of the processor.
@@ -104,6 +107,7 @@ class JobPlan:
     capacity: float
     effort: str
     seed: int
+    surveyed: bool = False
     failure: JobReason = ""
     note: str = ""
     planning_time: float = field(default=float("nan"), compare=False)
@@ -241,6 +245,30 @@ class JobPlan:
         from backhoe_planner.job.result.job_plan_file import save_job_plan
 
         save_job_plan(self, check_path(path, key="path"))
+
+
+def same_job(plan: JobPlan, job: Job) -> bool:
+    """Whether a plan is one of this very job."""
+    own, other = ({**one.to_dict(), "machine": _machine(one)} for one in (plan.job, job))
+    return own == other
+
+
+def _machine(job: Job) -> str:
+    source = job.machine_source
+    return source if source.startswith("example:") else str(Path(source).resolve())
+
+
+def same_ground(one: Terrain, other: Terrain) -> bool:
+    """Whether two grounds have the same heights in the same columns."""
+    if one.shape != other.shape or one.cell != other.cell or not np.array_equal(one.low, other.low):
+        return False
+    pairs = ((one.bank, other.bank), (one.loose, other.loose))
+    return all(bool(np.all(np.abs(a - b) <= _SAME_HEIGHT)) for a, b in pairs)
+
+
+def interruption(cycles: int) -> str:
+    """In words, that planning was interrupted after so many cycles."""
+    return f"planning was interrupted after {cycles} cycle{'' if cycles == 1 else 's'}; the same command goes on there"
 
 
 def _most(values: Matrix) -> float:

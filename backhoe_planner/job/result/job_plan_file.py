@@ -7,6 +7,8 @@ computed anew.
 from __future__ import annotations
 
 import json
+import math
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -19,6 +21,7 @@ from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.files.records import Figure, Record, explain
 from backhoe_planner.files.text_file import read_text
+from backhoe_planner.job.ground.grids import MOST_COLUMNS
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.result.cycles import Cycle, CycleLeg, LegName
 from backhoe_planner.job.result.job_plan import JobPlan, JobReason, PatternEstimate, Undug, UndugReason
@@ -62,6 +65,8 @@ class GroundRecord(Record):
     def grid(self, name: Literal["bank", "loose"]) -> Matrix:
         """(rows, columns) one of the two grids; ValueError where it has another shape."""
         found = getattr(self, name)
+        if math.prod(self.shape) > MOST_COLUMNS or min(self.shape) < 1:
+            raise ValueError(f"has {self.shape[0]} x {self.shape[1]} columns, allowed: up to {MOST_COLUMNS}")
         if isinstance(found, float):
             return np.full(self.shape, found)
         values = np.array(found, dtype=float)
@@ -258,6 +263,10 @@ class JobPlanRecord(Record):
     """The same of the site."""
     effort: EffortName
     seed: Number
+    surveyed: bool = False
+    """Whether `ground` was given, and is not the job's own."""
+    choices: str = ""
+    """The sha256 of effort, seed, compared patterns and the cycles' steps: what no motion shows."""
     versions: dict[str, str] = Field(default_factory=dict)
     """Of the program and its libraries."""
     figures: JobFigures
@@ -270,10 +279,17 @@ class JobPlanRecord(Record):
     planning_time: Figure = float("nan")
     """Of the processor [s]."""
 
+    @property
+    def choices_digest(self) -> str:
+        """What `choices` has to be."""
+        content = self.model_dump(mode="json", include={"effort", "seed", "compared"})
+        content["steps"] = [cycle.step for cycle in self.cycles]
+        return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
 
 def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
     """The record of a plan, for a file in `folder`; with None paths stay as they are."""
-    return JobPlanRecord(
+    record = JobPlanRecord(
         verdict=plan.verdict,
         reason=plan.reason,
         message=plan.note,
@@ -284,6 +300,7 @@ def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
         site_folder=relative_path(plan.job.site_scene.folder, folder),
         effort=cast(EffortName, plan.effort),
         seed=plan.seed,
+        surveyed=plan.surveyed,
         versions=installed_versions(),
         figures=JobFigures.of(plan),
         compared=tuple(_pattern(one) for one in plan.compared),
@@ -292,6 +309,7 @@ def job_plan_record(plan: JobPlan, folder: Path | None) -> JobPlanRecord:
         cycles=tuple(_cycle(one) for one in plan.cycles),
         planning_time=plan.planning_time,
     )
+    return record.model_copy(update={"choices": record.choices_digest})
 
 
 def job_figures(plan: JobPlan) -> JobFigures:

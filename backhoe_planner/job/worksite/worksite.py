@@ -40,6 +40,7 @@ class Worksite:
     problem: of the site without the ground; its task is to stay at its start.
     digger: the machine as it digs in the soil.
     ground: before the first cycle.
+    own_ground: the job's, whatever a survey says.
     design: what is to be dug.
     arm: boom and stick, which must stay above the ground.
     """
@@ -49,6 +50,7 @@ class Worksite:
     problem: Problem
     digger: Digger
     ground: Terrain
+    own_ground: Terrain
     design: Design
     arm: ArmOutline
 
@@ -97,7 +99,7 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
     problem = _problem(job, robot)
     digger = _digger(job, problem)
     # a survey of what was dug says nothing about how deep it was to be dug
-    own = _ground(job, digger.plane) if terrain is None or job.dig.trench is not None else terrain
+    own = _ground(job, digger.plane)
     ground = own if terrain is None else terrain
     design = _design(job, own)
     if job.ground.file is None:
@@ -107,7 +109,7 @@ def build_worksite(job: Job, *, terrain: Terrain | None = None) -> Worksite:
         )
         problem = replace(problem, obstacles=(*problem.obstacles, *around))
     arm = ArmOutline(digger.plane, problem.scene.clearance + _ARM_SPARE)
-    return Worksite(job, problem.robot, problem, digger, ground, design, arm)
+    return Worksite(job, problem.robot, problem, digger, ground, own, design, arm)
 
 
 def plain_soil(job: Job) -> Soil:

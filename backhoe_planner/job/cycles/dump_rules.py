@@ -1,0 +1,36 @@
+"""Whether a motion empties the bucket, and where the soil falls: the same for a planned motion and one from a file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.job.cycles.dumping import OPEN, POURS_AT
+from backhoe_planner.job.worksite.worksite import Worksite
+
+_AS_OPEN = 0.02  # rad short of it that still empties; chosen, planned dumps end at it to 1e-5 rad
+_ASIDE = 0.05  # m from the place at which the soil may fall; chosen, a column of the ground, planned dumps have 0
+
+
+def broken_dump_rules(site: Worksite, q: Matrix, place: Vector) -> list[str]:
+    """In words, how a motion does not dump a bucketful at a place (2,) [m]; none where it does.
+
+    Parameters
+    ----------
+    q: (K, n) joints, one after the other.
+    """
+    plane, length = site.plane, site.bucket.length
+    _, _, pitch = plane.place(q)
+    tips = plane.kinematics.at(q).tip_position[:, :2]
+    headings = np.array([plane.heading(float(row[0])) for row in q])
+    ahead = np.stack((np.cos(headings), np.sin(headings)), axis=-1)
+    falls = tips + (POURS_AT - length * np.cos(pitch))[:, None] * ahead
+    found = []
+    if pitch[-1] < OPEN - _AS_OPEN:
+        short = np.degrees(OPEN - pitch[-1])
+        found.append(f"the bucket is not open at its end, it lacks {short:.0f} degrees")
+    off = np.linalg.norm(falls - place, axis=1)
+    if float(np.max(off)) > _ASIDE:
+        x, y = falls[int(np.argmax(off))]
+        found.append(f"the soil falls at x {x:.2f}, y {y:.2f} m, not at x {place[0]:.2f}, y {place[1]:.2f} m")
+    return found

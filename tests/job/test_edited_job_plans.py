@@ -1,0 +1,134 @@
+"""The plan of a job that was changed after it was planned: what its motions do not have is said, and not verified."""
+
+from __future__ import annotations
+
+import copy
+import json
+from dataclasses import replace
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_jobs import TINY, tiny_plan
+
+import backhoe_planner as bp
+from backhoe_planner.job import Cut, Digger, Profile, find_cut
+from backhoe_planner.job.cuts.cut_rules import broken_rules
+from backhoe_planner.site import Soil
+
+
+def content() -> dict[str, Any]:
+    """The plan as its file has it, its first cycle alone."""
+    from backhoe_planner.job.result.job_plan_file import job_plan_record
+
+    part = replace(tiny_plan(), cycles=tiny_plan().cycles[:1])
+    return dict(json.loads(job_plan_record(part, None).model_dump_json()))
+
+
+def read(edited: dict[str, Any], folder: Path) -> bp.JobPlan:
+    file = folder / "job.json"
+    file.write_text(json.dumps(edited))
+    return bp.load_job_plan(file)
+
+
+def test_what_is_read_back_is_verified_and_has_the_same_figures(tmp_path: Path) -> None:
+    tiny_plan().save(tmp_path / "job.json")
+    found = bp.load_job_plan(tmp_path / "job.json")
+    assert (found.verdict, found.note) == ("verified", "")
+    assert [cycle.depth for cycle in found.cycles] == [cycle.depth for cycle in tiny_plan().cycles]
+
+
+def test_motions_and_loads_that_do_not_dig_what_the_file_says(tmp_path: Path) -> None:
+    edited = content()
+    cycle = edited["cycles"][0]
+    cycle["place"][0] += 0.3
+    cycle["load"]["mass"] = [1.05 * mass for mass in cycle["load"]["mass"]]
+    legs = {leg["name"]: leg for leg in cycle["legs"]}
+    legs["swing"]["payload"] = 0.0
+    for key in ("time", "q"):
+        legs["dump"][key] = legs["dump"][key][: len(legs["dump"][key]) // 3]
+    edited["ground"]["bank"] = -0.01
+    edited["seed"] = 7
+    found = read(edited, tmp_path)
+    assert not found.verified
+    for said in (
+        "the soil falls at x", "kg in the bucket with the teeth at r", "swing: the file says 0.000 kg",
+        "the bucket is not open at its end", "ground before the first cycle is not that of the job",
+        "effort, seed, compared patterns or steps were changed",
+    ):  # fmt: skip
+        assert said in found.note, said
+
+
+def test_figures_that_are_not_those_of_the_motions(tmp_path: Path) -> None:
+    edited = content()
+    cycle = edited["cycles"][0]
+    wrong = {"bank": 9.0, "taken": 0.5, "spilt": 0.5, "filled": 0.1, "depth": 3.0}
+    cycle.update(wrong)
+    note = read(edited, tmp_path).note
+    for key, value in wrong.items():
+        assert f"cycles[0].{key}: the file says {value:g}, the motions have " in note
+    assert "effort, seed" not in note
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("cycles[0].bank", None), ("cycles[0].held", None), ("cycles[0].spilt", -0.1),
+        ("cycles[0].legs[2].payload", -500.0), ("cycles[0].load.mass[1]", -1e4), ("cycles[0].truck", 7),
+        ("effort", "x"), ("seed", -5), ("compared", []), ("compared[0].name", "far end first, up to 0.41 m deep"),
+        ("cycles[0].legs[2].name", "return"), ("ground.shape", [100000, 100000]),
+    ],
+)  # fmt: skip
+def test_numbers_that_cannot_be_are_refused_with_file_and_key(key: str, value: Any, tmp_path: Path) -> None:
+    edited: Any = content()
+    path = key.replace("[", ".").replace("]", "").split(".")
+    *above, last = [int(part) if part.isdigit() else part for part in path]
+    node: Any = reduce(lambda found, part: found[part], above, edited)
+    node[last] = value
+    with pytest.raises(bp.PlanFileError) as refused:
+        read(edited, tmp_path)
+    assert f"{tmp_path / 'job.json'}: {'ground' if key.startswith('ground') else key}: " in str(refused.value)
+
+
+def test_a_cycle_without_its_swing_and_dump_is_refused(tmp_path: Path) -> None:
+    edited = content()
+    edited["cycles"][0]["legs"] = edited["cycles"][0]["legs"][:2]
+    with pytest.raises(bp.PlanFileError, match="not those of a cycle"):
+        read(edited, tmp_path)
+
+
+def test_only_an_interrupted_plan_of_the_same_job_goes_on() -> None:
+    with pytest.raises(bp.InputError, match="not the plan of a job that was interrupted"):
+        bp.plan_job(bp.job_from_dict(TINY), resume=tiny_plan())
+    other = copy.deepcopy(TINY) | {"bucket": {"capacity": 0.19}}
+    with pytest.raises(bp.InputError, match="plan of another job"):
+        bp.plan_job(bp.job_from_dict(other), resume=tiny_plan())
+
+
+@pytest.fixture(scope="module")
+def digger() -> Digger:
+    return Digger(bp.load_robot("example:backhoe"), Soil())
+
+
+def test_a_cut_that_was_found_breaks_no_rule_and_its_detours_do(digger: Digger) -> None:
+    ground = Profile.level(0.0, 1.0, 6.0)
+    cut = find_cut(digger, ground, swing=0.0, start=4.2, end=2.5, depth=0.2)
+    assert isinstance(cut, Cut)
+    above = digger.plane.joints(0.0, cut.r[:1], cut.z[:1] + 0.1, cut.pitch[:1])
+    middle = (cut.begin[1] + cut.begin[2]) // 2
+    r, z, pitch = cut.r[middle], cut.z[middle], cut.pitch[middle]
+
+    def broken(way: list[tuple[float, float, float]], *, swing: float = 0.0, upto: int = len(cut.q)) -> str:
+        at = np.array(way).reshape(-1, 3)
+        detour = digger.plane.joints(0.0, r + at[:, 0], z + at[:, 1], pitch + at[:, 2])
+        assert np.isfinite(detour).all()
+        q = np.vstack((above, cut.q[: middle + 1], detour, cut.q[middle:upto]))
+        return "; ".join(broken_rules(digger, ground, q, swing=swing))
+
+    assert broken([]) == ""
+    assert broken([], swing=0.1) == "the cut leaves the plane in which it digs"
+    assert broken([], upto=middle + 1) == "the cut does not begin and end above the ground"
+    assert "pushed backwards" in broken([(0.1, 0.0, 0.0), (0.2, 0.0, 0.0), (0.1, 0.0, 0.0)])
+    assert "back presses" in broken([(0.0, 0.0, -0.4), (0.0, 0.0, -0.8), (0.0, 0.0, -0.4)])
