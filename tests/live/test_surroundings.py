@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.live import Servo
+from backhoe_planner.live import Separation, Servo
 from backhoe_planner.machine import Robot
 
 BALL = {"name": "ball", "shape": "sphere", "radius": 0.3, "position": [4.7, 1.6, -0.6]}
@@ -35,6 +35,41 @@ def test_what_moves_can_be_taken_away_and_the_others_move_on(servo: Servo) -> No
     assert state.v.any()
     assert servo.obstacles == ("ball 1", "ball 3", "ball 4")
     np.testing.assert_allclose(servo.shift_of("ball 3"), [0.0, 2 * 0.005 * 0.03, 0.0], atol=1e-15)
+
+
+def test_obstacles_of_a_scene_are_taken_in_at_once(backhoe: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many there are, all pairs are looked through equally often; what comes out is as if one came by one."""
+    looked_through: list[int] = []
+    refresh = Separation._refresh
+
+    def counted(self: Separation) -> None:
+        looked_through.append(len(self))
+        refresh(self)
+
+    monkeypatch.setattr(Separation, "_refresh", counted)
+    joints = dict(zip(backhoe.joint_names, [0.0, 0.3, -0.9, -0.5], strict=True))
+    content = {"version": 1, "start": {"joints": joints}, "task": {"goal": {"position": [4.0, 0.0, 0.0]}}}
+    rng = np.random.default_rng(4)
+    balls = [
+        {**BALL, "name": f"ball {number}", "position": [4.0 * np.cos(angle), 4.0 * np.sin(angle), 2.5]}
+        for number, angle in enumerate(rng.uniform(0.5, 5.5, 40).tolist())
+    ]
+    balls[7]["velocity"], balls[9]["appears_at"] = [0.0, 0.0, -0.1], 0.1
+    visits, servos = [], []
+    for count in (4, 40):
+        looked_through.clear()
+        servos.append(Servo(backhoe, bp.scene_from_dict({**content, "obstacles": balls[:count]}), dt=0.005))
+        visits.append(len(looked_through))
+    assert visits[0] == visits[1]
+    few, many = servos
+    for ball in balls[4:]:
+        few.add(ball)
+    for number in range(60):
+        wish = [0.4 if number < 30 else -0.4, 0.5, 0.2]
+        np.testing.assert_array_equal(few.step(wish).q, many.step(wish).q)
+    assert few.obstacles == many.obstacles
+    assert len(many.obstacles) == 40
+    assert few.last_error is many.last_error is None
 
 
 def test_what_has_not_appeared_yet_has_its_name_and_can_be_called_off(servo: Servo) -> None:

@@ -24,6 +24,7 @@ from backhoe_planner.site import pace
 CLOSE = 0.10  # m of margin within which planes are renewed more often, and the servo warns; chosen
 _NEAR_RENEWED_EVERY = 2  # steps, where something is within `CLOSE`; chosen, one measurement costs some 20 us
 _FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # steps, where nothing is
+_AT_ONCE = 2048  # pairs; chosen, so that their gaps along a path take some 10 MB
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 
 
@@ -97,16 +98,16 @@ class PairBounds:
 
     # --- which pairs there are -----------------------------------------------------------
 
-    def extend(self, pairs: Indices, *, slow: float) -> None:
-        """Take in new pairs; within the margin `slow` they slow the machine down [m]."""
+    def extend(self, pairs: Indices, *, slow: Vector) -> None:
+        """Take in new pairs (K,); within the margins `slow` (K,) they slow the machine down [m]."""
         count = len(pairs)
         far, none = np.full(count, -FAR), np.zeros(count)
         self._proven, self._proven_at = np.append(self._proven, far), np.append(self._proven_at, none)
         self._distance, self._distance_at = np.append(self._distance, far), np.append(self._distance_at, none)
         self.required = np.append(self.required, self._separation.clearance[pairs])
         self._renewed_at = np.append(self._renewed_at, np.zeros(count, dtype=np.int64))
-        self._slow_from = np.append(self._slow_from, np.full(count, slow))
-        self._reach = np.append(self._reach, np.full(count, max(slow, self._influence)))
+        self._slow_from = np.append(self._slow_from, slow)
+        self._reach = np.append(self._reach, np.maximum(slow, self._influence))
 
     def keep(self, kept: Flags) -> None:
         """Forget the pairs for which `kept` (P,) is false."""
@@ -139,7 +140,8 @@ class PairBounds:
         separation = self._separation
         self.set_distance(pairs, np.array([separation.renew(pair, at, 0) for pair in pairs.tolist()]))
         self._renewed_at[pairs] = step
-        bound = separation.proven_on(pairs, path, at, path.time)
+        parts = [pairs[first : first + _AT_ONCE] for first in range(0, len(pairs), _AT_ONCE)]
+        bound = np.concatenate([separation.proven_on(part, path, at, path.time) for part in parts])
         self.set_proven(pairs, bound)
         self.required[pairs] = np.minimum(separation.clearance[pairs], bound)
         self.find_inside()

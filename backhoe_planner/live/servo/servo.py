@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -145,8 +145,7 @@ class Servo:
         self._site = Surroundings(robot, scene, self._separation)
         self._update_moving()
         self._measure(np.arange(len(self._separation), dtype=np.intp))
-        for obstacle in build_obstacles(scene, robot):
-            self._add(obstacle)
+        self._add(build_obstacles(scene, robot))
 
     # --- the joints and the obstacles --------------------------------------------------
 
@@ -194,7 +193,7 @@ class Servo:
         ------
         InputError: the name is in use, also by a zone of the scene, or the record does not describe an obstacle.
         """
-        self._add(self._site.build(obstacle))
+        self._add([self._site.build(obstacle)])
 
     def add_points(self, name: str, points: object, *, resolution: float = 0.1, clearance: float | None = None) -> None:
         """Put a scan there: every voxel in which a point lies is solid. A scan of the same name is replaced.
@@ -216,7 +215,7 @@ class Servo:
         if name in self.obstacles:
             self.remove(name)
         if scan is not None:
-            self._add(scan)
+            self._add([scan])
 
     def remove(self, name: str) -> None:
         """Take an obstacle or a zone away, also one that has not appeared yet.
@@ -272,11 +271,11 @@ class Servo:
         """
         return self._site.shift_of(name)
 
-    def _add(self, obstacle: Obstacle) -> None:
-        pairs = self._site.put(obstacle, now=self.time)
+    def _add(self, obstacles: Iterable[Obstacle]) -> None:
+        pairs = self._site.put(obstacles, now=self.time)
         if len(pairs) == 0:
             return
-        self._bounds.extend(pairs, slow=obstacle.slow)
+        self._bounds.extend(pairs, slow=self._site.slow_from(pairs))
         self._update_moving()
         self._measure(pairs)
 
@@ -355,8 +354,8 @@ class Servo:
 
     def _drift(self) -> None:
         """Let obstacles appear and move on, and place the machine where it is."""
-        for obstacle in self._site.due(self.time):
-            self._add(obstacle)
+        if due := self._site.due(self.time):
+            self._add(due)
         if self._site.anything_moves:
             self._site.drift(self.dt)
             self._bounds.drift()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -143,21 +143,33 @@ class Surroundings:
 
     # --- changes -----------------------------------------------------------------------
 
-    def put(self, obstacle: Obstacle, *, now: float) -> Indices:
-        """Put an obstacle there, and return the indices of its pairs; none where it only appears after `now` [s]."""
-        if obstacle.appears_at > 0.0:
-            self._waiting.append(replace(obstacle, appears_at=obstacle.appears_at + now))
+    def put(self, obstacles: Iterable[Obstacle], *, now: float) -> Indices:
+        """Put obstacles there at the time `now` [s]; the indices of the pairs of those that appear at once."""
+        numbered: dict[int, Obstacle] = {}
+        for obstacle in obstacles:
+            if obstacle.appears_at > 0.0:
+                self._waiting.append(replace(obstacle, appears_at=obstacle.appears_at + now))
+                continue
+            number = self._next_number
+            self._next_number += 1
+            velocity = np.array(obstacle.velocity)
+            self._placed[obstacle.name] = _Placed(number, obstacle, velocity, np.zeros(3), bool(velocity.any()))
+            self._name_of[number] = obstacle.name
+            numbered[number] = obstacle
+        if not numbered:
             return np.zeros(0, dtype=np.intp)
-        number = self._next_number
-        self._next_number += 1
-        velocity = np.array(obstacle.velocity)
-        self._placed[obstacle.name] = _Placed(number, obstacle, velocity, np.zeros(3), bool(velocity.any()))
-        self._name_of[number] = obstacle.name
-        pairs = self._separation.add(number, obstacle)
-        self._separation.place_at(number, self._placed[obstacle.name].shift)
-        self.revision += 1
+        pairs = self._separation.add_all(numbered)
+        for number, obstacle in numbered.items():
+            self._separation.place_at(number, self._placed[obstacle.name].shift)
+        self.revision += len(numbered)
         self._sort()
         return pairs
+
+    def slow_from(self, pairs: Indices) -> Vector:
+        """(K,) margin within which the obstacles of `pairs` (K,) slow the machine down [m]; 0 where they do not."""
+        owners, place = np.unique(self._separation.owner[pairs], return_inverse=True)
+        slow = [self._placed[self._name_of[number]].obstacle.slow for number in owners.tolist()]
+        return np.array(slow, dtype=float)[place]
 
     def due(self, now: float) -> list[Obstacle]:
         """Take the obstacles that have appeared by `now` [s] off the waiting list, to be put there."""
