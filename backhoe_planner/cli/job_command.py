@@ -6,6 +6,7 @@ import contextlib
 import json
 import sys
 import time as clock
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from rich.text import Text
 import backhoe_planner as bp
 from backhoe_planner import job as jobs
 from backhoe_planner import show
-from backhoe_planner.cli.terminal import ERR, FAILED, OUT, VERIFIED, print_warnings
+from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED, print_warnings
 from backhoe_planner.files.output_file import check_ending, check_output
 
 JobFile = Annotated[Path, typer.Argument(metavar="JOB", help="A job file (YAML).", show_default=False)]
@@ -67,17 +68,20 @@ def job(
             print_warnings(
                 [f"{from_terrain} does not cover {part:.0f} % of the ground: there it is taken as the job has it"]
             )
-    resume = None if anew or terrain is not None else _begun(loaded, output, effort, seed)
+    resume = None if anew else _begun(loaded, output, (effort, seed), terrain)
     if resume is not None:
         ERR.print(f"goes on after cycle {len(resume.cycles)}, as {output} has it (--anew begins anew)")
+    kept: list[int] = []  # cycles that the output holds
     with (
+        _telling_where_it_is(kept, output),
         ERR.status("choosing the pattern of cuts ...")
         if ERR.is_terminal and not as_json
-        else (contextlib.nullcontext()) as status
+        else contextlib.nullcontext() as status,
     ):
 
         def told(step: jobs.JobStep) -> None:
             step.plan.save(output)
+            kept.append(len(step.plan.cycles))
             if status is not None:
                 status.update(f"cycle {len(step.plan.cycles) + 1} of about {max(step.expected, 1)} ...")
             if not as_json:
@@ -93,15 +97,52 @@ def job(
     return VERIFIED if found.verified else FAILED
 
 
-def _begun(loaded: jobs.Job, output: Path, effort: str, seed: int) -> bp.JobPlan | None:
-    """The part of the same job that the output holds, where planning was interrupted."""
+@contextlib.contextmanager
+def _telling_where_it_is(kept: list[int], output: Path) -> Iterator[None]:
+    """Where the user ends the planning, what is done and where it is."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if kept:
+            many = f"{kept[-1]} cycle{'' if kept[-1] == 1 else 's'}"
+            ERR.print(f"interrupted after {many}, kept in {output}; the same command goes on there")
+        else:
+            ERR.print("interrupted before the first cycle; nothing was written")
+        sys.exit(INTERRUPTED)
+
+
+def _begun(loaded: jobs.Job, output: Path, search: tuple[str, int], terrain: jobs.Terrain | None) -> bp.JobPlan | None:
+    """The part of the same job that the output holds, where planning was interrupted.
+
+    Raises
+    ------
+    InputError: it was begun by another command, or is damaged: planning would begin anew over it.
+    """
     if not output.is_file() or not jobs.is_job_plan(output):
         return None
     record = jobs.read_job_plan_file(output)
-    if record.reason != "interrupted" or (record.effort, record.seed) != (effort, seed):
+    if record.reason != "interrupted":
         return None
     found = bp.load_job_plan(output)
-    return found if jobs.same_job(found, loaded) else None
+    if not jobs.same_job(found, loaded):
+        ERR.print(f"begins anew: {output} holds a part of another job")
+        return None
+    anew = "--anew begins anew over it"
+    if found.reason != "interrupted":
+        raise bp.PlanFileError(f"cannot be gone on with: {found.note}", file=output, hint=anew)
+    if (found.effort, found.seed) != search:
+        raise bp.InputError(
+            "holds a part of this job that was planned otherwise", file=output,
+            found=f"--effort {found.effort} --seed {found.seed}",
+            hint=f"give these to go on with it; {anew}",
+        )  # fmt: skip
+    if found.surveyed if terrain is None else not jobs.same_ground(found.start, terrain):
+        began, so = ("of a survey", "give that with") if found.surveyed else ("of the job", "leave out")
+        raise bp.InputError(
+            "holds a part of this job that began on another ground", file=output, found=f"that {began}",
+            hint=f"{so} --from-terrain to go on with it; {anew}",
+        )  # fmt: skip
+    return found
 
 
 def _print_cycle(step: jobs.JobStep) -> None:
@@ -157,6 +198,8 @@ def print_figures(plan: bp.JobPlan) -> None:
     OUT.print(Text(*("verified", "bold green") if plan.verified else (f"failed: {plan.reason}", "bold red")))
     if plan.note:
         OUT.print(f"  {plan.note}")
+    if plan.surveyed:
+        OUT.print("ground        before the first cycle as surveyed, not that of the job")
     count, figures = len(plan.cycles), jobs.job_figures(plan)
     OUT.print(f"cycles        {count}")
     if count:

@@ -28,6 +28,7 @@ from .result.job_plan import LITRES_PER_KWH as LITRES_PER_KWH
 from .result.job_plan import JobPlan as JobPlan
 from .result.job_plan import PatternEstimate as PatternEstimate
 from .result.job_plan import Undug as Undug
+from .result.job_plan import same_ground as same_ground
 from .result.job_plan import same_job as same_job
 from .result.job_plan_file import JobFigures as JobFigures
 from .result.job_plan_file import is_job_plan as is_job_plan

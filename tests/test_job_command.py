@@ -1,0 +1,89 @@
+"""`backhoe-planner job` where it was interrupted: what is told, what goes on, and what is not overwritten."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from small_jobs import TINY, tiny_plan
+
+import backhoe_planner as bp
+from backhoe_planner import job as jobs
+from backhoe_planner.cli import main
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def resumed() -> list[bp.JobPlan | None]:
+    """With what each planning went on."""
+    return []
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, resumed: list[Any]) -> Run:
+    """Call the command line in this process; planning is interrupted after a cycle, on a survey before the first."""
+    monkeypatch.chdir(tmp_path)
+    Path("job.yaml").write_text(yaml.safe_dump(TINY))
+
+    def plan(job: jobs.Job, **options: Any) -> None:
+        resumed.append(options["resume"])
+        terrain = options["terrain"]
+        part = replace(tiny_plan(), job=job, cycles=tiny_plan().cycles[:1], undug=(), failure="interrupted", note="")
+        if terrain is not None:
+            part = replace(part, cycles=(), start=terrain, surveyed=True)
+        options["watch"](jobs.JobStep(part, 2))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bp, "plan_job", plan)
+
+    def call(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["backhoe-planner", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        said = capsys.readouterr()
+        assert isinstance(caught.value.code, int)
+        return caught.value.code, said.out, " ".join(said.err.split())
+
+    return call
+
+
+def test_an_interrupted_job_says_what_is_done_and_goes_on(run: Run, resumed: list[bp.JobPlan | None]) -> None:
+    status, _, told = run("job", "job.yaml", "-o", "part.json")
+    assert (status, told) == (130, "interrupted after 1 cycle, kept in part.json; the same command goes on there")
+    status, said, _ = run("check", "part.json")
+    assert status == 1
+    assert "planning was interrupted after 1 cycle; the same command goes on there" in said
+    run("job", "job.yaml", "-o", "part.json")
+    assert resumed[0] is None
+    assert resumed[1] is not None
+    assert len(resumed[1].cycles) == 1
+    before = Path("part.json").read_bytes()
+    status, _, told = run("job", "job.yaml", "-o", "part.json", "--seed", "3")
+    assert status == 2
+    assert "part.json: holds a part of this job that was planned otherwise; found --effort quick --seed 0" in told
+    assert Path("part.json").read_bytes() == before
+    run("job", "job.yaml", "-o", "part.json", "--seed", "3", "--anew")
+    assert resumed[2:] == [None]
+
+
+def test_a_part_from_a_survey_goes_on_with_the_same_survey_alone(run: Run, resumed: list[bp.JobPlan | None]) -> None:
+    for name, height in (("survey.csv", -0.02), ("again.csv", -0.02), ("other.csv", -0.03)):
+        np.savetxt(name, np.full((111, 101), height), delimiter=",")
+    begin = ("job", "job.yaml", "-o", "part.json")
+    assert run(*begin, "--from-terrain", "survey.csv")[0] == 130
+    assert run(*begin, "--from-terrain", "again.csv")[0] == 130
+    assert resumed[0] is None
+    assert resumed[1] is not None
+    assert resumed[1].surveyed
+    for other in ((), ("--from-terrain", "other.csv")):
+        status, _, told = run(*begin, *other)
+        assert status == 2
+        assert "began on another ground; found that of a survey" in told
+    assert "ground before the first cycle as surveyed" in " ".join(run("check", "part.json")[1].split())
