@@ -68,6 +68,7 @@ def test_a_job_goes_on_after_an_interruption_as_if_there_had_been_none(tmp_path:
         ("dump", {"heap": {"at": [0.8, -0.9]}}, "out of reach"),
         ("start", {"swing": 0.0, "boom": 0.0, "stick": -1.6, "bucket": -1.8}, "stands in the ground"),
         ("ground", {"file": "no_such_survey.csv"}, "no_such_survey"),
+        ("ground", {"low": [-2e3, -2e3], "high": [2e3, 2e3]}, "too many columns"),
         ("soil", {"width": 0.3}, "narrower than the bucket"),
         ("site", {"obstacles": [BALL | {"appears_at": 60.0}]}, "does not stand still"),
         ("site", {"obstacles": [BALL | {"velocity": [0.0, -0.2, 0.0]}]}, "does not stand still"),

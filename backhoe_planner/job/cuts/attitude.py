@@ -88,6 +88,7 @@ def attitude(
     swing: float,
     path: tuple[Vector, Vector, Vector, Vector, Vector],
     below: Callable[[Array, Array], Array],
+    clears: Callable[[Matrix], Flags] | None = None,
 ) -> Attitude | Stuck:
     """The pitch along a path, as near to the wanted as joints and back allow.
 
@@ -95,12 +96,16 @@ def attitude(
     ----------
     path: (K,) r, z, and wanted, least and greatest pitch; these give way to joints and back.
     below: gives the height of the ground (...) [m] under points at radii (...) while the edge is at radii (...).
+    clears: gives (M,) whether joints (M, n) keep the arm off the ground; not asked by default.
     """
     r, z, wanted, least, most = path
     pitches = np.linspace(_FLATTEST_PITCH, _STEEPEST_PITCH, _CANDIDATES)
     at_r, at_z, at_pitch = (a.ravel() for a in np.broadcast_arrays(r[:, None], z[:, None], pitches))
     reached = plane.reaches(swing, at_r, at_z, at_pitch).reshape(len(r), -1)
     free = reached & (back_heights(bucket, r[:, None], z[:, None], pitches[None, :], below) >= _CLEAR)
+    if clears is not None:
+        rows, columns = np.nonzero(free)
+        free[rows, columns] = clears(plane.joints(swing, r[rows], z[rows], pitches[columns]))
     none = np.flatnonzero(~free.any(axis=1))
     if len(none):
         return Stuck(int(none[0]), bool(reached[none[0]].any()))

@@ -11,11 +11,12 @@ An operator's manual of a backhoe loader of this class has first cuts of 75 to 1
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Vector, as_number
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector, as_number
 from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.job.cuts.attitude import ENTERING, Attitude, Stuck, attitude, wanted_pitch
 from backhoe_planner.job.cuts.cut import Cut, CutGround, NoCut
@@ -53,6 +54,7 @@ class _Asked:
     wanted: float
     entries: tuple[float, ...]
     leaves: tuple[float, ...]
+    clears: Callable[[Matrix], Flags] | None
 
 
 def find_cut(
@@ -67,6 +69,7 @@ def find_cut(
     volume: float | None = None,
     entry: float | None = None,
     leave: float | None = None,
+    clears: Callable[[Matrix], Flags] | None = None,
 ) -> Cut | NoCut:
     """A cut that begins at radius `start`, and fills the bucket and no more.
 
@@ -84,6 +87,8 @@ def find_cut(
         machine can, else 54 or 34.
     leave: angle at which it rises out of the ground, at most [rad]; by default 46 degrees, or 88 where the cut
         goes on to `end`.
+    clears: gives (M,) whether joints (M, n) keep boom and stick off the ground around the cut; not asked by default,
+        as it takes ten times as long.
 
     Returns
     -------
@@ -95,6 +100,7 @@ def find_cut(
     InputError: a number is out of its range, or `start` and `end` are not on the profile, `end` below `start`.
     """
     asked = _checked(digger, profile, swing, (start, end), depth, floor, volume, (entry, leave))
+    asked = replace(asked, clears=clears)
     under = asked.under
     between = (under.r >= asked.end - 1e-9) & (under.r <= under.start + 1e-9)
     room = float(np.max(under.followed[between] - under.floor[between]))
@@ -154,7 +160,7 @@ def _checked(
     own = (np.array([low, high]), np.full(2, -1e6)) if floor is None else floor
     under = Underground(profile, own, end=end, start=start)
     entries = _ENTRIES if entry is None else (entry,)
-    return _Asked(digger, profile, swing, under, end, wanted, entries, _LEAVES if leave is None else (leave,))
+    return _Asked(digger, profile, swing, under, end, wanted, entries, _LEAVES if leave is None else (leave,), None)
 
 
 def _deepest(asked: _Asked, depth: float, descent: Descent) -> Cut | NoCut:
@@ -223,7 +229,9 @@ def _cut_to(asked: _Asked, depth: float, descent: Descent, end: float) -> Cut | 
         return np.where(at >= edge, np.interp(at, under.r, line), ahead)
 
     wanted = wanted_pitch(r, z, lift, digger.bucket)
-    held = attitude(digger.plane, digger.bucket, swing=asked.swing, path=(r, z, *wanted), below=below)
+    held = attitude(
+        digger.plane, digger.bucket, swing=asked.swing, path=(r, z, *wanted), below=below, clears=asked.clears
+    )
     if isinstance(held, Stuck):
         at = (float(r[held.index]), float(z[held.index]))
         place = f"with the teeth at r {at[0]:.2f}, z {at[1]:.2f} m"

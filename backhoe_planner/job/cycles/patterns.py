@@ -104,53 +104,84 @@ def next_cut(
     limits = dict(done)
     refused: NoCut | None = None
     profiles = [Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width) for lane in lanes]
-    for number, floors in _floors(site, lanes, pattern, profiles):
-        lane, profile = lanes[number], profiles[number]
-        places = _left(site, lane, profile, floors[1])
-        places = places[places < limits.get(number, np.inf)]
-        if not len(places) or lane.start - lane.end < _SHORTEST:
-            continue
-        found = _best(site, lane, (profile, ground), floors[1], places, pattern)
-        if isinstance(found, Cut):
-            return NextCut(lane, _filled(site, lane, (profile, ground), floors[1], found), floors[0])
-        refused = refused or found
+    floors = _floors(site, lanes, pattern, profiles)
+    # with the bucket drawn in only where there is no other cut: it takes longer to find, and fills less
+    for drawn_in in (False, True):
+        for number, (step, floor) in floors:
+            lane, profile = lanes[number], profiles[number]
+            places = _left(site, lane, profile, floor)
+            places = places[places < limits.get(number, np.inf)]
+            if not len(places) or lane.start - lane.end < _SHORTEST:
+                continue
+            tries = _Tries(site, lane, (profile, ground), floor, drawn_in=drawn_in)
+            found = _best(tries, lane, places, pattern)
+            if isinstance(found, Cut):
+                return NextCut(lane, _filled(site, lane, (profile, ground), floor, found), step)
+            refused = refused or found
+        if refused is None or refused.kind != "reach":
+            break
     return refused
 
 
-def _best(
-    site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, left: Vector, pattern: Pattern
-) -> Cut | NoCut:
+class _Tries:
+    """Cuts that are tried one after the other for the same soil: the best, and why the first of the others is none.
+
+    Parameters
+    ----------
+    floor: (K,) over the radii of the lane [m].
+    drawn_in: whether the bucket is turned so that boom and stick stay above the ground beside the cut.
+    """
+
+    def __init__(
+        self, site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, *, drawn_in: bool
+    ) -> None:
+        self._site, self._lane, self.floor, self.drawn_in = site, lane, floor, drawn_in
+        self.profile, terrain = ground
+        self._raised = site.arm.raised(Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span))
+        self.best: Cut | None = None
+        self.refused: NoCut | None = None
+
+    def find(self, start: float, depth: float, entry: float | None) -> Cut | None:
+        """The cut from a radius [m] of at most a depth [m]; None where there is none."""
+        site, lane, arm = self._site, self._lane, self._site.arm
+        found = find_cut(
+            site.digger, self.profile, swing=lane.swing, start=start, end=lane.end, depth=depth,
+            floor=(lane.r, self.floor), volume=site.volume, entry=entry, leave=LEAVE,
+            clears=(lambda q: arm.clears(q, self._raised)) if self.drawn_in else None,
+        )  # fmt: skip
+        if isinstance(found, Cut) and not arm.clears(found.q[::_EVERY], self._raised).all():
+            words = f"boom or stick would touch the ground with the teeth at {start:.2f} m from the swing axis"
+            found = NoCut("reach", words, start)
+        if isinstance(found, NoCut):
+            self.refused = self.refused or found
+            return None
+        self.best = found if self.best is None or _rate(found) > _rate(self.best) else self.best
+        return found
+
+
+def _best(tries: _Tries, lane: Lane, left: Vector, pattern: Pattern) -> Cut | NoCut:
     """The cut from the far end of what is left, at radii `left` (k,) [m], or from further in where there is none.
 
     Where it fills the bucket by less than most, shallower cuts and another beginning are tried too.
     """
-    profile, terrain = ground
-    arm = site.arm
-    raised = arm.raised(Profile.of_terrain(terrain, site.plane, lane.swing, width=arm.span))
+    profile, floor = tries.profile, tries.floor
     depth = pattern.depth if pattern.kind == "face" else float(np.max(profile.mean)) - float(np.min(floor)) + 1.0
-    best: Cut | None = None
-    refused: NoCut | None = None
+    entries, parts = (_ENTRIES[:1], _SHALLOWER[:1]) if tries.drawn_in else (_ENTRIES, _SHALLOWER)
     places = left[::-1][:: max(int(_INWARD / (left[1] - left[0])), 1)] if len(left) > 1 else left
-    for entry, place, part in itertools.product(_ENTRIES, places.tolist(), _SHALLOWER):
-        if entry is not None and best is not None and best.fill >= _WORTH:
+    for entry, place, part in itertools.product(entries, places.tolist(), parts):
+        if entry is not None and tries.best is not None and tries.best.fill >= _WORTH:
             break
         for run_in in _RUN_INS:
             start = min(max(place + run_in, lane.end + _SHORTEST), lane.start)
-            found = find_cut(
-                site.digger, profile, swing=lane.swing, start=start, end=lane.end, depth=part * depth,
-                floor=(lane.r, floor), volume=site.volume, entry=entry, leave=LEAVE,
-            )  # fmt: skip
-            if isinstance(found, Cut) and not arm.clears(found.q[::_EVERY], raised).all():
-                found = NoCut("reach", f"boom or stick would touch the ground with the teeth at r {start:.2f} m", start)
-            if isinstance(found, NoCut):
-                refused = refused or found
-                continue
-            best = found if best is None or _rate(found) > _rate(best) else best
-            if found.fill > _FULL or (found.r[-1] < left[0] and place == left[-1] and found.fill >= _WORTH):
+            found = tries.find(start, part * depth, entry)
+            if found is not None and (
+                found.fill > _FULL or (found.r[-1] < left[0] and place == left[-1] and found.fill >= _WORTH)
+            ):
                 return found
-    if best is None or best.fill < _WORTH:
-        return refused or NoCut("nothing", f"what is left at r {left[-1]:.2f} m fills less than {100 * _WORTH:.0f} %")
-    return best
+    if tries.best is None or tries.best.fill < _WORTH:
+        nothing = f"what is left at r {left[-1]:.2f} m fills less than {100 * _WORTH:.0f} %"
+        return tries.refused or NoCut("nothing", nothing)
+    return tries.best
 
 
 def _filled(site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: Vector, cut: Cut) -> Cut:

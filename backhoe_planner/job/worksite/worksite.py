@@ -172,7 +172,14 @@ def _ground(job: Job, plane: ArmPlane) -> Terrain:
     high = np.ceil(every.max(axis=0) / step) * step + _AROUND if given.high is None else np.array(given.high)
     loose = {"swell": job.soil.swell, "repose": job.soil.repose}
     if given.file is None:
-        return Terrain.level(given.level or 0.0, low, high, given.cell, soil=soil, **loose)
+        try:
+            return Terrain.level(given.level or 0.0, low, high, given.cell, soil=soil, **loose)
+        except InputError as error:
+            raise SceneError(
+                error.problem, file=job.file, key="ground.cell", found=f"{given.cell:g} m from {low.tolist()} to "
+                f"{high.tolist()}, {error.found} columns", allowed=f"{error.allowed} columns",
+                hint="a larger ground.cell, or less ground from ground.low to ground.high",
+            ) from None  # fmt: skip
     try:
         return Terrain.from_file(
             job.folder / given.file,
