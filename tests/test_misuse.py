@@ -494,8 +494,8 @@ def buried_job() -> bp.Job:
 def job_plan() -> bp.JobPlan:
     grid = np.full((5, 5), NAN)
     return bp.JobPlan(
-        job(), robot(), terrain(), design=grid, allowed=grid, outline=np.zeros((4, 2)), cycles=(), undug=(),
-        compared=(), capacity=0.2, effort="quick", seed=0,
+        job(), robot(), terrain(), design=grid, share=np.zeros((5, 5)), allowed=grid, outline=np.zeros((4, 2)),
+        cycles=(), undug=(), compared=(), capacity=0.2, effort="quick", seed=0,
     )  # fmt: skip
 
 

@@ -220,7 +220,8 @@ def print_figures(plan: bp.JobPlan) -> None:
                 f"(margin {tightest.margin:+.3f} m)"
             )
     left, below = 100.0 * figures.left, 100.0 * figures.below
-    OUT.print(f"design        at most {left:.1f} cm left above what may be dug, {below:.1f} cm dug below it")
+    most = f"at most {left:.1f} cm left above what may be dug, {below:.1f} cm dug below it"
+    OUT.print(f"design        {figures.design:.3f} m^3; {most}")
     for one in plan.undug:
         OUT.print(f"undug         {one.words}")
 

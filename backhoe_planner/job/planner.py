@@ -198,8 +198,9 @@ class _Run:
             () if failure == "interrupted" else find_undug(site, self._lanes, heights, end, hard=hard, ended=failure)
         )
         return JobPlan(
-            job=site.job, robot=site.robot, start=site.ground, design=self._design, allowed=self._allowed,
-            outline=site.design.outline, cycles=tuple(cycles), undug=undug, compared=self._compared,
+            job=site.job, robot=site.robot, start=site.ground, design=self._design, share=site.share,
+            allowed=self._allowed, outline=site.design.outline, cycles=tuple(cycles), undug=undug,
+            compared=self._compared,
             capacity=site.bucket.capacity, effort=self._effort, seed=self._seed,
             surveyed=not same_ground(site.own_ground, site.ground), failure=failure, note=note,
             planning_time=clock.process_time() - self._begun,

@@ -86,7 +86,8 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
     interrupted = record.reason == "interrupted"
     hard = record.message if record.reason == "too_hard" else ""
     plan = JobPlan(
-        job=job, robot=site.robot, start=site.ground, design=design, allowed=allowed, outline=site.design.outline,
+        job=job, robot=site.robot, start=site.ground, design=design, share=site.share, allowed=allowed,
+        outline=site.design.outline,
         cycles=cycles,
         undug=() if interrupted else find_undug(
             site, lanes, (design, allowed, by), end, hard=hard, ended=record.reason

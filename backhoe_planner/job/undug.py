@@ -42,7 +42,8 @@ def find_undug(
     """
     design, allowed, by = heights
     tolerance = site.job.dig.tolerance
-    stays = end.surface - design > tolerance
+    surface = site.within_design(end)
+    stays = surface - design > tolerance
     found: dict[tuple[UndugReason, str], Flags] = {}
 
     def add(reason: UndugReason, cause: str, row: int, column: int) -> None:
@@ -54,14 +55,15 @@ def find_undug(
         number = int(by[row, column])
         if number < 0:
             add("out_of_reach", "no plane of the arm has room for the bucket there", row, column)
-        elif end.surface[row, column] - allowed[row, column] > tolerance:
+        elif surface[row, column] - allowed[row, column] > tolerance:
             add("too_hard" if hard else "left", hard or _EARLY.get(ended, ""), row, column)
         else:
             lane = lanes[number]
             heading = site.plane.heading(lane.swing)
             r = float(points[row, column] @ np.array([np.cos(heading), np.sin(heading)]))
             add(*_cause(lane, r, site.ground.cell), row, column)
-    undug = [_undug(site, end, design, flags, reason, cause) for (reason, cause), flags in found.items()]
+    each = np.where(stays, (surface - design) * site.share, 0.0) * end.cell**2
+    undug = [_undug(site, each, flags, reason, cause) for (reason, cause), flags in found.items()]
     return tuple(sorted((one for one in undug if one.volume > _LEAST), key=lambda one: -one.volume))
 
 
@@ -90,10 +92,10 @@ _STEEP = (
 )
 
 
-def _undug(site: Worksite, end: Terrain, design: Matrix, columns: Flags, reason: UndugReason, cause: str) -> Undug:
+def _undug(site: Worksite, each: Matrix, columns: Flags, reason: UndugReason, cause: str) -> Undug:
     nodes = site.nodes[columns]
     low, high = nodes.min(axis=0), nodes.max(axis=0)
-    volume = float(np.sum((end.surface - design)[columns])) * end.cell**2
+    volume = float(np.sum(each[columns]))
     where = f"{volume:.2f} m^3 from x {low[0]:.2f}, y {low[1]:.2f} to x {high[0]:.2f}, y {high[1]:.2f} m"
     why = {
         "protected": f"protected by {cause}",

@@ -31,6 +31,15 @@ def test_no_soil_is_lost() -> None:
     assert tiny_plan().end.loose_volume == pytest.approx(1.25 * gone, abs=1e-9)
 
 
+def test_what_is_dug_and_what_stays_make_up_the_design() -> None:
+    assert tiny_plan().design_volume == pytest.approx(1.0 * 0.6 * 0.4, rel=1e-9)
+    stays = sum(one.volume for one in tiny_plan().undug)
+    # the bucket is 0.61 m wide, and what stays by less than the tolerance is not told
+    assert stays + tiny_plan().bank * 0.6 / 0.61 == pytest.approx(0.24, rel=0.03)
+    told = " ".join(one.words for one in tiny_plan().undug)
+    assert "no plane of the arm" not in told
+
+
 def test_the_independent_check_does_not_refute_a_cycle() -> None:
     cycle = tiny_plan().cycles[-1]
     assert [what for leg in cycle.legs for what in leg_refutations(tiny_plan(), leg, refine=2)] == []

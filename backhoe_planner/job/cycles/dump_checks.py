@@ -70,7 +70,7 @@ def _least_loose(site: Worksite, allowed: Matrix) -> float:
     ground, upper = site.ground, allowed + site.job.dig.tolerance
     bank = np.fmax(ground.bank - upper, 0.0)
     loose = np.clip(ground.surface - upper, 0.0, ground.loose)
-    each = np.where(np.isfinite(allowed), bank * ground.swell + loose, 0.0)
+    each = np.where(np.isfinite(allowed), (bank * ground.swell + loose) * site.share, 0.0)
     return float(each.sum()) * ground.cell**2
 
 

@@ -20,6 +20,7 @@ from backhoe_planner.machine import Robot
 JobReason = Literal["", "unreachable", "blocked", "too_hard", "full", "not_done", "interrupted"]
 UndugReason = Literal["protected", "out_of_reach", "too_hard", "left"]
 _SAME_HEIGHT = 1e-9  # m: rounding
+_ROUNDING = 1e-9  # of a column
 LITRES_PER_KWH = 0.25  # of diesel per kWh of the engine: 210 g/kWh at 0.84 kg/l, as makers state at partial load
 
 
@@ -82,6 +83,7 @@ class JobPlan:
     robot: the machine on its site.
     start: the ground before the first cycle.
     design: (rows, columns) height z of the design at the columns of the ground [m]; nan where nothing is to be dug.
+    share: (rows, columns) the part of each column that lies within the design, 0 to 1.
     allowed: (rows, columns) the lowest height that may and can be dug [m]; at least `design`, nan where that is.
     outline: (k, 2) corners of a convex area around what is dug [m], x, y.
     cycles: one after the other.
@@ -99,6 +101,7 @@ class JobPlan:
     robot: Robot
     start: Terrain
     design: Matrix
+    share: Matrix
     allowed: Matrix
     outline: Matrix
     cycles: tuple[Cycle, ...]
@@ -125,7 +128,7 @@ class JobPlan:
     @property
     def _is_asked(self) -> bool:
         """Whether there was soil to dig, and none of it was dug before."""
-        asked = (self.start.surface - self.design)[np.isfinite(self.design)]
+        asked = (self.start.surface - self.design)[self._whole]
         return bool((asked > self.job.dig.tolerance + 1e-9).all())
 
     @property
@@ -214,10 +217,21 @@ class JobPlan:
         digging = self.duration - self.waits if self.job.objective == "time" else self.work
         return digging / self.bank if self.bank > 0.0 else float("nan")
 
+    @property
+    def _whole(self) -> Flags:
+        """(rows, columns) which columns lie whole within the design: of others only the mean height is known."""
+        return np.asarray(self.share > 1.0 - _ROUNDING)
+
+    @property
+    def design_volume(self) -> float:
+        """Soil above the design before the first cycle, as it lies there [m^3]."""
+        deep = np.where(self.share > 0.0, self.share * (self.start.surface - self.design), 0.0)
+        return float(np.maximum(deep, 0.0).sum()) * self.start.cell**2
+
     @cached_property
     def errors(self) -> Matrix:
-        """(rows, columns) the ground at the end above what may be dug [m]; nan where nothing is to be dug."""
-        return np.asarray(self.end.surface - self.allowed)
+        """(rows, columns) the ground at the end above what may be dug [m]; nan where a column lies not whole in it."""
+        return np.where(self._whole, self.end.surface - self.allowed, np.nan)
 
     @property
     def over(self) -> float:
@@ -227,7 +241,7 @@ class JobPlan:
     @property
     def under(self) -> float:
         """Greatest depth below the design [m]."""
-        return _most(self.design - self.end.surface)
+        return _most(np.where(self._whole, self.design - self.end.surface, np.nan))
 
     @property
     def is_met(self) -> bool:

@@ -193,6 +193,8 @@ class JobFigures(Record):
     """The figures of the whole job."""
 
     cycles: StrictInt
+    design: Figure = float("nan")
+    """Soil above the design before the first cycle, as it lies there [m^3]."""
     bank: Figure
     """Soil that left the ground, as it lay there [m^3]."""
     loose: Figure
@@ -233,7 +235,8 @@ class JobFigures(Record):
         oil = plan.hydraulic if plan.robot.hydraulics is not None else plan.work
         nothing = float("nan")
         return cls(
-            cycles=count, bank=plan.bank, loose=plan.loose, duration=plan.duration, waits=plan.waits,
+            cycles=count, design=plan.design_volume, bank=plan.bank, loose=plan.loose,
+            duration=plan.duration, waits=plan.waits,
             seconds_per_cycle=digging / count if count else nothing,
             joules_per_cycle=plan.work / count if count else nothing,
             production=plan.production, work=plan.work, hydraulic=plan.hydraulic if count else nothing,

@@ -13,6 +13,7 @@ from backhoe_planner.job.worksite.worksite import Worksite
 
 _COLUMNS = 4  # of the ground side by side under the blade, at least; chosen: of fewer, the edges alone are half
 
+_ROUNDING = 1e-9  # of a column
 _FAR = 0.25  # of the depth that is asked for: missed by more, the bottom is far out of reach; chosen
 
 
@@ -60,9 +61,9 @@ def _check_design(site: Worksite, design: Matrix) -> None:
     ground, job = site.ground, site.job
     key = "dig.trench" if job.dig.trench is not None else "dig.surface"
     known = np.isfinite(design)
-    if not known.any():
+    if not (site.share > 1.0 - _ROUNDING).any():
         raise SceneError(
-            "no column of the ground lies within what is to be dug", file=job.file, key=key,
+            "no column of the ground lies whole within what is to be dug", file=job.file, key=key,
             hint="it lies beyond the ground that the job has, or is narrower than a column: see ground.cell",
         )  # fmt: skip
     above = np.where(known, design - ground.surface, -np.inf)

@@ -9,6 +9,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 from backhoe_planner.job.schema.work import Trench
+from backhoe_planner.job.worksite.column_parts import overlaps, parts_within
 
 _ROUNDING = 1e-9  # m
 
@@ -22,9 +23,18 @@ class Design(Protocol):
     def within(self, points: Array, slack: float) -> Flags:
         """(...) whether points (..., 2) are at most `slack` [m] outside of what is to be dug."""
 
+    def columns(self, x: Vector, y: Vector, cell: float) -> tuple[Matrix, Matrix]:
+        """(rows, columns) the part of each column of a ground within what is to be dug, and its mean height there [m].
+
+        Parameters
+        ----------
+        x, y: (columns,), (rows,) of the ground's columns [m].
+        cell: their edge [m].
+        """
+
     @property
     def outline(self) -> Matrix:
-        """(k, 2) corners of a convex area around it [m]."""
+        """(k, 2) corners of a convex area around it, counter-clockwise [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +73,13 @@ class TrenchDesign:
         room = slack + _ROUNDING
         inside = (along >= -room) & (along <= self.trench.length + room)
         return np.asarray(inside & (np.abs(aside) <= 0.5 * self.trench.width + room))
+
+    def columns(self, x: Vector, y: Vector, cell: float) -> tuple[Matrix, Matrix]:
+        """See `Design`."""
+        share, middle = parts_within(np.stack(np.meshgrid(x, y), axis=-1), cell, self.outline)
+        along, _ = self.along(middle)
+        bottom = self.ground - self.trench.depth - self.trench.slope * along
+        return share, np.where(share > 0.0, bottom, np.nan)
 
     @property
     def outline(self) -> Matrix:
@@ -111,6 +128,18 @@ class SurfaceDesign:
         column, row = np.moveaxis(np.clip(place, 0, last), -1, 0)
         return np.asarray(~beyond & known[row, column])
 
+    def columns(self, x: Vector, y: Vector, cell: float) -> tuple[Matrix, Matrix]:
+        """See `Design`."""
+        rows, columns = self.z.shape
+        down = overlaps(float(self.low[1]), self.cell, rows, y, cell)
+        right = overlaps(float(self.low[0]), self.cell, columns, x, cell).T
+        known = np.isfinite(self.z)
+        share = np.minimum(down @ known.astype(float) @ right, 1.0)
+        share[share < _ROUNDING] = 0.0
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = down @ np.where(known, self.z, 0.0) @ right / share
+        return share, np.where(share > 0.0, mean, np.nan)
+
     @property
     def outline(self) -> Matrix:
         """See `Design`."""
@@ -123,9 +152,3 @@ class SurfaceDesign:
             )
         ]  # fmt: skip
         return np.array(corners)
-
-
-def cell_samples(nodes: Array, cell: float) -> Array:
-    """(..., 4, 2) the corners of the columns around nodes (..., 2) [m]."""
-    corners = 0.5 * cell * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return np.asarray(nodes[..., None, :] + corners)

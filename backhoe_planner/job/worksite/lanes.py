@@ -245,7 +245,9 @@ def allowed_heights(site: Worksite, lanes: tuple[Lane, ...], design: Matrix) -> 
         along, aside = points @ out, points @ left
         # a column on a steep end is measured at the upper end of it
         line = np.max([np.interp(along + off, lane.r, lane.line) for off in (-cell, 0.0, cell)], axis=0)
-        under = np.abs(aside) <= 0.5 * site.bucket.width
+        # of a column on the edge of the design only a part is under the blade
+        slack = np.where(site.share[rows, columns] < 1.0, cell, 0.0)
+        under = np.abs(aside) <= 0.5 * site.bucket.width + slack
         by[rows[under], columns[under]] = np.maximum(by[rows[under], columns[under]], number)
         covered = under & (line < found[rows, columns] - _SAME)
         found[rows[covered], columns[covered]] = np.maximum(line, design[rows, columns])[covered]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from backhoe_planner.job.ground.scanned import Scanned, scanned
 from backhoe_planner.job.ground.terrain import Terrain
 from backhoe_planner.job.schema.job_file import Job
 from backhoe_planner.job.worksite.arm_clearance import ArmOutline
-from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign, cell_samples
+from backhoe_planner.job.worksite.design import Design, SurfaceDesign, TrenchDesign
 from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.motion import Problem, build_problem
 from backhoe_planner.site import Soil, read_height_grid, scene_from_dict
@@ -69,11 +70,30 @@ class Worksite:
         """(rows, columns, 2) x, y of the columns of the ground [m]."""
         return np.stack(np.meshgrid(self.ground.x, self.ground.y), axis=-1)
 
+    @cached_property
+    def _columns(self) -> tuple[Matrix, Matrix]:
+        ground = self.ground
+        return self.design.columns(ground.x, ground.y, ground.cell)
+
+    @property
+    def share(self) -> Matrix:
+        """(rows, columns) the part of each column of the ground that lies within the design, 0 to 1."""
+        return self._columns[0]
+
     def design_heights(self) -> Matrix:
-        """(rows, columns) the design in the columns that lie whole within it [m]; nan elsewhere."""
-        nodes = self.nodes
-        whole = self.design.within(cell_samples(nodes, self.ground.cell), 0.0).all(axis=-1)
-        return np.where(whole, self.design.height(nodes), np.nan)
+        """(rows, columns) the design in the columns that lie within it, whole or in part [m]; nan elsewhere."""
+        return self._columns[1]
+
+    def within_design(self, ground: Terrain) -> Matrix:
+        """(rows, columns) height of the ground in the part of each column that lies within the design [m].
+
+        Of a column that does so in part the mean height is known; the rest of it stands as the job's own ground.
+        """
+        share = self.share
+        # a survey may be on other columns
+        before = self.own_ground if self.own_ground.shape == ground.shape else self.ground
+        beside = (1.0 - share) * before.surface
+        return np.where(share > 0.0, (ground.surface - beside) / np.where(share > 0.0, share, 1.0), ground.surface)
 
     @property
     def volume(self) -> float:
