@@ -37,7 +37,9 @@ from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.planning import EFFORTS
 from validation import planning_runs as runs
 from validation.obstacles import MACHINES
-from validation.sites import KINDS, TASKS, SiteKey
+from validation.sites import KINDS, SURVEYED, TASKS, SiteKey
+
+_KINDS = (*KINDS, *SURVEYED)
 
 
 def _only(key: SiteKey, settings: runs.Settings) -> int:
@@ -49,9 +51,9 @@ def _only(key: SiteKey, settings: runs.Settings) -> int:
 
 def _key(name: str, seed: int) -> SiteKey:
     parts = name.split("/")
-    if len(parts) == 4 and parts[0] in MACHINES and parts[1] in KINDS and parts[2] in TASKS and parts[3].isdecimal():
+    if len(parts) == 4 and parts[0] in MACHINES and parts[1] in _KINDS and parts[2] in TASKS and parts[3].isdecimal():
         return SiteKey(parts[0], parts[1], parts[2], int(parts[3]), seed)
-    allowed = "/".join("{" + ",".join(words) + "}" for words in (MACHINES, KINDS, TASKS))
+    allowed = "/".join("{" + ",".join(words) + "}" for words in (MACHINES, _KINDS, TASKS))
     raise SystemExit(f"--only: no such site {name!r}; allowed are {allowed}/INDEX")
 
 
@@ -60,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sites", type=int, default=50, help="in each group")
     parser.add_argument("--machines", nargs="+", choices=MACHINES, default=MACHINES)
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    parser.add_argument("--kinds", nargs="+", choices=_KINDS, default=KINDS, help="by default without surveys")
     parser.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
     parser.add_argument("--method", default="auto")
     parser.add_argument("--effort", choices=list(EFFORTS), default="normal", help="for each site")

@@ -258,7 +258,7 @@ def _scene(robot: bp.Robot, name: str, blocks: Sequence[Record], positions: Matr
         "waypoints": waypoints, "tolerance": TOLERANCE, "rotation_tolerance": _ROTATION_TOLERANCE,
         "max_joint_step": _LONGEST_STEP, "detour": False,
     }  # fmt: skip
-    rest = {"clearance": _CLEARANCE, "influence": 0.2, "tip": robot.tip, "name": name}
+    rest: Record = {"clearance": _CLEARANCE, "influence": 0.2, "tip": robot.tip, "name": name}
     return scene_of(robot, blocks, start=None, task={"path": path}, **rest)
 
 

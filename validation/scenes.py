@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pinocchio as pin
@@ -15,13 +16,19 @@ NO_TASK: Record = {"goal": {"position": [4.0, 0.0, 0.0]}}  # of scenes in which 
 
 
 def scene_of(
-    robot: bp.Robot, obstacles: Sequence[Record], *, start: Vector | None, task: Record = NO_TASK, **rest: Any
+    robot: bp.Robot,
+    obstacles: Sequence[Record],
+    *,
+    start: Vector | None,
+    task: Record = NO_TASK,
+    folder: Path | None = None,
+    **rest: Any,
 ) -> bp.Scene:
-    """The scene with these entries; without a start where `start` (n,) is None."""
+    """The scene with these entries; without a start where `start` (n,) is None. Files of obstacles are in `folder`."""
     content: Record = {"version": 1, "task": task, "obstacles": list(obstacles), **rest}
     if start is not None:
         content["start"] = {"joints": dict(zip(robot.joint_names, start.tolist(), strict=True))}
-    return bp.scene_from_dict(content)
+    return bp.scene_from_dict(content) if folder is None else bp.scene_from_dict(content, folder=folder)
 
 
 def quaternion(rotation: Matrix) -> list[float]:

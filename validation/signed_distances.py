@@ -15,6 +15,8 @@ from backhoe_planner.machine import load_mesh
 from backhoe_planner.site.schema import obstacle_shapes
 
 SignedDistance = Callable[[Matrix], NDArray[np.float64]]
+_APART = 0.02  # m between points on a height map, along an edge of a cell; along both they are 2.5 cm apart at most
+_NEAREST = (8, 64)  # voxels among which the nearest one is looked for: those with the nearest middles
 
 
 def sphere_distance(points: Matrix, radius: float) -> NDArray[np.float64]:
@@ -58,11 +60,10 @@ def height_map_distance(heights: Matrix, size: tuple[float, float]) -> SignedDis
         np.linspace(-0.5 * extent, 0.5 * extent, count) for extent, count in zip(size, (columns, rows), strict=True)
     )
     corners = np.stack((heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]))
-    step = np.max(np.ptp(corners, axis=0))
     points = []
-    rise = np.ptp(corners, axis=0)
-    for count, least, most in ((2, -1.0, 0.02), (8, 0.02, 0.15), (64, 0.15, float(step) + 1.0)):
-        i, j = np.nonzero((rise > least) & (rise <= most))
+    parts = np.ceil(np.hypot(np.ptp(corners, axis=0), max(x[1] - x[0], y[1] - y[0])) / _APART)
+    for count in np.unique(parts).astype(int).tolist():
+        i, j = np.nonzero(parts == count)
         part = (np.arange(count) + 0.5) / count
         for u in part.tolist():
             for v in part.tolist():
@@ -85,12 +86,39 @@ def height_map_distance(heights: Matrix, size: tuple[float, float]) -> SignedDis
     return distance
 
 
+def voxels_distance(points: Matrix, edge: float) -> SignedDistance:
+    """The distance to all voxels with an `edge` [m] in which any of `points` (k, 3) lies.
+
+    It is exact where no more than 64 voxels have a middle that is nearer than the nearest one's farthest corner: up
+    to some 40 edges off a wall. Further off it may lie above the true distance, by less than half an edge. Within
+    voxels it is the depth in the deepest.
+    """
+    half = 0.5 * edge
+    middles = (np.unique(np.floor(points / edge), axis=0) + 0.5) * edge
+    tree = cKDTree(middles)
+
+    def distance(at: Matrix) -> NDArray[np.float64]:
+        found = np.full(len(at), np.inf)
+        open_ = np.arange(len(at))
+        for count in _NEAREST:
+            count = min(count, len(middles))
+            away, number = tree.query(at[open_], k=[*range(1, count + 1)])
+            off = np.abs(at[open_, None] - middles[number]) - half
+            out = np.linalg.norm(np.maximum(off, 0.0), axis=2) + np.minimum(np.max(off, axis=2), 0.0)
+            found[open_] = np.min(out, axis=1)
+            # a voxel with its middle further off than that is no nearer
+            open_ = open_[away[:, -1] - np.sqrt(3.0) * half < found[open_]]
+            if not len(open_) or count == len(middles):
+                break
+        return found
+
+    return distance
+
+
 def obstacle_distance(spec: obstacle_shapes.ObstacleSpec, scene: bp.Scene) -> SignedDistance:
     """The distance to an obstacle of a scene, where it stands at time 0, as a function of points (K, 3).
 
-    Raises
-    ------
-    NotImplementedError: point clouds are not written out here.
+    Points of a scan come from text; a PLY is not read here.
     """
     if isinstance(spec, obstacle_shapes.HalfSpace):
         point, normal = np.array(spec.point), np.array(spec.normal)
@@ -117,4 +145,6 @@ def obstacle_distance(spec: obstacle_shapes.ObstacleSpec, scene: bp.Scene) -> Si
     if isinstance(spec, obstacle_shapes.HeightMap):
         far = height_map_distance(np.loadtxt(scene.folder / spec.file, delimiter=",", ndmin=2), spec.size)
         return lambda points: far(local(points))
-    raise NotImplementedError(f"no second opinion on a {spec.shape}")
+    points = np.loadtxt(scene.folder / spec.file, delimiter=",", ndmin=2)[:, :3]
+    near = voxels_distance(points, spec.resolution)
+    return lambda at: near(local(at))

@@ -9,6 +9,8 @@ order, it is drawn.
     cluttered   6 to 10 obstacles                        6 to 10 beside a known motion
     narrow      a trench, a gap, a slot under a beam,    a trench (backhoe), or obstacles
                 pipes across the way                     a few centimetres from the motion
+    scan        as open, as one point cloud
+    terrain     as open, on uneven ground with pits about start and goal, or along the motion
 
 What is known of each site stands in its record. The start, and a configuration at the
 goal, are always free with `SPARE` beyond every clearance. That a way leads from one to
@@ -45,8 +47,10 @@ from validation.free_space import clear_along, margins, trees_meet
 from validation.habitats import HABITATS, Narrows, banks, draw_narrows, folded_ways
 from validation.obstacles import MACHINES, Record, extent, lump, name_all, pipe, random_fixtures, random_obstacle, shift
 from validation.scenes import NO_TASK, quaternion, scene_of
+from validation.surveys import folder, ground, scan
 
 KINDS = ("open", "cluttered", "narrow")
+SURVEYED = ("scan", "terrain")
 TASKS = ("goal", "path")
 
 SPARE = 0.01  # m beyond every clearance that what is called free keeps
@@ -71,7 +75,7 @@ class SiteKey:
 
     def generator(self, *turn: int) -> np.random.Generator:
         """The site's own generator; `turn` for another one of the same site."""
-        place = (MACHINES.index(self.machine), KINDS.index(self.kind), TASKS.index(self.task))
+        place = (MACHINES.index(self.machine), (*KINDS, *SURVEYED).index(self.kind), TASKS.index(self.task))
         return np.random.default_rng([self.seed, *place, self.index, *turn])
 
 
@@ -142,6 +146,7 @@ class _Draft:
         if (form == "pipes" and not loose) or (self.key.kind != "narrow" and len(loose) < wanted):
             return None
         fixtures = self._keeping(random_fixtures(self.key.machine, self.rng), np.array([start, goal]))
+        loose = self._surveyed(loose, np.array([start, goal]))
         obstacles = name_all(built + fixtures + loose)
         proximity = self._proximity(obstacles)
         if min(float(np.min(margins(proximity, q))) for q in (start, goal)) < SPARE:
@@ -216,6 +221,7 @@ class _Draft:
             return None
         fixtures = self._keeping(random_fixtures(self.key.machine, self.rng), looked)
         blocked = self.key.machine != "panda" and bool(self.rng.random() < 0.4)
+        loose = self._surveyed(loose, looked)
         on_path = self._on_path(motion) if blocked else []
         if blocked and not on_path:
             return None
@@ -342,7 +348,7 @@ class _Draft:
     # --- obstacles -------------------------------------------------------------
 
     def _count(self, built: int) -> int:
-        if self.key.kind == "open":
+        if self.key.kind in ("open", *SURVEYED):
             return int(self.rng.integers(1, 4))
         if self.key.kind == "cluttered":
             return int(self.rng.integers(6, 11))
@@ -392,6 +398,15 @@ class _Draft:
         hit = set(proximity.owner[least < 1.5 * SPARE].tolist())
         return [record for index, record in enumerate(records) if index not in hit]
 
+    def _surveyed(self, records: list[Record], configurations: Matrix) -> list[Record]:
+        """The obstacles as they are in a site of this kind, where configurations (W, n) are to be free."""
+        if self.key.kind == "scan":
+            return [scan(self.robot, self.key.machine, records, self.rng)]
+        if self.key.kind == "terrain":
+            clear = self.habitat.clearance + 2.0 * SPARE
+            return [*records, ground(self.robot, self.key.machine, configurations, clear, self.rng)]
+        return records
+
     # --- free or not -----------------------------------------------------------
 
     def _proximity(self, records: Sequence[Record], *, itself: bool = True) -> bp.Proximity:
@@ -418,5 +433,7 @@ class _Draft:
         return pose
 
     def _scene(self, obstacles: Sequence[Record], task: Record, start: Vector | None) -> bp.Scene:
-        room = {"clearance": self.habitat.clearance, "influence": self.habitat.influence}
+        room: Record = {"clearance": self.habitat.clearance, "influence": self.habitat.influence}
+        if self.key.kind in SURVEYED:
+            room["folder"] = folder()
         return scene_of(self.robot, obstacles, start=start, task=task, name=str(self.key), **room)

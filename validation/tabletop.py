@@ -150,7 +150,7 @@ def _target(wanted: _Reach, away: float) -> TipTarget:
 
 def _scene(robot: bp.Robot, key: SiteKey, obstacles: Sequence[Record], task: Record, start: Vector) -> bp.Scene:
     habitat = HABITATS[MACHINE]
-    room = {"clearance": habitat.clearance, "influence": habitat.influence}
+    room: Record = {"clearance": habitat.clearance, "influence": habitat.influence}
     return scene_of(robot, obstacles, start=start, task=task, name=str(key), **room)
 
 

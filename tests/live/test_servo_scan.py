@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from backhoe_planner import Servo
+
+# opens the wall: what is built, and how often boxes are found, are counted within
+from backhoe_planner.live.braking.separation import Separation
 from backhoe_planner.machine import Robot
+from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame
+from backhoe_planner.machine.clusters.tiles import Tiles
 from backhoe_planner.site import Proximity, scene_from_dict
 
 START = [0.0, 0.7, -1.2, -1.2]
@@ -78,3 +84,31 @@ def test_it_rises_freely_from_ground_of_coarse_cells(backhoe: Robot, tmp_path: P
     for _ in range(200):
         state = servo.step([0.0, 0.0, 0.4])
     assert state.tip_position[2] > low.tip_position[2] + 0.6
+
+
+def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
+    backhoe: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What takes tens of milliseconds is done before the first step, also where nothing was near then."""
+    servo = Servo(backhoe, scene_from_dict(SCENE))
+    below = np.array([0.0, 1.0, -1.0])
+    servo.add_points("scan", below + ground_and_wall(np.random.default_rng(4)), resolution=0.1)
+    measured: list[int] = []
+
+    def must_not(*_: object, **__: object) -> None:
+        raise AssertionError("this takes longer than a step may")
+
+    def count(self: Separation, *args: Any, **kwargs: Any) -> np.ndarray:
+        measured[-1] += 1
+        return find(self, *args, **kwargs)
+
+    find = Separation.find_boxes
+    monkeypatch.setattr(Separation, "find_boxes", count)
+    for kind in (Tiles, DistanceGrid, GridFrame):
+        monkeypatch.setattr(kind, "__init__", must_not)
+    for _ in range(1500):
+        measured.append(0)
+        servo.step([0.2, 0.6, -0.5])
+        assert servo.last_error is None
+    assert sum(measured) > 20
+    assert max(measured) <= 2

@@ -287,3 +287,36 @@ def test_bounds_stay_true_where_the_ground_is_dug_and_heaped() -> None:
         closer += int((old > np.maximum(true, 0.0) + 1e-6).sum())
     assert carried >= 6  # the box around it grew at most twice
     assert closer > 0  # the old bounds would have been wrong
+
+
+@pytest.mark.parametrize("kind", ["scan", "terrain"])
+def test_no_box_is_near_where_no_cell_is_if_asked_to_be_exact(kind: str) -> None:
+    # a bar 0.5 m above ground that is level to 1 cm, of cells of 5 cm; cubes of 10 cm would come to within 0.4 m
+    rng = np.random.default_rng(12)
+    heights = rng.uniform(-0.01, -0.001, (81, 81))
+    x = np.linspace(-2.0, 2.0, 400)
+    points = np.column_stack((np.repeat(x, 400), np.tile(x, 400), rng.uniform(-0.01, -0.001, 160_000)))
+    cluster = terrain(heights, 4.0) if kind == "terrain" else scan(points, 0.05)
+    link, place = LINKS[0], at(0.03, 0.02, 0.55)
+    for exact, least in ((0.0, 0.25), (0.4, 0.4)):
+        found = cluster.around(link, place, 0.65, ball=BALL, most=15, exact=exact)
+        boxes = min(gap(link, place, part.piece) for part in found.parts)
+        assert found.covered == 0.65
+        assert least <= boxes <= distance(cluster, link, place) + 1e-9
+
+
+@pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
+def test_cells_near_a_box_are_all_that_touch_it(kind: str) -> None:
+    solid = solids(np.random.default_rng(13))[kind][0].solid
+    rng = np.random.default_rng(14)
+    every = solid.near(solid.bounds[0] - 1.0, solid.bounds[1] + 1.0)
+    middle, radius = every.around()
+    assert len(every) >= len(solid)
+    for _ in range(20):
+        low = rng.uniform(-1.2, 1.0, 3)
+        high = low + rng.uniform(0.0, 0.6, 3)
+        found = {tuple(row) for row in np.round(solid.near(low, high).around()[0].T, 9).tolist()}
+        # cells that have their middle in the box touch it
+        own = middle.T[np.abs(middle.T - 0.5 * (low + high)).max(axis=1) <= 0.5 * (high - low).min()]
+        assert {tuple(row) for row in np.round(own, 9).tolist()} <= found
+    assert (radius > 0.0).all()

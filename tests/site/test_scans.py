@@ -38,7 +38,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Obstacle:
 def boxes(scan: Obstacle) -> Obstacle:
     """The same, box by box."""
     assert scan.cluster is not None
-    points = scan.cluster.solid.near(*scan.cluster.bounds).middle
+    points = scan.cluster.solid.near(*scan.cluster.bounds).middle.T
     pieces = tuple(
         shapes.box(size, scan.cluster.placement * pin.SE3(np.eye(3), centre))
         for centre, size in voxel_boxes(points, 0.1)

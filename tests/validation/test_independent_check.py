@@ -13,7 +13,7 @@ import backhoe_planner as bp
 # opens the wall: the tree of balls is held against every point at the same moments and placements
 from validation import independent_check
 from validation.habitats import load_machine
-from validation.signed_distances import obstacle_distance
+from validation.signed_distances import obstacle_distance, voxels_distance
 from validation.sites import SiteKey, random_site
 from validation.surfaces import link_shapes
 
@@ -67,3 +67,14 @@ def test_a_claim_that_is_too_high_is_refuted(plan: bp.Plan) -> None:
     lines = independent_check.refutations(wrong)
     assert lines
     assert all(first.obstacle in line for line in lines)
+
+
+def test_distance_of_a_scan_is_that_of_the_nearest_of_all_voxels() -> None:
+    rng = np.random.default_rng(5)
+    points = np.column_stack((rng.uniform(-1.0, 1.0, (3000, 2)), rng.normal(0.0, 0.02, 3000)))
+    edge = 0.1
+    low = np.unique(np.floor(points / edge), axis=0) * edge
+    at = rng.uniform(-1.5, 1.5, (300, 3))
+    off = np.maximum(low[None] - at[:, None], at[:, None] - low[None] - edge)
+    every = np.linalg.norm(np.maximum(off, 0.0), axis=2) + np.minimum(off.max(axis=2), 0.0)
+    np.testing.assert_allclose(voxels_distance(points, edge)(at), every.min(axis=1), atol=1e-9)

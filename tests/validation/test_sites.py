@@ -12,7 +12,7 @@ import backhoe_planner as bp
 from backhoe_planner.motion import Problem, build_problem
 from validation.habitats import load_machine
 from validation.obstacles import MACHINES
-from validation.sites import KINDS, SPARE, TASKS, Site, SiteKey, random_site
+from validation.sites import KINDS, SPARE, SURVEYED, TASKS, Site, SiteKey, random_site
 
 ALL = [(machine, kind, task) for machine in MACHINES for kind in KINDS for task in TASKS]
 
@@ -22,12 +22,15 @@ def drawn(machine: str, kind: str, task: str, index: int) -> Site:
     return random_site(load_machine(machine), SiteKey(machine, kind, task, index))
 
 
+SURVEYS = [("backhoe", "terrain", "goal"), ("planar4", "scan", "path")]
+
+
 def least_margin(problem: Problem, q: np.ndarray) -> float:
     proximity = bp.Proximity(problem.robot, problem.obstacles)
     return float(np.min(proximity.distances(q) - proximity.clearance))
 
 
-@pytest.mark.parametrize(("machine", "kind", "task"), ALL)
+@pytest.mark.parametrize(("machine", "kind", "task"), ALL + SURVEYS)
 def test_a_site_is_what_its_name_says_whatever_was_drawn_before(machine: str, kind: str, task: str) -> None:
     first = drawn(machine, kind, task, 0)
     other = drawn(machine, kind, task, 1)
@@ -39,7 +42,7 @@ def test_a_site_is_what_its_name_says_whatever_was_drawn_before(machine: str, ki
         assert first.scene != random_site(load_machine(machine), SiteKey(machine, kind, task, 0, seed=1)).scene
 
 
-@pytest.mark.parametrize(("machine", "kind", "task"), ALL)
+@pytest.mark.parametrize(("machine", "kind", "task"), ALL + SURVEYS)
 def test_start_and_goal_are_free_with_a_centimetre_to_spare(machine: str, kind: str, task: str) -> None:
     for index in range(2):
         site = drawn(machine, kind, task, index)
@@ -106,6 +109,13 @@ def test_a_tip_path_has_a_motion_that_the_certificate_accepts_unless_it_is_block
         assert not certificate.detours
         assert certificate.min_clearance is None or certificate.min_clearance.margin >= SPARE - 1e-3
     assert blocked < 3
+
+
+def test_surveys_are_in_the_sites_that_are_named_after_them() -> None:
+    for machine, kind, task in SURVEYS:
+        shapes = {obstacle.shape for obstacle in drawn(machine, kind, task, 0).scene.obstacles}
+        assert {"scan": "pointcloud", "terrain": "heightmap"}[kind] in shapes
+    assert len(SURVEYED) == 2
 
 
 def test_nothing_stands_inside_the_machine_and_the_whole_language_is_used() -> None:

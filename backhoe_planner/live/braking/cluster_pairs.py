@@ -65,23 +65,27 @@ class ClusterPairs:
     was_inside: bool = False
     pairs: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
-    def find(self, pose: Matrix, shift: Vector, reach: float, *, is_new: bool) -> tuple[Part, ...]:
+    def __post_init__(self) -> None:
+        self._bounds = self.cluster.grid(*self.ball)
+
+    def find(self, pose: Matrix, shift: Vector, reach: float, *, exact: float, is_new: bool) -> tuple[Part, ...]:
         """The boxes around the piece where its body is at `pose` (4, 4), in coordinates of where it was built.
 
         Parameters
         ----------
         shift: (3,) of the obstacle from where it was built [m].
         reach: distance within which its cells count [m].
+        exact: distance up to which boxes are to be as exact as cells [m].
         is_new: whether nothing is known of it from the step before.
         """
         T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
         centres, radius = self.balls
         at = centres @ T.rotation.T + T.translation
-        away = float(self.cluster.grid(*self.ball).lower(at).min()) - radius
+        away = float(self._bounds.lower(at).min()) - radius
         if away > reach:
             self.covered = self.nearest = away
             return ()
-        found = self.cluster.around(self.own, T, reach, ball=self.ball, most=SLOTS - _REST)
+        found = self.cluster.around(self.own, T, reach, ball=self.ball, most=SLOTS - _REST, exact=exact)
         parts, self.covered = found.parts, found.covered
         if found.rest is not None and found.covered < min(reach, self.clearance + _ROOM):
             parts, self.covered = (*parts, found.rest), reach

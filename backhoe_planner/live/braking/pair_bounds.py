@@ -160,7 +160,9 @@ class PairBounds:
         separation, pairs = self._separation, one.pairs
         kept = float(self.required[pairs].min())
         odometer = float(self._start_odometer[one.classes])
-        found = separation.find_boxes(one, at, 0, reach=reach, odometer=odometer, is_new=path is None)
+        found = separation.find_boxes(
+            one, at, 0, reach=reach, exact=one.clearance + self._influence, odometer=odometer, is_new=path is None
+        )
         self.set_distance(pairs, found)
         self._renewed_at[pairs] = step
         if path is None:

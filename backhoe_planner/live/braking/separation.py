@@ -210,6 +210,7 @@ class Separation:
 
     def _add_cluster(self, number: int, obstacle: Obstacle, cluster: Cluster, links: Sequence[int]) -> None:
         speed = float(np.linalg.norm(obstacle.velocity))
+        cluster.prepare_boxes(self._ball)  # which takes longer than a step may
         for link in links:
             own = self.robot.pieces[link].piece
             classes = int(self._class_of_piece[link])
@@ -218,18 +219,27 @@ class Separation:
             self.clusters.append(one)
 
     def find_boxes(
-        self, one: ClusterPairs, at: Placements, sample: int, *, reach: float, odometer: float, is_new: bool
+        self,
+        one: ClusterPairs,
+        at: Placements,
+        sample: int,
+        *,
+        reach: float,
+        exact: float,
+        odometer: float,
+        is_new: bool,
     ) -> Vector:
         """Find anew the boxes that stand for a cluster around a link; the distance from each of its pairs [m].
 
         Parameters
         ----------
         reach: distance within which its cells count [m].
+        exact: distance up to which boxes are to be as exact as cells [m].
         odometer: of its class now [m].
         is_new: whether nothing is known of it from the step before.
         """
         shift = self._shifts[one.number]
-        parts = one.find(at.T[sample, self._joint_of[one.piece]], shift, reach, is_new=is_new)
+        parts = one.find(at.T[sample, self._joint_of[one.piece]], shift, reach, exact=exact, is_new=is_new)
         one.odometer = odometer
         self.measured += len(parts)
         distance = np.full(len(one.pairs), FAR)

@@ -57,7 +57,7 @@ from backhoe_planner.site import (
     swing_sectors,
 )
 
-_BOXES_EVERY = 10  # steps after which boxes of scans are looked at again; chosen
+_BOXES_EVERY = 10  # steps after which boxes of scans are looked at again, where none are due; chosen
 _BOXES_AHEAD = 0.15  # m beyond what counts now, within which boxes of a scan are found; chosen
 _INFLUENCE = 0.3  # m of margin: obstacles further away do not act on the wish, nor does the state name them; chosen
 _CREEPS = 1e-3  # rad/s or m/s: a slower machine counts as stopped; chosen, too slow to be seen
@@ -363,34 +363,47 @@ class Servo:
 
     def _reach_of(self, one: ClusterPairs) -> float:
         """Distance from a link within which the cells of a cluster count [m]."""
-        return float(one.clearance + max(self._influence, self._next_path()[one.classes]) + _BOXES_AHEAD)
+        return float(one.clearance + max(self._influence, self._next_path(_BOXES_EVERY)[one.classes]) + _BOXES_AHEAD)
 
-    def _next_path(self) -> Vector:
-        """(C,) how far points of each class may move until boxes are looked at again, and braking after it [m]."""
-        length = self._joints.longest_way(self._state.v, _BOXES_EVERY)
+    def _next_path(self, steps: int) -> Vector:
+        """(C,) how far points of each class may move in so many steps and one more, and braking after it [m]."""
+        length = self._joints.longest_way(self._state.v, steps)
         return np.asarray(self._separation.travel @ np.maximum(length, np.abs(self._state.end - self._state.q)))
 
+    def _most_urgent(self, steps: int) -> tuple[ClusterPairs | None, float]:
+        """Whose boxes are to be found anew before all others, if all are to hold for so many steps, and how urgent."""
+        time = self._joints.braking_time(self._state.v) + (steps + 1) * self.dt
+        return self._bounds.most_urgent(self._next_path(steps), time)
+
+    def _find_boxes(self, one: ClusterPairs) -> None:
+        """Find the boxes of a link and a cluster anew."""
+        path = self._check.path(self._state.q, self._state.v, step=False)
+        path.place(self._at)
+        self._bounds.find_boxes(one, self._at, reach=self._reach_of(one), path=path, step=self._steps)
+
     def _renew_boxes(self) -> bool:
-        """Find the boxes of one link and one cluster anew, where that is due; of more where it must be.
+        """Find the boxes of one link and one cluster anew, where that is due; of more where the next step needs them.
 
         False where boxes cannot hold all that the machine could come to: it has to slow down.
         """
         if self._steps < self._boxes_due:
             return True
-        needed, time = self._next_path(), self._joints.braking_time(self._state.v) + _BOXES_EVERY * self.dt
+        one, urgency = self._most_urgent(_BOXES_EVERY)
+        if one is None:
+            self._boxes_due = self._steps + _BOXES_EVERY
+            return True
+        self._find_boxes(one)
+        if urgency < math.inf:
+            self._boxes_due = self._steps + _BOXES_EVERY
+            return True
+        self._boxes_due = self._steps + 1  # the next step looks whether there are more that cannot wait long
         for _ in self._separation.clusters:
-            one, urgency = self._bounds.most_urgent(needed, time)
-            if one is None:
-                break
-            path = self._check.path(self._state.q, self._state.v, step=False)
-            path.place(self._at)
-            self._bounds.find_boxes(one, self._at, reach=self._reach_of(one), path=path, step=self._steps)
-            if urgency < math.inf:
-                break
-            if one.urgency(one.odometer, float(needed[one.classes]), time) == math.inf:
-                return False
-        self._boxes_due = self._steps + _BOXES_EVERY
-        return True
+            # of the others only those that this step or the next one needs cannot wait
+            one, urgency = self._most_urgent(1)
+            if one is None or urgency < math.inf:
+                return True
+            self._find_boxes(one)
+        return self._most_urgent(1)[1] < math.inf
 
     def _pace_of_sectors(self) -> float:
         """The part of the wished speed that the slow distances of swing sectors leave."""

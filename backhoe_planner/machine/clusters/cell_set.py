@@ -3,104 +3,113 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine.clusters.tiles import Tiles
-from backhoe_planner.machine.shape.shapes import convex_of_cell
+from backhoe_planner.machine.shape.shapes import Gauge, cube, thin_triangle, transform
 
-_CUBE = np.array(list(np.ndindex(2, 2, 2)), dtype=float) - 0.5
 _ROOT3 = 3.0**0.5
 
 
 @dataclass(frozen=True)
 class CellSet:
-    """K cubes, then T triangles.
+    """K cubes, then T triangles. Coordinates are rows, so that what is done with each of them runs along memory.
 
     Attributes
     ----------
-    middle, half: (K, 3) and (K,) middles and half edges of the cubes [m].
-    triangles: (T, 3, 3) their corners [m].
+    middle, half: (3, K) and (K,) middles and half edges of the cubes [m].
+    corners: (3, 3, T) first, second and third corners of the triangles, each by coordinates [m].
     """
 
     middle: Matrix
     half: Vector
-    triangles: Array
+    corners: Array
 
     @staticmethod
-    def of_triangles(triangles: Array) -> CellSet:
-        """Triangles (T, 3, 3) alone [m]."""
-        return CellSet(_NONE, _NONE[:, 0], triangles)
+    def of_triangles(corners: Array) -> CellSet:
+        """Triangles (3, 3, T) alone, as `corners` [m]."""
+        return CellSet(_NONE, _NONE[0], corners)
 
     @staticmethod
     def of_cubes(middle: Matrix, half: float) -> CellSet:
-        """Cubes alone, all of one half edge [m]."""
-        return CellSet(middle, np.full(len(middle), half), _NO_TRIANGLES)
+        """Cubes with middles (3, K) alone, all of one half edge [m]."""
+        return CellSet(middle, np.full(middle.shape[1], half), _NO_TRIANGLES)
 
     def __len__(self) -> int:
-        return len(self.middle) + len(self.triangles)
+        return len(self.half) + int(self.corners.shape[2])
 
     def together(self, other: CellSet) -> CellSet:
         """The cells of both; of the triangles, those of both follow the cubes of both."""
+        if not len(other):
+            return self
         return CellSet(
-            np.concatenate((self.middle, other.middle)),
+            np.concatenate((self.middle, other.middle), axis=1),
             np.concatenate((self.half, other.half)),
-            np.concatenate((self.triangles, other.triangles)),
+            np.concatenate((self.corners, other.corners), axis=2),
         )
 
-    def only(self, those: Flags) -> CellSet:
-        """The cells for which `those` (K + T,) is true."""
-        cubes, triangles = those[: len(self.middle)], those[len(self.middle) :]
-        return CellSet(
-            self.middle[cubes], self.half[cubes], self.triangles[triangles] if len(triangles) else _NO_TRIANGLES
-        )
+    def only(self, those: Indices) -> CellSet:
+        """The cells with the numbers `those` (k,), which ascend."""
+        count = len(self.half)
+        if not self.corners.shape[2]:
+            return CellSet(self.middle.take(those, axis=1), self.half.take(those), self.corners)
+        if not count:
+            return CellSet(self.middle, self.half, self.corners.take(those, axis=2))
+        first = int(those.searchsorted(count))
+        cubes, triangles = those[:first], those[first:] - count
+        return CellSet(self.middle.take(cubes, axis=1), self.half.take(cubes), self.corners.take(triangles, axis=2))
 
-    def off(self, link: LinkBox) -> Vector:
-        """(K + T,) how far away the middles of all cells are from the box around a link [m]."""
-        if not len(self.triangles):
-            return link.off(self.middle)
-        middle = self.triangles.mean(axis=1)
-        return link.off(middle if not len(self.middle) else np.concatenate((self.middle, middle)))
-
-    def radius(self) -> Vector:
-        """(K + T,) how far they reach from their middles [m]."""
+    def around(self) -> tuple[Matrix, Vector]:
+        """(3, K + T) the middles of all cells, and (K + T,) how far they reach from there [m]."""
         cubes = _ROOT3 * self.half
-        if not len(self.triangles):
-            return cubes
-        reach = self.triangles - self.triangles.mean(axis=1)[:, None]
-        return np.concatenate((cubes, np.sqrt((reach * reach).sum(axis=2).max(axis=1))))
+        if not self.corners.shape[2]:
+            return self.middle, cubes
+        middle = self.corners.sum(axis=0) / 3.0
+        reach = self.corners - middle
+        reach *= reach
+        size = np.sqrt(np.maximum.reduce(np.add.reduce(reach, axis=1), axis=0))
+        if not len(cubes):
+            return middle, size
+        return np.concatenate((self.middle, middle), axis=1), np.concatenate((cubes, size))
 
     def least_along(self, n: Vector) -> Vector:
         """(K + T,) the least of n . x over each cell [m]."""
-        cubes = self.middle @ n - np.abs(n).sum() * self.half
-        if not len(self.triangles):
-            return np.asarray(cubes)
-        along = self.triangles @ n
-        least = np.minimum(np.minimum(along[:, 0], along[:, 1]), along[:, 2])
-        return np.concatenate((cubes, least))
+        if not self.corners.shape[2]:
+            return self._least_of_cubes(n)
+        least = np.minimum.reduce(np.matmul(n, self.corners), axis=0)
+        return np.concatenate((self._least_of_cubes(n), least)) if len(self.half) else np.asarray(least)
+
+    def _least_of_cubes(self, n: Vector) -> Vector:
+        x, y, z = n.tolist()
+        return np.asarray(n @ self.middle - (abs(x) + abs(y) + abs(z)) * self.half)
 
     def extent(self, axes: Matrix) -> tuple[Vector, Vector]:
         """(3,), (3,) how far all of them reach along the columns of `axes` (3, 3) [m]."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
-        if len(self.middle):
-            at, more = self.middle @ axes, self.half[:, None] * np.abs(axes).sum(axis=0)
-            low, high = (at - more).min(axis=0), (at + more).max(axis=0)
-        if len(self.triangles):
-            at = self.triangles.reshape(-1, 3) @ axes
-            low, high = np.minimum(low, at.min(axis=0)), np.maximum(high, at.max(axis=0))
+        if len(self.half):
+            at, more = axes.T @ self.middle, np.add.reduce(np.abs(axes), axis=0)[:, None] * self.half
+            low, high = np.minimum.reduce(at - more, axis=1), np.maximum.reduce(at + more, axis=1)
+        if self.corners.shape[2]:
+            at = np.matmul(axes.T, self.corners)
+            low = np.minimum(low, np.minimum.reduce(at, axis=(0, 2)))
+            high = np.maximum(high, np.maximum.reduce(at, axis=(0, 2)))
         return low, high
 
-    def shape(self, index: int) -> Any:
-        """Coal's object for one of them."""
-        if index < len(self.middle):
-            return convex_of_cell(self.middle[index] + 2.0 * self.half[index] * _CUBE)
-        return convex_of_cell(self.triangles[index - len(self.middle)])
+    def measure(self, index: int, gauge: Gauge, shape: object, T: object) -> tuple[float, Vector, Vector, Vector]:
+        """The distance of one of them from a convex `shape` at `T`, as `Gauge.measure` gives it."""
+        if index < len(self.half):
+            own, there = cube(2.0 * float(self.half[index])), transform(_AXES, self.middle[:, index])
+        else:
+            own, there = thin_triangle(self.corners[:, :, index - len(self.half)]), _HERE
+        return gauge.measure(shape, T, own, there)
 
 
-_NONE = np.zeros((0, 3))
-_NO_TRIANGLES = np.zeros((0, 3, 3))
+_NONE = np.zeros((3, 0))
+_NO_TRIANGLES = np.zeros((3, 3, 0))
+_AXES = np.eye(3)
+_HERE = transform(_AXES, np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -116,17 +125,21 @@ class LinkBox:
     def around(hull: Matrix, R: Matrix, radius: float) -> LinkBox:
         """Around all that is within `radius` [m] of the hull of points (k, 3)."""
         own = hull @ R
-        low, high = own.min(axis=0), own.max(axis=0)
+        low, high = np.minimum.reduce(own, axis=0), np.maximum.reduce(own, axis=0)
         return LinkBox(R, R @ (0.5 * (low + high)), 0.5 * (high - low), radius)
 
     def off(self, points: Matrix) -> Vector:
-        """(k,) signed distance of points from it [m]; less than the true one where the link is round."""
-        off = np.abs((points - self.middle) @ self.R)
-        off -= self.half
-        out = np.maximum(off, 0.0)
-        out *= out
-        inside = np.minimum(np.maximum(np.maximum(off[:, 0], off[:, 1]), off[:, 2]), 0.0)
-        return np.asarray(np.sqrt(out[:, 0] + out[:, 1] + out[:, 2]) + inside - self.radius)
+        """(k,) signed distance of points (3, k) from it [m]; less than the true one where the link is round."""
+        off = self.R.T @ points
+        off -= (self.middle @ self.R)[:, None]
+        np.abs(off, out=off)
+        off -= self.half[:, None]
+        found = np.minimum(np.maximum.reduce(off, axis=0), 0.0)
+        np.maximum(off, 0.0, out=off)
+        off *= off
+        found += np.sqrt(np.add.reduce(off, axis=0))
+        found -= self.radius
+        return np.asarray(found)
 
 
 class CoarseCells:
@@ -140,7 +153,8 @@ class CoarseCells:
     """
 
     def __init__(self, low: Matrix, step: float, region: tuple[Vector, Vector]) -> None:
-        self._middle, self.step, self._region = low + 0.5 * step, step, region
+        self._middle = np.ascontiguousarray(low.T) + 0.5 * step
+        self.step, self._region = step, region
         self._tiles = Tiles(low, low + step, 4.0 * step) if len(low) else None
 
     def hold(self, low: Vector, high: Vector, bounds: Matrix) -> bool:
@@ -149,5 +163,5 @@ class CoarseCells:
         return bool((high < low).any() or ((low >= self._region[0]) & (high <= self._region[1])).all())
 
     def near(self, low: Vector, high: Vector) -> Matrix:
-        """(k, 3) middles of the cubes that may touch a box, and of some others [m]."""
-        return self._middle[:0] if self._tiles is None else self._middle[self._tiles.near(low, high)]
+        """(3, k) middles of the cubes that may touch a box, and of some others [m]."""
+        return self._middle[:, :0] if self._tiles is None else self._middle.take(self._tiles.near(low, high), axis=1)

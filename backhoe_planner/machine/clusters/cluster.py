@@ -9,6 +9,7 @@ Three questions are answered, each by what answers it fastest:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,6 +29,7 @@ _FINE_WITHIN = 2.5  # coarse edges from a link, 0.25 m or more, within which cel
 _HALF_DIAGONAL = 0.5 * 3.0**0.5  # of a cube's edge
 _COARSE = 0.1  # m, edge of the cells beyond it; chosen
 _SLACK = 0.15  # of the distance by which a plane may be moved towards the link, so that it has more cells behind it
+_FINE_AT_MOST = 0.6  # m from a link, within which cells are looked at one by one on demand; chosen
 _BEYOND = 1e-9  # m by which a cell may reach across a plane that it counts as behind
 
 
@@ -46,6 +48,7 @@ class Cluster:
         self._is_upright = bool((np.eye(3) == self._R).all())
         self._grids: dict[bytes, DistanceGrid] = {}
         self._coarser: dict[bytes, CoarseCells] = {}
+        self._coarse_of: tuple[object, CoarseCells | None] = None, None  # asked for last
 
     def __len__(self) -> int:
         return len(self.solid)
@@ -104,6 +107,12 @@ class Cluster:
         if (np.maximum(self.solid.bounds[0] - away, away - self.solid.bounds[1]) < radius).all():
             self.solid.prepare()
 
+    def prepare_boxes(self, ball: tuple[Vector, float]) -> None:
+        """Build what `around` needs for links within a ball, centre (3,) and radius [m], world, and the bounds."""
+        self.grid(*ball)
+        self._coarse(ball)
+        self.solid.prepare_near()
+
     # --- distances -----------------------------------------------------------------------
 
     def _local(self, piece: Piece, T_world_body: pin.SE3, shift: Vector) -> Placed:
@@ -136,7 +145,7 @@ class Cluster:
 
     def around(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
-        shift: Vector | None = None,
+        shift: Vector | None = None, exact: float = 0.0,
     ) -> Around:  # fmt: skip
         """All cells within `reach` [m] of a convex piece of a body, in a few boxes.
 
@@ -149,60 +158,75 @@ class Cluster:
         Parameters
         ----------
         T_world_body, shift: as in `measure`.
+        exact: distance up to which, too, cells are looked at one by one: no cube further off comes nearer [m].
         ball: centre (3,) and radius [m] of where the machine can be, world.
         most: the greatest number of boxes. Where it takes more, what is left is further away than `covered` [m].
         """
         shift = _NO_SHIFT if shift is None else shift
         link = self._local(piece, T_world_body, shift)
-        near = self._cells_around(link, reach, ball)
-        off = near.off(LinkBox.around(link.hull, link.R, link.radius))
+        cells, off = self._cells_around(link, reach, ball, exact)
         gauge, T_link = Gauge(), transform(link.R, link.t)
         parts: list[Part] = []
         while len(off) and len(parts) < most:
             nearest = int(off.argmin())
-            distance, n, x_link, x_cell = gauge.measure(link.shape, T_link, near.shape(nearest), _HERE)
-            along = near.least_along(n)
+            distance, n, x_link, x_cell = cells.measure(nearest, gauge, link.shape, T_link)
+            along = cells.least_along(n)
             plane = float(along[nearest])
             behind = along >= plane - _SLACK * max(distance, 0.0) - _BEYOND
-            distance += min(float(along[behind].min()) - plane, 0.0)
-            own = self._box(near.only(behind), _frame_along(n, link.R))
-            parts.append(self._part(own, Reading(distance, n, x_link, x_cell), shift))
-            near, off = near.only(~behind), off[~behind]
+            own = behind.nonzero()[0]
+            part = cells if len(own) == len(off) else cells.only(own)
+            distance += min(float(along[own].min()) - plane, 0.0)
+            box_of = self._box(part, _frame_along(n, link.R), shift)
+            parts.append(Part(box_of, self._placed(Reading(distance, n, x_link, x_cell), shift)))
+            if part is cells:
+                return Around(tuple(parts), reach)
+            left = (~behind).nonzero()[0]
+            cells, off = cells.only(left), off.take(left)
         if not len(off):
             return Around(tuple(parts), reach)
-        around = self._box(near, link.R)
+        around = self._box(cells, link.R, shift)
         T_box = transform(around.placement.rotation, around.placement.translation)
-        rest = self._part(around, Reading(*gauge.measure(link.shape, T_link, around.shape, T_box)), shift)
-        return Around(tuple(parts), min(reach, float((off - near.radius()).min())), rest)
+        T_here = transform(self._R @ link.R, self._R @ link.t + self._t + shift)
+        rest = Part(around, Reading(*gauge.measure(link.shape, T_here, around.shape, T_box)))
+        return Around(tuple(parts), min(reach, float((off - cells.around()[1]).min())), rest)
 
-    def _box(self, cells: CellSet, axes: Matrix) -> Piece:
-        """The box along `axes` (3, 3) around cells, in the frame of the solid."""
+    def _box(self, cells: CellSet, axes: Matrix, shift: Vector) -> Piece:
+        """The box along `axes` (3, 3) of the solid's frame around cells, in the world."""
         start, end = cells.extent(axes)
         end = np.maximum(end, start + self.solid.finest)
-        return box(end - start, pin.SE3(axes, axes @ (0.5 * (start + end))))
+        R = axes if self._is_upright else self._R @ axes
+        return box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t + shift))
 
-    def _cells_around(self, link: Placed, reach: float, ball: tuple[Vector, float]) -> CellSet:
-        """The cells within a reach of a link; further off, cubes that contain them."""
+    def _placed(self, reading: Reading, shift: Vector) -> Reading:
+        """What was measured in the frame of the solid, in the world."""
+        base, (distance, n, x_link, x_cell) = self._t + shift, reading
+        if self._is_upright:
+            return Reading(distance, n, x_link + base, x_cell + base)
+        return Reading(distance, self._R @ n, self._R @ x_link + base, self._R @ x_cell + base)
+
+    def _cells_around(
+        self, link: Placed, reach: float, ball: tuple[Vector, float], exact: float
+    ) -> tuple[CellSet, Vector]:
+        """The cells within a reach of a link, and how far their middles are off; further off, cubes with them."""
         coarse, around = self._coarse(ball), LinkBox.around(link.hull, link.R, link.radius)
-        fine_within = _FINE_WITHIN * coarse.step
-        if reach <= fine_within or not coarse.hold(*link.box(reach), self.solid.bounds):
-            found = self.solid.near(*link.box(reach))
-            return found.only(found.off(around) - found.radius() <= reach)
-        cubes = coarse.near(*link.box(reach))
-        off = around.off(cubes)
-        cubes = cubes[(off > fine_within) & (off <= reach + coarse.step)]
+        fine_within = max(_FINE_WITHIN * coarse.step, min(exact + 2.0 * _HALF_DIAGONAL * coarse.step, _FINE_AT_MOST))
+        box = link.box(reach)
+        if reach <= fine_within or not coarse.hold(*box, self.solid.bounds):
+            return _within(self.solid.near(*box), around, reach)
+        cubes = coarse.near(*box)
+        away = around.off(cubes)
+        outer = ((away > fine_within) & (away <= reach + coarse.step)).nonzero()[0]
         # what is in none of these cubes is in one whose middle is nearer
         fine = fine_within + _HALF_DIAGONAL * coarse.step
-        found = self.solid.near(*link.box(fine))
-        found = found.only(found.off(around) - found.radius() <= fine)
-        return found.together(CellSet.of_cubes(cubes, 0.5 * coarse.step))
-
-    def _part(self, own: Piece, reading: Reading, shift: Vector) -> Part:
-        """A box that is given in the frame of the solid, in the world."""
-        base, (distance, n, x_link, x_cell) = self._t + shift, reading
-        placed = pin.SE3(self._R @ own.placement.rotation, self._R @ own.placement.translation + base)
-        half = np.ptp(own.hull @ own.placement.rotation, axis=0)
-        return Part(box(half, placed), Reading(distance, self._R @ n, self._R @ x_link + base, self._R @ x_cell + base))
+        if not (away <= fine_within).any():
+            return CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step), away.take(outer)
+        cells, off = _within(self.solid.near(*link.box(fine)), around, fine)
+        if not len(outer):
+            return cells, off
+        both = cells.together(CellSet.of_cubes(cubes.take(outer, axis=1), 0.5 * coarse.step))
+        # cubes precede triangles
+        first = len(cells.half)
+        return both, np.concatenate((off[:first], away.take(outer), off[first:]))
 
     def inside_of(self, piece: Piece, T_world_body: pin.SE3) -> Part | None:
         """For a piece of a body that is in the ground or in a closed mesh and touches no cell: a box around it.
@@ -220,11 +244,19 @@ class Cluster:
         start[1:] -= size
         end += size
         start[0] = float(found.other_point @ found.normal)
-        own = box(end - start, pin.SE3(axes, axes @ (0.5 * (start + end))))
-        return self._part(own, found, _NO_SHIFT)
+        R = self._R @ axes
+        placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t))
+        return Part(placed, self._placed(found, _NO_SHIFT))
 
     def _coarse(self, ball: tuple[Vector, float]) -> CoarseCells:
         """The surface of the solid in cubes, within a ball."""
+        for_ball, found = self._coarse_of
+        if found is None or for_ball is not ball:
+            found = self._make_coarse(ball)
+            self._coarse_of = ball, found
+        return found
+
+    def _make_coarse(self, ball: tuple[Vector, float]) -> CoarseCells:
         middle = (ball[0] - self._t) @ self._R
         step = max(_COARSE, 2.0 * self.solid.finest)
         low = np.maximum(middle - ball[1] - _AROUND, self.solid.bounds[0])
@@ -309,12 +341,24 @@ _NO_SHIFT = np.zeros(3)
 _HERE = transform(np.eye(3), np.zeros(3))
 
 
+def _within(cells: CellSet, link: LinkBox, reach: float) -> tuple[CellSet, Vector]:
+    """Those of some cells that are within a reach of a link [m], and how far their middles are off."""
+    middle, radius = cells.around()
+    off = link.off(middle)
+    near = (off - radius <= reach).nonzero()[0]
+    return cells.only(near), off.take(near)
+
+
 def _frame_along(n: Vector, R: Matrix) -> Matrix:
     """(3, 3) axes, the first along `n`, the second across it and as near as can be to one of those of `R`."""
-    along = R - np.outer(n, n @ R)
-    size = np.linalg.norm(along, axis=0)
-    second = along[:, int(np.argmax(size))] / size.max()
-    third = np.array([
-        n[1] * second[2] - n[2] * second[1], n[2] * second[0] - n[0] * second[2], n[0] * second[1] - n[1] * second[0],
-    ])  # fmt: skip
-    return np.column_stack((n, second, third))
+    x, y, z = n.tolist()
+    best, second = -1.0, (0.0, 0.0, 0.0)
+    for a, b, c in R.T.tolist():
+        along = a * x + b * y + c * z
+        a, b, c = a - along * x, b - along * y, c - along * z
+        size = a * a + b * b + c * c
+        if size > best:
+            best, second = size, (a, b, c)
+    size = math.sqrt(best)
+    a, b, c = (part / size for part in second)
+    return np.array(((x, a, y * c - z * b), (y, b, z * a - x * c), (z, c, x * b - y * a)))

@@ -70,6 +70,10 @@ class MeshSolid:
         """Build its tree."""
         self._tree  # noqa: B018
 
+    def prepare_near(self) -> None:
+        """Sort its triangles into tiles, and find what is inside."""
+        self._tiles, self._sides  # noqa: B018
+
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
         return np.asarray(self._sides_in(frame) != _OUTSIDE)
@@ -149,7 +153,8 @@ class MeshSolid:
 
     def near(self, low: Vector, high: Vector) -> CellSet:
         """The triangles that may touch the box from `low` to `high` (3,) [m], and some others."""
-        return CellSet.of_triangles(self._corners[self._tiles.near(low, high)])
+        corners = self._corners.take(self._tiles.near(low, high), axis=0)
+        return CellSet.of_triangles(np.ascontiguousarray(corners.transpose(1, 2, 0)))
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3), fewer where there are more than `most`."""

@@ -70,6 +70,9 @@ class Solid(Protocol):
     def prepare(self) -> None:
         """Build what it is measured with."""
 
+    def prepare_near(self) -> None:
+        """Build what `near` needs, and what says whether a shape that touches no cell is inside."""
+
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
 

@@ -115,6 +115,9 @@ class TerrainSolid:
     def prepare(self) -> None:
         """Nothing: trees of its tiles are built when something comes near."""
 
+    def prepare_near(self) -> None:
+        """Nothing: its cells are found by their numbers."""
+
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
         taken = np.zeros(frame.counts, dtype=bool)
@@ -201,25 +204,30 @@ class TerrainSolid:
     def _tree(self, tile: tuple[int, int]) -> Tree:
         found = self._trees.pop(tile, None)
         if found is None:
-            triangles = self._skirt() if tile == _SKIRT else self._triangles(*self._span(tile))
+            triangles = self._skirt() if tile == _SKIRT else self._triangles(*self._span(tile)).transpose(2, 0, 1)
             found = surface_tree(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
             if len(self._trees) >= _MOST_TREES:
                 del self._trees[next(iter(self._trees))]
         self._trees[tile] = found  # the last used last
         return found
 
-    def _triangles(self, r0: int, r1: int, c0: int, c1: int) -> Array:
-        """(m, 3, 3) corners of the surface between rows and columns of points, both included [m]."""
-        xs, ys = np.meshgrid(self._x[c0 : c1 + 1], self._y[r0 : r1 + 1])
-        points = np.stack((xs, ys, self._heights[r0 : r1 + 1, c0 : c1 + 1]), axis=2)
-        a, b, c, d = (
-            part.reshape(-1, 3) for part in (points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:])
-        )
-        main = (a[:, 2] + d[:, 2] >= b[:, 2] + c[:, 2])[:, None]
+    def _triangles(self, r0: int, r1: int, c0: int, c1: int, *, low: float = -np.inf, high: float = np.inf) -> Array:
+        """(3, 3, m) corners, each by coordinates, of the surface between rows and columns of points [m].
+
+        Rows and columns are both included. Cells that are wholly below `low` or above `high` are left out [m].
+        """
+        z = self._heights[r0 : r1 + 1, c0 : c1 + 1]
+        x, y = self._x[c0 : c1 + 1], self._y[r0 : r1 + 1]
+        a, b, c, d = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
+        least, most = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
+        row, column = ((most >= low) & (least <= high)).nonzero()
+        a, b, c, d = a[row, column], b[row, column], c[row, column], d[row, column]
+        x_a, x_b, y_a, y_c = x[column], x[column + 1], y[row], y[row + 1]
+        main = a + d >= b + c
         # either along a d, or along b c
-        first = np.stack((a, b, np.where(main, d, c)), axis=1)
-        second = np.stack((np.where(main, a, b), d, c), axis=1)
-        return np.concatenate((first, second))
+        first = (x_a, y_a, a), (x_b, y_a, b), (np.where(main, x_b, x_a), y_c, np.where(main, d, c))
+        second = (np.where(main, x_a, x_b), y_a, np.where(main, a, b)), (x_b, y_c, d), (x_a, y_c, c)
+        return np.concatenate((first, second), axis=2)
 
     def _skirt(self) -> Array:
         """(m, 3, 3) corners of the walls around the map, and of its floor [m]."""
@@ -256,20 +264,18 @@ class TerrainSolid:
         return bool(point[2] <= top)
 
     def near(self, low: Vector, high: Vector) -> CellSet:
-        """The triangles that may touch the box from `low` to `high` (3,) [m]."""
+        """The triangles that may touch the box from `low` to `high` (3,) [m], and some others."""
         found = []
         if (high[:2] >= self._low).all() and (low[:2] <= -self._low).all():
             last = np.array([len(self._x) - 1, len(self._y) - 1])
             c0, r0 = np.maximum(np.floor((low[:2] - self._low) / self._cell).astype(int), 0).tolist()
             c1, r1 = np.minimum(np.ceil((high[:2] - self._low) / self._cell).astype(int), last).tolist()
-            found.append(self._triangles(r0, max(r1, r0 + 1), c0, max(c1, c0 + 1)))
+            found.append(self._triangles(r0, max(r1, r0 + 1), c0, max(c1, c0 + 1), low=low[2], high=high[2]))
         if (low <= self.bounds[0]).any() or (high[:2] >= self.bounds[1, :2]).any():
-            found.append(self._skirt())
-        triangles = np.concatenate(found) if found else np.zeros((0, 3, 3))
-        a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-        there = (np.maximum(np.maximum(a, b), c) >= low).all(axis=1)
-        there &= (np.minimum(np.minimum(a, b), c) <= high).all(axis=1)
-        return CellSet.of_triangles(triangles[there])
+            skirt = self._skirt()
+            there = (skirt.max(axis=1) >= low).all(axis=1) & (skirt.min(axis=1) <= high).all(axis=1)
+            found.append(skirt[there].transpose(1, 2, 0))
+        return CellSet.of_triangles(np.concatenate(found, axis=2) if found else np.zeros((3, 3, 0)))
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:
         """Vertices (k, 3) [m] and triangles (m, 3) of the surface; of every other point where there are too many."""

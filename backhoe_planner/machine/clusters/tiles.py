@@ -38,9 +38,10 @@ class Tiles:
             return np.zeros(0, dtype=np.intp)
         x, y = np.arange(first[0], last[0] + 1), np.arange(first[1], last[1] + 1)
         column = ((x[:, None] * self._counts[1] + y) * self._counts[2]).reshape(-1)
-        starts = np.searchsorted(self._number, column + first[2])
-        ends = np.searchsorted(self._number, column + last[2] + 1)
-        spans = [slice(a, b) for a, b in zip(starts.tolist(), ends.tolist(), strict=True) if b > a]
-        if not spans:
-            return np.zeros(0, dtype=np.intp)
-        return np.asarray(np.concatenate([self._order[span] for span in spans]), dtype=np.intp)
+        starts = self._number.searchsorted(column + first[2])
+        counts = self._number.searchsorted(column + (last[2] + 1)) - starts
+        ends = counts.cumsum()
+        # the numbers from each start on, one span after the other
+        places = np.arange(ends[-1])
+        places += (starts - ends + counts).repeat(counts)
+        return np.asarray(self._order.take(places), dtype=np.intp)

@@ -88,6 +88,10 @@ class VoxelSolid:
         """Build its tree."""
         self._tree  # noqa: B018
 
+    def prepare_near(self) -> None:
+        """Sort its voxels into tiles."""
+        self._tiles  # noqa: B018
+
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
         low = self._low()
@@ -103,7 +107,9 @@ class VoxelSolid:
 
     def near(self, low: Vector, high: Vector) -> CellSet:
         """The voxels that may touch the box from `low` to `high` (3,) [m], and some others."""
-        middle = np.asarray(self._edge * (self._keys[self._tiles.near(low, high)] + 0.5), dtype=float)
+        middle = np.ascontiguousarray(self._keys.take(self._tiles.near(low, high), axis=0).T, dtype=float)
+        middle += 0.5
+        middle *= self._edge
         return CellSet.of_cubes(middle, 0.5 * self._edge)
 
     def drawing(self, most: int) -> tuple[Matrix, Indices]:

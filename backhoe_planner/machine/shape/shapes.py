@@ -196,24 +196,22 @@ def _countable(around: ConvexHull) -> ConvexHull:
     return found
 
 
-def convex_of_cell(corners: Matrix) -> coal.CollisionGeometry:
-    """A cell with its `corners` (3, 3) or (8, 3) [m]: a triangle, or a box along the axes with the lowest first.
+def cube(edge: float) -> coal.CollisionGeometry:
+    """Coal's object of a cube with an `edge` [m] around its frame's origin."""
+    return coal.Box(edge, edge, edge)
 
-    As they are made by the thousands, no hull is built.
-    """
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+
+def thin_triangle(corners: Matrix) -> coal.CollisionGeometry:
+    """Coal's object of a triangle with `corners` (3, 3) [m]; as they are made by the thousands, no hull is built."""
+    points = coal.StdVec_Vec3s()
     for point in corners:
         points.append(point)
-    for a, b, c in _TRIANGLE if len(corners) == 3 else _CUBE:
-        triangles.append(coal.Triangle(a, b, c))
-    return coal.Convex(points, triangles)
+    return coal.Convex(points, _BOTH_SIDES)
 
 
-_TRIANGLE = ((0, 1, 2), (0, 2, 1))
-_CUBE = (  # corners as `np.ndindex(2, 2, 2)` counts them
-    (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
-    (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
-)  # fmt: skip
+_BOTH_SIDES = coal.StdVec_Triangle()
+_BOTH_SIDES.append(coal.Triangle(0, 1, 2))
+_BOTH_SIDES.append(coal.Triangle(0, 2, 1))
 
 
 def is_flat(points: Matrix) -> bool:
