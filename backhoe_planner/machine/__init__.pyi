@@ -26,6 +26,7 @@ from .description.link_shapes import LinkPiece as LinkPiece
 from .description.link_shapes import Visual as Visual
 from .description.urdf import example_names as example_names
 from .description.urdf import read_urdf as read_urdf
+from .description.urdf import shipped_file as shipped_file
 from .description.urdf import shipped_folder as shipped_folder
 from .dynamics import GRAVITY as GRAVITY
 from .dynamics import Dynamics as Dynamics

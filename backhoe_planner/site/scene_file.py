@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, PrivateAttr, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
 
-from backhoe_planner.errors import InputError, SceneError, check_kind, check_path, nearest_name
+from backhoe_planner.errors import InputError, SceneError, check_path, nearest_name
+from backhoe_planner.files.file_record import FileRecord
 from backhoe_planner.files.records import Record, describe, explain
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
-from backhoe_planner.machine import shipped_folder
+from backhoe_planner.machine import shipped_file
 from backhoe_planner.site.schema.digging import Soil
 from backhoe_planner.site.schema.joint_limits import Limits
 from backhoe_planner.site.schema.names import check_name
@@ -57,7 +58,7 @@ class StandingPlace(Record):
     """The angle about the vertical from the world's x to the root link's [rad]."""
 
 
-class Scene(Record):
+class Scene(FileRecord):
     """A task, and the site in which it is to be done."""
 
     version: Literal[1]
@@ -90,9 +91,6 @@ class Scene(Record):
     soil: Soil | None = None
     """What the bucket digs in; left out, nothing resists it. Keys of it that are left out have their defaults."""
 
-    _folder: Path = PrivateAttr(default=Path())
-    _file: Path | None = PrivateAttr(default=None)
-
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
         in_use: dict[str, str] = {}
@@ -111,16 +109,6 @@ class Scene(Record):
                 if leg not in legs:
                     raise _unknown_leg(f"obstacles[{index}] ({obstacle.name}).legs", leg, legs)
         return self
-
-    @property
-    def folder(self) -> Path:
-        """Where files named in the scene are looked for."""
-        return self._folder
-
-    @property
-    def file(self) -> Path | None:
-        """The file from which it was read, if any."""
-        return self._file
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -199,13 +187,7 @@ def load_scene(path: str | Path) -> Scene:
     ------
     SceneError: names the file, the key's path, what was found, and what is allowed.
     """
-    file = check_path(path, key="path")
-    if (
-        not file.exists()
-        and file.parent in (Path("scenes"), Path())
-        and (shipped_folder("scenes") / file.name).is_file()
-    ):
-        file = shipped_folder("scenes") / file.name
+    file = shipped_file(check_path(path, key="path"), "scenes")
     content, lines = read_yaml(file)
     return scene_from_dict(content, folder=file.parent, file=file, lines=lines)
 
@@ -229,16 +211,7 @@ def scene_from_dict(
     ------
     SceneError: names the key's path, what was found, and what is allowed.
     """
-    check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
-    folder = check_path(folder, key="folder")
-    file = None if file is None else check_path(file, key="file")
-    try:
-        scene = Scene.model_validate(content)
-    except ValidationError as error:
-        raise SceneError(explain(error, content, root=Scene, lines=lines), file=file) from None
-    scene._folder = folder
-    scene._file = file
-    return scene
+    return Scene.of_content(content, folder=folder, file=file, lines=lines)
 
 
 def obstacle_from_dict(content: Mapping[str, Any]) -> ObstacleSpec:

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from backhoe_planner.errors import RobotError
-from backhoe_planner.machine import example_names, load_robot, read_urdf, shipped_folder
+from backhoe_planner.machine import example_names, load_robot, read_urdf, shipped_file, shipped_folder
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 JOINT = (
@@ -295,3 +295,16 @@ def test_packages_are_found_by_ros_package_path(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "elsewhere"))
     urdf = read_urdf(path)
     assert urdf.mesh_path("package://digger/arm.stl") == mesh
+
+
+def test_a_shipped_file_is_meant_by_its_name_and_behind_the_beginnings_of_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    own = shipped_folder("scenes") / "jobs" / "drain_with_a_fall.yaml"
+    for named in ("drain_with_a_fall.yaml", "scenes/drain_with_a_fall.yaml", "scenes/jobs/drain_with_a_fall.yaml"):
+        assert shipped_file(Path(named), "scenes/jobs") == own
+    for other in (Path("jobs/drain_with_a_fall.yaml"), Path("none.yaml"), tmp_path / own.name):
+        assert shipped_file(other, "scenes/jobs") == other
+    Path(own.name).write_text("")
+    assert shipped_file(Path(own.name), "scenes/jobs") == Path(own.name)

@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationError
+from pydantic import Field, PrivateAttr
 
-from backhoe_planner.errors import SceneError, check_kind, check_path
-from backhoe_planner.files.records import Record, explain
+from backhoe_planner.errors import SceneError, check_path
+from backhoe_planner.files.file_record import FileRecord
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
 from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSoil, PatternChoice
-from backhoe_planner.machine import shipped_folder
+from backhoe_planner.machine import shipped_file
 from backhoe_planner.site import Scene, load_scene, scene_from_dict
 
 _SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
 
 
-class Job(Record):
+class Job(FileRecord):
     """A job for one machine that stands still: all cycles from the first cut to the last."""
 
     version: Literal[1]
@@ -39,19 +39,7 @@ class Job(Record):
     pattern: PatternChoice = "auto"
     """In which order the soil is cut: chosen by the planner, or prescribed; `plain` are level layers of 0.15 m."""
 
-    _folder: Path = PrivateAttr(default=Path())
-    _file: Path | None = PrivateAttr(default=None)
     _site: Scene | None = PrivateAttr(default=None)
-
-    @property
-    def folder(self) -> Path:
-        """Where files named in the job are looked for."""
-        return self._folder
-
-    @property
-    def file(self) -> Path | None:
-        """The file from which it was read, if any."""
-        return self._file
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -95,10 +83,7 @@ def load_job(path: str | Path) -> Job:
     ------
     SceneError: names the file, the key's path, what was found, and what is allowed.
     """
-    file = check_path(path, key="path")
-    shipped = shipped_folder("scenes") / "jobs" / file.name
-    if not file.exists() and file.parent in (Path("scenes/jobs"), Path("scenes"), Path()) and shipped.is_file():
-        file = shipped
+    file = shipped_file(check_path(path, key="path"), "scenes/jobs")
     content, lines = read_yaml(file, what="job", keys="version, dig, dump, ...")
     return job_from_dict(content, folder=file.parent, file=file, lines=lines)
 
@@ -124,15 +109,8 @@ def job_from_dict(
     ------
     SceneError: names the key's path, what was found, and what is allowed.
     """
-    check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
-    folder = check_path(folder, key="folder")
-    file = None if file is None else check_path(file, key="file")
-    try:
-        job = Job.model_validate(content)
-    except ValidationError as error:
-        raise SceneError(explain(error, content, root=Job, lines=lines), file=file) from None
-    job._folder, job._file = folder, file
-    job._site = _site(job, folder if site_folder is None else check_path(site_folder, key="site_folder"))
+    job = Job.of_content(content, folder=folder, file=file, lines=lines)
+    job._site = _site(job, job.folder if site_folder is None else check_path(site_folder, key="site_folder"))
     return job
 
 

@@ -145,6 +145,17 @@ def shipped_folder(folder: str) -> Path:
     return inside if inside.is_dir() else package.parent / folder
 
 
+def shipped_file(file: Path, folder: str) -> Path:
+    """A file, or where there is none the one of that name which is shipped in a folder.
+
+    The shipped one is meant by its name alone, and behind its folder or the end of it: ``scenes/jobs/drain.yaml``.
+    """
+    inner, *outer = Path(folder).parts
+    own = shipped_folder(inner).joinpath(*outer, file.name)
+    named = file.parent in (Path(folder), *Path(folder).parents)
+    return own if not file.exists() and named and own.is_file() else file
+
+
 def example_names() -> list[str]:
     """Names that ``example:NAME`` understands, sorted."""
     found = {path.stem for path in shipped_folder("models").glob("*.urdf")}

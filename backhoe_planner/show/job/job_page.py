@@ -10,7 +10,6 @@ import numpy as np
 import trimesh
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.files.output_file import check_ending, check_output, whole_file
 from backhoe_planner.job import JobPlan, build_worksite
 from backhoe_planner.motion import Problem, Trajectory
 from backhoe_planner.show.drawing.drawing import PlanAnimation, Track, draw, mesh, node_names
@@ -25,7 +24,7 @@ from backhoe_planner.show.job.job_frames import JobFrames, Part, job_frames
 from backhoe_planner.show.job.section import section_content
 from backhoe_planner.show.job.truck_load import draw_truck_load
 from backhoe_planner.show.page.display import Display
-from backhoe_planner.show.page.page import PAGE_FORMATS, page_of, read_parts
+from backhoe_planner.show.page.page import page_of, read_parts, write_page_file
 from backhoe_planner.show.page.page_content import frame_numbers, tell_problem
 from backhoe_planner.site.schema import obstacle_shapes
 
@@ -45,12 +44,7 @@ def write_job_page(plan: JobPlan, path: str | os.PathLike[str]) -> tuple[str, ..
     OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
         the file is of the machine or the job.
     """
-    check_output(path, (*plan.robot.files, *plan.job.files))
-    check_ending(path, PAGE_FORMATS, what="a page")
-    page, warnings = job_page(plan)
-    with whole_file(path) as stream:
-        stream.write(page)
-    return warnings
+    return write_page_file(path, lambda: job_page(plan), inputs=(*plan.robot.files, *plan.job.files))
 
 
 def job_page(plan: JobPlan) -> tuple[str, tuple[str, ...]]:

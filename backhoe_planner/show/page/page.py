@@ -9,8 +9,10 @@ import base64
 import html
 import json
 import os
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 from backhoe_planner.files.output_file import check_ending, check_output, whole_file
@@ -39,9 +41,31 @@ def write_page(plan: Plan, path: str | os.PathLike[str]) -> tuple[str, ...]:
     OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
         the file is of the machine or the scene.
     """
-    check_output(path, plan.input_files)
+    return write_page_file(path, lambda: plan_page(plan), inputs=plan.input_files)
+
+
+def write_page_file(
+    path: str | os.PathLike[str], make: Callable[[], tuple[str, tuple[str, ...]]], *, inputs: Sequence[Path]
+) -> tuple[str, ...]:
+    """Write a page, whole or not at all.
+
+    Parameters
+    ----------
+    make: gives the page as text, and what could not be drawn, in words; called once the file may be written.
+    inputs: files over which it must not be written.
+
+    Returns
+    -------
+    What could not be drawn, in words.
+
+    Raises
+    ------
+    OutputError: the name ends neither in .html nor in .htm, the folder does not exist or cannot be written, or
+        the file is one of `inputs`.
+    """
+    check_output(path, inputs)
     check_ending(path, PAGE_FORMATS, what="a page")
-    page, warnings = plan_page(plan)
+    page, warnings = make()
     with whole_file(path) as stream:
         stream.write(page)
     return warnings

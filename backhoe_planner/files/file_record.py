@@ -1,0 +1,61 @@
+"""A record that is a whole YAML file: where it was read, and where the files lie that it names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import PrivateAttr, ValidationError
+
+from backhoe_planner.errors import SceneError, check_kind, check_path
+from backhoe_planner.files.records import Record, explain
+from backhoe_planner.files.yaml_text import KeyPath
+
+
+class FileRecord(Record):
+    """A record that is a whole file."""
+
+    _folder: Path = PrivateAttr(default=Path())
+    _file: Path | None = PrivateAttr(default=None)
+
+    @property
+    def folder(self) -> Path:
+        """Where files that it names are looked for."""
+        return self._folder
+
+    @property
+    def file(self) -> Path | None:
+        """The file from which it was read, if any."""
+        return self._file
+
+    @classmethod
+    def of_content(
+        cls,
+        content: Mapping[str, Any],
+        *,
+        folder: str | Path,
+        file: Path | None,
+        lines: Mapping[KeyPath, int] | None,
+    ) -> Self:
+        """The record of plain data.
+
+        Parameters
+        ----------
+        content: keys and values as in its file.
+        folder: where files that it names are looked for.
+        file, lines: for messages: the file it came from, and the line of every key.
+
+        Raises
+        ------
+        SceneError: names the key's path, what was found, and what is allowed.
+        """
+        check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
+        folder = check_path(folder, key="folder")
+        file = None if file is None else check_path(file, key="file")
+        try:
+            record = cls.model_validate(content)
+        except ValidationError as error:
+            raise SceneError(explain(error, content, root=cls, lines=lines), file=file) from None
+        record._folder, record._file = folder, file
+        return record
