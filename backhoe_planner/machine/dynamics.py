@@ -56,6 +56,14 @@ class Dynamics:
             tau -= J.reshape(6, len(tau))[:3].T @ tip_force  # of one joint alone it is 1-D
         return tau
 
+    def torques_along(self, q: Matrix, v: Matrix, a: Matrix) -> Matrix:
+        """(B, n) the same of B moments, each with q, v and a of shape (B, n)."""
+        found = np.empty(np.shape(q))
+        rnea, model, data = pin.rnea, self._model, self._data  # looked up once: it is called millions of times
+        for row, moment in enumerate(zip(q, v, a, strict=True)):
+            found[row] = rnea(model, data, *moment)
+        return found
+
     def gravity_torques(self, q: Matrix) -> Matrix:
         """(B, n) torques or forces that hold the machine still at q (B, n) [N m or N]."""
         found = [pin.computeGeneralizedGravity(self._model, self._data, row) for row in q]

@@ -102,7 +102,7 @@ class Drive:
 
     def rigid_torques(self, q: Array, v: Array, a: Array) -> Array:
         """(K, n) torques against inertia and gravity at q, v, a (K, n) [N m or N]."""
-        return np.array([self._dynamics.torques(*row) for row in zip(q, v, a, strict=True)]).reshape(q.shape)
+        return self._dynamics.torques_along(q, v, a)
 
     def soil_torques(self, q: Array, v: Array) -> Array:
         """(K, n) torques against the soil at q, v (K, n) [N m or N]."""

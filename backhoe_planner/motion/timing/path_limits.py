@@ -113,9 +113,14 @@ class _Loads:
         still = np.zeros_like(q)
         self._gravity = self._drive.rigid_torques(q, still, still)
         self._inertia = self._drive.rigid_torques(q, still, slope) - self._gravity
-        own = self._drive.rigid_torques(q[:-1], slope[:-1], shape.bend_after)
-        last = self._drive.rigid_torques(q[1:], slope[1:], shape.bend_before)
-        self._turning = own - self._gravity[:-1], last - self._gravity[1:]
+        if np.array_equal(shape.bend_before[:-1], shape.bend_after[1:]):  # one bend at every point
+            bend = np.concatenate((shape.bend_after, shape.bend_before[-1:]))
+            turning = self._drive.rigid_torques(q, slope, bend) - self._gravity
+            self._turning = turning[:-1], turning[1:]
+        else:
+            own = self._drive.rigid_torques(q[:-1], slope[:-1], shape.bend_after)
+            last = self._drive.rigid_torques(q[1:], slope[1:], shape.bend_before)
+            self._turning = own - self._gravity[:-1], last - self._gravity[1:]
         self._soil = self._drive.soil_torques_towards(q, slope)
         # (N + 1, n) static loads, without the soil and with all of it
         self._loads = [self._gravity, self._gravity + self._soil] if self._drive.digs else [self._gravity]
