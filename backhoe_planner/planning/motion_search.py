@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Vector
-from backhoe_planner.motion import Goal, Trajectory, drive_of, motion_cost, time_way
+from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_way
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.descent.descent import Descent, Timed
@@ -113,7 +113,8 @@ class MotionSearch:
         self._order: list[int] = []  # of the postures, the soonest first
         self._take(found)
         self._known = KnownCurves(
-            SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake)
+            world.problem.limits,
+            lambda: SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake),
         )
         self._bound = 0.0  # no motion is shorter [s]
         work = world.work
@@ -232,6 +233,9 @@ class MotionSearch:
                 if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
                     curve = JointCurve.fitted(way.motion, work.effort.pieces, self._problem.limits)
                     self._descend(curve, way.motion.duration, way.goal, "sampled")
+            if not self._goes_on():  # where the descent got clear, the way itself need not be proven
+                for way in ways:
+                    self._offer(way)
             if self.best is None and (self._sampling.motions <= 0 or number >= len(_SPARES)):
                 return
             gained = self.best is not None and self.best.cost < (1.0 - _GAIN) * before
@@ -260,7 +264,8 @@ class MotionSearch:
                 ends = self._elsewhere(ends) or ends
             way = self._sample(ends, turn) if ends else None
             if way is not None:
-                self._offer(way)
+                if self._goes_on():
+                    self._offer(way)
                 found.append(way)
         return sorted(found, key=lambda way: way.cost)
 
@@ -349,9 +354,14 @@ class MotionSearch:
         """Bring a curve down, and keep its motion where it is proven and better; whether it got clear."""
         rounds = _ROUNDS if self._problem.objective.is_time else _MORE_ROUNDS
         box, spare, density = _FIRST_BOX, _SPARE, 2
+        least = self._least_to(curve, goal)
+
+        def is_over(here: Timed, rounds: int) -> bool:
+            return self._is_hopeless(here, rounds) or (here.missed <= KEPT_PART * spare and here.cost <= least)
+
         for _ in range(_PROOFS):
             found = self._bend(
-                curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=self._is_hopeless
+                curve, duration, goal, rounds, spare=spare, density=density, box=box, is_hopeless=is_over
             )
             if found is None or found.missed > (_NEARLY if self._rounds_left() > 0 else KEPT_PART * spare):
                 return False
@@ -365,6 +375,13 @@ class MotionSearch:
             curve, duration, rounds, box = found.curve, found.duration, _FEW_ROUNDS, _SMALL_BOX
             spare, density = spare + _MORE_SPARE, 2 * density
         return False
+
+    def _least_to(self, curve: JointCurve, goal: Goal) -> float:
+        """A duration [s] that is not worth a round to become less; 0 where the search goes on, or the end may move."""
+        if self._goes_on() or not self._problem.objective.is_time or not _holds_end(self._problem, goal):
+            return 0.0
+        end = curve.control[-1:]
+        return (1.0 + _LEAST_GAIN) * float(self._least_times.to_boxes(end, end)[0])
 
     def _refine(self) -> None:
         """The best motion once more, on a curve of more pieces."""
@@ -427,3 +444,12 @@ class MotionSearch:
         proximity = self._world.proximity
         proximity.cover_unchecked(motion.q)
         return motion_is_clear(proximity, np.full(len(motion), self._time), motion.q)
+
+
+def _holds_end(problem: Problem, goal: Goal) -> bool:
+    """Whether a goal leaves the machine no way to move on it."""
+    if goal.q is not None:
+        return True
+    pitch, turned = goal.target.pitch, goal.target.rotation is not None
+    more = 3 if turned else int(pitch is not None and pitch[0] == pitch[1])
+    return bool(problem.robot.n <= 3 + more)

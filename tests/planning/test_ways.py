@@ -31,7 +31,8 @@ def bending(angle: float) -> JointCurve:
 
 def known_at(robot: bp.Robot, *obstacles: dict[str, Any]) -> KnownCurves:
     problem = problem_of(robot, LEFT, RIGHT, list(obstacles))
-    return KnownCurves(MotionCheck(problem, Proximity(problem.robot, problem.obstacles), [LEFT], spare=0.0))
+    proximity = Proximity(problem.robot, problem.obstacles)
+    return KnownCurves(problem.limits, lambda: MotionCheck(problem, proximity, [LEFT], spare=0.0))
 
 
 def test_the_cheapest_curve_alike_counts(planar4: bp.Robot) -> None:

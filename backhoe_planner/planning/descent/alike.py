@@ -6,9 +6,13 @@ visibility deformation, Zhou et al. 2020): a descent from either mostly ends at 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cached_property
+
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.machine import JointLimits
 from backhoe_planner.planning.descent.curve import JointCurve
 from backhoe_planner.planning.search.motion_check import MotionCheck
 
@@ -22,12 +26,18 @@ class KnownCurves:
 
     Parameters
     ----------
-    check: of motions among the obstacles that the curves keep clear of.
+    limits: of the joints.
+    make_check: makes the check of motions among the obstacles that the curves keep clear of; called once,
+        when two curves are first compared.
     """
 
-    def __init__(self, check: MotionCheck) -> None:
-        self._check = check
+    def __init__(self, limits: JointLimits, make_check: Callable[[], MotionCheck]) -> None:
+        self._limits, self._make_check = limits, make_check
         self._known: list[tuple[Matrix, float]] = []
+
+    @cached_property
+    def _check(self) -> MotionCheck:
+        return self._make_check()
 
     def add(self, curve: JointCurve, cost: float) -> None:
         """A clear curve, and what it costs."""
@@ -47,13 +57,12 @@ class KnownCurves:
 
     def _apart(self, a: Matrix, b: Matrix) -> float:
         """How far two curves are apart at most [s of joint time]."""
-        return float(np.max(np.linalg.norm((a - b) / self._check.rate, axis=1)))
+        return float(np.max(np.linalg.norm((a - b) / self._limits.velocity, axis=1)))
 
     def _evenly(self, curve: JointCurve) -> tuple[Matrix, float]:
         """(K, n) places after equal parts of the length, the start left out, and the length [s of joint time]."""
         q = curve(np.linspace(0.0, 1.0, _FINE + 1))
-        along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0) / self._check.rate, axis=1))))
+        along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0) / self._limits.velocity, axis=1))))
         at: Vector = np.linspace(0.0, along[-1], _PLACES + 1)[1:]
-        limits = self._check.problem.limits
         found = np.column_stack([np.interp(at, along, column) for column in q.T])
-        return np.clip(found, limits.lower, limits.upper), float(along[-1])
+        return np.clip(found, self._limits.lower, self._limits.upper), float(along[-1])

@@ -65,9 +65,12 @@ class MotionCheck:
 
     Attributes
     ----------
+    proves: whether what is said to be clear is proven.
     ends_clear: whether each end keeps its clearances, the limits, `near` and what the problem is to keep.
     measured: how many configurations were measured.
     """
+
+    proves = True
 
     def __init__(
         self,

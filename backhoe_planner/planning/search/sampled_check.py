@@ -21,6 +21,8 @@ class SampledCheck(MotionCheck):
     not clear, few of them say so.
     """
 
+    proves = False
+
     def _is_clear(self, q_a: Vector, q_b: Vector, point: Callable[[float], Vector], rate: Vector, more: Vector) -> bool:
         self._brake.check()
         if self._near is not None and not self._stays_near(point, rate):
