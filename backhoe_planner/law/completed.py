@@ -157,7 +157,7 @@ class CompletedLaw:
     def wish_unchecked(self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows) -> Wish:
         """The same for callers in a loop, whose arguments are right as they are made."""
         task = resolve(J_e)
-        primary = self._s_e * (task.inverse @ xdot_e)
+        primary = self._s_e * task.inverse.dot(xdot_e)
         N = task.projector
         A = self._epsilon.copy()
         b = np.zeros(len(primary))
@@ -221,7 +221,7 @@ class CompletedLaw:
             primary = [self._s_e * rate for rate in primary]
         above, below = 0.0, _EPSILON
         if self._s_o > 0.0 and len(nearby.margin):
-            above, below = self._sums_of_rows(nearby, nearby.gradient @ np.array((z, primary)).T)
+            above, below = self._sums_of_rows(nearby, nearby.gradient.dot(np.array((z, primary)).T))
         if self.directionality:
             for position, rate, part, (low, high, zone) in zip(q.tolist(), primary, z, self._ranges, strict=True):
                 if abs(rate) < _STANDING:
@@ -259,7 +259,7 @@ class CompletedLaw:
         missing -= nearby.drift
         missing -= rate
         np.maximum(missing, 0.0, out=missing)
-        return float(weighted @ missing), _EPSILON + float(weighted @ by_z)
+        return float(weighted.dot(missing)), _EPSILON + float(weighted.dot(by_z))
 
     def near_limit(self, q: Vector, v: Vector) -> Vector:
         """(n,) 0 far from any limit, 1 at the limit towards which `v` moves the joint."""

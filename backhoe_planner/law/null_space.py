@@ -66,10 +66,10 @@ def resolve(J: Matrix) -> TaskInverse:
     The damping grows smoothly from 0 as the smallest singular value falls below 0.08
     (Nakamura and Hanafusa 1986; Chiaverini 1997).
     """
-    square = J @ J.T
+    square = J.dot(J.T)
     if len(J) == 3 and (inverted := _invert_if_undamped(square.tolist())) is not None:
-        inverse = J.T @ inverted
-        return TaskInverse(J, inverse, _eye(J.shape[1]) - inverse @ J, 0.0)
+        inverse = J.T.dot(inverted)
+        return TaskInverse(J, inverse, _eye(J.shape[1]) - inverse.dot(J), 0.0)
     solver = eigenpy.SelfAdjointEigenSolver(square)
     U = solver.eigenvectors()
     s = np.sqrt(np.maximum(solver.eigenvalues(), 0.0))
@@ -79,10 +79,10 @@ def resolve(J: Matrix) -> TaskInverse:
     else:
         kept = s > _RANK_TOLERANCE * s[-1]
         scaled = U[:, kept] / s[kept]
-    V = J.T @ scaled  # right singular vectors, so that J^+ = V scaled^T
-    projector = _eye(J.shape[1]) - V @ V.T
+    V = J.T.dot(scaled)  # right singular vectors, so that J^+ = V scaled^T
+    projector = _eye(J.shape[1]) - V.dot(V.T)
     if smallest >= _UNDAMPED:
-        return TaskInverse(J, V @ scaled.T, projector, 0.0)
+        return TaskInverse(J, V.dot(scaled.T), projector, 0.0)
     damping = _LARGEST_DAMPING * math.sqrt(1.0 - (smallest / _UNDAMPED) ** 2)
     inverse = J.T @ ((U / (s * s + damping * damping)) @ U.T)
     return TaskInverse(J, inverse, projector, damping)

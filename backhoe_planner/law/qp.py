@@ -64,7 +64,7 @@ class Rows(NamedTuple):
         """Whether G x <= h + tolerance at x (n,)."""
         if len(self.h) == 0:
             return True
-        return not np.count_nonzero(self.G @ x > (self.h + tolerance if tolerance else self.h))
+        return not np.count_nonzero(self.G.dot(x) > (self.h + tolerance if tolerance else self.h))
 
 
 class QuadraticProgram(NamedTuple):

@@ -198,12 +198,12 @@ class Shield:
         if _is_within(wish, low, high) and all(block.are_kept_by(wish) for block in rows):
             return Shielded(v=wish, slack=0.0, binding=pairs[:0])
         H = self._weight(wish, J_tip)
-        solution = solve_program(QuadraticProgram(H, -(H @ wish), low, high, rows))
+        solution = solve_program(QuadraticProgram(H, -H.dot(wish), low, high, rows))
         x = self._braked(v_before, dt) if solution is None else solution.x
         v = np.minimum(np.maximum(x, low), high)
         if len(pairs) == 0:
             return Shielded(v=v, slack=0.0, binding=pairs)
-        over = clearance.G @ v - clearance.h
+        over = clearance.G.dot(v) - clearance.h
         slack = float(over.max(initial=0.0))
         return Shielded(v=v, slack=slack if slack > _MET else 0.0, binding=pairs[over > -_MET])
 
@@ -214,12 +214,12 @@ class Shield:
     def _weight(self, wish: Vector, J_tip: Matrix) -> Matrix:
         """(n, n) W."""
         across = _ACROSS_ROOT * J_tip
-        tip = J_tip @ wish
-        speed2 = float(tip @ tip)
-        H = across.T @ across
+        tip = J_tip.dot(wish)
+        speed2 = float(tip.dot(tip))
+        H = across.T.dot(across)
         H += self._eye
         if speed2 > 1e-12:
-            along = tip @ J_tip
+            along = tip.dot(J_tip)
             along *= math.sqrt((_ACROSS - _ALONG) / speed2)
             H -= along[:, None] * along
         return np.asarray(H)
@@ -237,7 +237,7 @@ class Shield:
         bound = _approach_rates(nearby.margin - extra_margin, braking_time, dt)
         bound += nearby.drift
         G = -nearby.gradient
-        fastest = np.maximum(G * low, G * high) @ self._ones
+        fastest = np.maximum(G * low, G * high).dot(self._ones)
         pairs = (bound < fastest).nonzero()[0]
         return (Rows("clearance", G[pairs], bound[pairs]), pairs) if len(pairs) else self._no_clearance
 

@@ -196,7 +196,7 @@ def segment_is_clear(
 
 def _floor(proximity: Proximity, pairs: Indices, delta: Vector, dt: float, spare: float) -> Vector:
     """(K,) distances [m] from which a motion `delta` (n,) in dt [s] does not lead below the clearances of `pairs`."""
-    travel = proximity.travel[pairs] @ np.abs(delta) + dt * proximity.speed[pairs]
+    travel = proximity.travel[pairs].dot(np.abs(delta)) + dt * proximity.speed[pairs]
     return np.asarray(proximity.clearance[pairs] + spare + travel)
 
 

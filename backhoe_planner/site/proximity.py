@@ -189,14 +189,15 @@ class Proximity:
         self.floor[around] = self._away[self._body[around] - len(self._pieces)]
         self._some_far = bool((self.floor > -np.inf).any())
         everything = np.arange(len(self.owner))
-        self._every = PairSelection(np.inf, everything, self.clearance, self.travel, self.speed, self.appears_at)
+        travel = np.asfortranarray(self.travel)
+        self._every = PairSelection(np.inf, everything, self.clearance, travel, self.speed, self.appears_at)
         self._selected = self._every
 
     def _within(self, margin: float) -> PairSelection:
         """The pairs that some posture brings within `margin` [m] beyond their clearance."""
         if self._selected.margin != margin:
             pairs = (self.floor - self.clearance <= margin).nonzero()[0]
-            travel, speed = self.travel[pairs], self.speed[pairs]
+            travel, speed = np.asfortranarray(self.travel[pairs]), self.speed[pairs]
             self._selected = PairSelection(margin, pairs, self.clearance[pairs], travel, speed, self.appears_at[pairs])
         return self._selected
 
@@ -259,10 +260,10 @@ class Proximity:
         lower = self._lower(some, q, time)
         fastest = np.maximum(np.abs(low), np.abs(high))
         reach = some.clearance + margin
-        if stop * (float(self._furthest @ fastest) + self._fastest) <= margin:
+        if stop * (float(self._furthest.dot(fastest)) + self._fastest) <= margin:
             return self._rows(*self._measure_within(some, reach, lower, q, time))
         lead, near = Lead(low, high, longest), lower <= reach
-        np.maximum(reach, some.clearance + stop * (some.travel @ fastest + some.speed), out=reach)
+        np.maximum(reach, some.clearance + stop * (some.travel.dot(fastest) + some.speed), out=reach)
         doubtful = ((lower <= reach) & ~near).nonzero()[0]
         doubtful = doubtful[: np.searchsorted(doubtful, len(lower) - len(self._clusters))]  # clusters have no ball
         if len(doubtful) > _FEW:
@@ -365,7 +366,7 @@ class Proximity:
         if self._known is not some:
             every = self._lower_of_every(q, time)
             return every if some is self._every else every[some.pairs]
-        lower: Vector = self._bound - some.travel @ np.abs(q - self._q_bound)
+        lower: Vector = self._bound - some.travel.dot(np.abs(q - self._q_bound))
         if self._moving:
             lower -= some.speed * np.abs(_age(time, some.appears_at) - _age(self._bound_time, some.appears_at))
         if some is self._every and self._some_far:
@@ -570,7 +571,7 @@ class Proximity:
         """The rows of what was measured; with a lead only those within `margin` [m], and those it takes in."""
         raw = read_results(results)
         # a point p has the speed n . v + (p x n) . omega along n; so has its witness, which lies along n from it
-        gradient = raw[:, :6] @ self._J()
+        gradient = raw[:, :6].dot(self._J())
         gradient *= self._sense.take(pair, axis=0)
         left = raw[:, 9] - self.clearance.take(pair)
         drift = np.einsum("ki,ki->k", raw[:, :3], self._velocity[pair]) if self._moving else np.zeros(len(pair))

@@ -160,7 +160,7 @@ class BrakingPath:
         """How many parts it has; `parts + 1` rows of the placements belong to it."""
         if self._parts == 0:
             self._bend = bend_weights(self.delta, self._turning)
-            most = float(self._bend @ self._furthest)  # no point of any pair bends more than this
+            most = float(self._bend.dot(self._furthest))  # no point of any pair bends more than this
             self._parts = min(max(math.ceil(math.sqrt(most / (8.0 * _BEND))), 1), MOST_PARTS)
         return self._parts
 
@@ -176,7 +176,7 @@ class BrakingPath:
     def off_chord(self, travel: Matrix) -> Vector:
         """(K,) how far points may be off the chord of a part, for radii (K, n) [m]."""
         parts = self.parts
-        return np.asarray(travel @ self._bend / (8.0 * parts * parts))
+        return np.asarray(travel.dot(self._bend) / (8.0 * parts * parts))
 
     @property
     def D(self) -> Matrix:

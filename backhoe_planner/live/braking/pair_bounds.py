@@ -256,7 +256,7 @@ class PairBounds:
     def awake(self, change: Vector) -> Awake:
         """The pairs that matter if the braking path's end moves by up to `change` (n,) [rad or m]."""
         separation = self._separation
-        budget = separation.travel @ change
+        budget = separation.travel.dot(change)
         # pairs within the buffer are always looked at: else a wish would be held back every other step
         left = self._proven + self._proven_at
         left -= self.required
@@ -284,12 +284,12 @@ class PairBounds:
         """
         travel = self._separation.travel
         if end_moved is not None:
-            self._path_odometer += travel @ np.abs(end_moved)
+            self._path_odometer += travel.dot(np.abs(end_moved))
             if self._accepted is not None:
                 awake, bound, classes = self._accepted
                 self._proven[awake] = bound
                 self._proven_at[awake] = self._path_odometer[classes]
-        self._moved_by = travel @ np.abs(moved)
+        self._moved_by = travel.dot(np.abs(moved))
         self._start_odometer += self._moved_by
 
     def renew(self, near: Near, at: Placements, step: int) -> None:

@@ -192,7 +192,7 @@ class PathCheck:
         """
         separation, (pairs, budget) = self.separation, awake
         now = self.clearance(Awake(pairs[stands], budget), path)
-        nearer = (separation.travel @ np.abs(path.end - before.end)).take(separation.classes.take(pairs))
+        nearer = separation.travel.dot(np.abs(path.end - before.end)).take(separation.classes.take(pairs))
         velocity = separation.velocity.take(pairs, axis=0)
         velocity *= velocity
         nearer += abs(path.time - before.time) * np.sqrt(np.add.reduce(velocity, axis=1))
@@ -322,15 +322,15 @@ class PathCheck:
         short -= all_gaps[k, 0, corners]
         if now is not None:
             comes = self.joints.dt * separation.drift.take(pairs)
-            moved = G @ np.array((now.q - path.q, now.end - path.end)).T
+            moved = G.dot(np.array((now.q - path.q, now.end - path.end)).T)
             moved -= comes[:, None]
             short += moved[:, 0]
             h -= moved[:, 0] + part * (moved[:, 1] - moved[:, 0])
             path = now
-        G = G @ path.D
+        G = G.dot(path.D)
         G /= path.look
         h /= part * path.look
-        h += G @ path.v
+        h += G.dot(path.v)
         # never ask for more than the start itself is short of
         np.maximum(short, 0.0, out=short)
         short *= -2.0

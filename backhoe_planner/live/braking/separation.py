@@ -282,11 +282,11 @@ class Separation:
         self.measured += 1
         piece = int(self.piece[pair])
         shape, own = self._own_shapes[piece]
-        here = at.T[sample, self.joint[pair]] @ own
+        here = at.T[sample, self.joint[pair]].dot(own)
         other = int(self.other[pair])
         if self.other_piece[pair] >= 0:
             second, own = self._own_shapes[int(self.other_piece[pair])]
-            placed = at.T[sample, other] @ own
+            placed = at.T[sample, other].dot(own)
             there = shapes.transform(placed[:3, :3], placed[:3, 3])
         else:
             stand = self._body[pair]
@@ -298,8 +298,8 @@ class Separation:
         )
         if other:
             R_o = at.R[sample, other]
-            n, p_other = n @ R_o, (p_other - at.t[sample, other]) @ R_o
-        return distance, n, float(n @ p_other), p_link
+            n, p_other = n.dot(R_o), (p_other - at.t[sample, other]).dot(R_o)
+        return distance, n, float(n.dot(p_other)), p_link
 
     def renew(self, pair: int, at: Placements, sample: int) -> float:
         """Measure a pair, keep its plane, and return the signed distance [m]."""
@@ -329,7 +329,7 @@ class Separation:
     def _keep_plane(self, pair: int, n: Vector, offset: float) -> None:
         self.planes[pair, :3] = -n
         self.planes[pair, 3] = offset - self._fat_of_pair[pair]
-        self.drift[pair] = n @ self.velocity[pair]
+        self.drift[pair] = n.dot(self.velocity[pair])
 
     # --- gaps ------------------------------------------------------------------------
 
@@ -504,7 +504,7 @@ class Separation:
         both[:, :3] = n
         np.subtract(products[:, :3], products[:, 3:], out=both[:, 3:])
         rows: Matrix = self.mask.take(pairs, axis=0)
-        rows *= both @ at.J[samples] if at_once else np.matmul(both[:, None, :], at.J[samples])[:, 0]
+        rows *= both.dot(at.J[samples]) if at_once else np.matmul(both[:, None, :], at.J[samples])[:, 0]
         return rows
 
     def world_normal(self, pair: int, at: Placements) -> Vector:

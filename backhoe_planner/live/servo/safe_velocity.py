@@ -77,7 +77,7 @@ class Weights(NamedTuple):
     @classmethod
     def of(cls, task: Matrix) -> Weights:
         """Those of a task (m, n)."""
-        tip = task.T @ task
+        tip = task.T.dot(task)
         everything = tip.copy()
         everything.reshape(-1)[:: len(tip) + 1] += _FREE
         return cls(tip, everything)
@@ -124,7 +124,7 @@ def velocity_program(
     if wish.task is None:
         return QuadraticProgram(np.eye(len(target)), -target, low, high, rows)
     serves, H = weights or Weights.of(wish.task)
-    return QuadraticProgram(H, -(serves @ target) - _FREE * wish.null, low, high, rows)
+    return QuadraticProgram(H, -serves.dot(target) - _FREE * wish.null, low, high, rows)
 
 
 class VelocityFilter:
@@ -333,7 +333,7 @@ class VelocityFilter:
         moves = comes < 0.0
         margin -= clearance.take(k)
         margin -= moves * (2.0 * BUFFER)
-        authority = 0.5 * np.abs(G) @ self._acceleration
+        authority = 0.5 * np.abs(G).dot(self._acceleration)
         allowed = np.sqrt(2.0 * authority * np.maximum(margin, 0.0))
         back = -np.minimum(np.maximum(-RECOVERY * margin, SLOWEST_RECOVERY), FASTEST_RECOVERY)
         h = np.where(margin >= 0.0, np.where(moves, allowed, np.inf), back) + np.minimum(comes, 0.0)

@@ -430,7 +430,7 @@ class Servo:
         elif margin < CLOSE:
             normal = self._separation.world_normal(pair, self._at)
         self._tip.blocking = normal if chosen.held_back else _ZERO
-        refused = J @ self._refusal.next(v, wish=request.v, target=request.target) + wish.tip
+        refused = J.dot(self._refusal.next(v, wish=request.v, target=request.target)) + wish.tip
         nearness = 0.5 * (1.0 + math.cos(math.pi * min(max(margin / CLOSE, 0.0), 1.0)))
         hand = wish.tip if self._commands.tip is None else self._commands.tip
         status = self._status(command, request, chosen, margin, singular=wish.singular)
@@ -450,7 +450,7 @@ class Servo:
             command=command,
             nearest=nearest,
             tip_position=tip.position,
-            tip_velocity=tip.jacobian[:3] @ self._state.v,
+            tip_velocity=tip.jacobian[:3].dot(self._state.v),
             refused=refused,
             feedback_force=force,
             proven=proven,

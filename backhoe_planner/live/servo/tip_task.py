@@ -74,11 +74,11 @@ class TipTask:
         """Forward kinematics at q (n,), and the tip's Jacobian."""
         at = self._at
         at.place(0, q)
-        self.position = (at.T[0, self._joint] @ self._t)[:3]
+        self.position = at.T[0, self._joint].dot(self._t)[:3]
         x, y, z = self.position.tolist()
         to = self._to_tip  # its upper right part is omega -> omega x tip
         to[0, 4], to[0, 5], to[1, 3], to[1, 5], to[2, 3], to[2, 4] = z, -y, -z, x, y, -x
-        np.matmul(to, at.J[0], out=self.jacobian)
+        np.dot(to, at.J[0], out=self.jacobian)
 
     def wish(self, q: Vector, command: Commands, near: Near, *, circulate: bool) -> JointWish:
         """The velocity of the joints for a command at q (n,), where the machine must have been placed.
@@ -89,7 +89,7 @@ class TipTask:
         if command.joints is not None:
             joints = command.joints
             return JointWish(
-                joints / self._bounds.over_rates(q, joints), self.jacobian[:3] @ joints, None, joints, False
+                joints / self._bounds.over_rates(q, joints), self.jacobian[:3].dot(joints), None, joints, False
             )
         if command.tip is None:
             return JointWish(np.zeros(n), np.zeros(3), self.jacobian[:3], np.zeros(n), False)
