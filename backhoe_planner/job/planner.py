@@ -13,7 +13,7 @@ from backhoe_planner.arrays import as_count
 from backhoe_planner.errors import InputError, SceneError, check_kind
 from backhoe_planner.job.cuts.cut import NoCut
 from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
-from backhoe_planner.job.cycles.dump_checks import check_dump
+from backhoe_planner.job.cycles.dump_checks import check_dump, check_truck
 from backhoe_planner.job.cycles.dumping import dump_of
 from backhoe_planner.job.cycles.patterns import NextCut, next_cut, patterns_to_compare
 from backhoe_planner.job.estimates import choose, estimate_pattern, in_full
@@ -113,6 +113,7 @@ class _Run:
 
     def __init__(self, site: Worksite, effort: str, seed: int, begun: float) -> None:
         self._site, self._effort, self._seed, self._begun = site, effort, seed, begun
+        check_truck(site)
         self._lanes = lanes_of(site)
         self._design = site.design_heights()
         self._allowed, self._by = allowed_heights(site, self._lanes, self._design)
@@ -143,7 +144,7 @@ class _Run:
             state = planner.again(state, cycle)
         at = cycles[-1].legs[-1].trajectory.q[-1] if cycles else site.problem.start_q
         done: dict[int, float] = {}
-        failure, note, refused = "", "", 0
+        failure, note, stopped, refused = "", "", "", 0
         self._tell(watch, cycles, own.cycles)
         while len(cycles) < _MOST_CYCLES:
             found = next_cut(site, self._lanes, pattern, state.ground, done=tuple(done.items()))
@@ -157,13 +158,16 @@ class _Run:
             if isinstance(made, Failed):
                 note, refused = made.words, refused + 1
                 if made.part == "approach" and not cycles and made.words.startswith("at the start "):
+                    where = "the ground" if "the ground" in made.words else "what is there"
                     raise SceneError(
-                        "stands in the ground or too near to it", file=site.job.file, key="start", found=made.words,
+                        f"stands in {where} or too near to it", file=site.job.file, key="start", found=made.words,
                         allowed=f"a posture that keeps {site.problem.scene.clearance:g} m from ground and obstacles",
                     )  # fmt: skip
-                if made.part == "full":
-                    failure = "full"
+                if made.part in ("full", "unreachable"):
+                    # a heap that has grown out of reach is full
+                    failure = "full" if cycles else made.part
                     break
+                stopped = made.words
                 number = self._lanes.index(found.lane)
                 done[number] = min(done.get(number, np.inf), float(found.cut.r[0])) - _BESIDE
                 if refused > _MOST_REFUSED:
@@ -176,9 +180,15 @@ class _Run:
                 break
             cycles.append(cycle)
             at, refused, note = cycle.legs[-1].trajectory.q[-1], 0, ""
-            done = {}
+            done, stopped = {}, ""
             self._tell(watch, cycles, own.cycles)
-        return self._plan(cycles, failure, note)  # type: ignore[arg-type]
+        plan = self._plan(cycles, failure, note)  # type: ignore[arg-type]
+        if plan.verified:
+            return replace(plan, note="")
+        if stopped and failure in ("", "unreachable"):
+            # there were cuts, and no way to dig them, or from them to the dump
+            return self._plan(cycles, "blocked", stopped)
+        return plan
 
     def _tell(self, watch: Callable[[JobStep], object] | None, cycles: list[Cycle], expected: int) -> None:
         if watch is not None:

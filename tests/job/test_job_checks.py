@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,17 @@ import pytest
 from small_jobs import small_job
 
 import backhoe_planner as bp
-from backhoe_planner.job import plan_job
+from backhoe_planner.job import build_worksite, plan_job
+from backhoe_planner.job.cycles import cycle_planning
+from backhoe_planner.job.cycles.cycle_planning import CyclePlanner, Failed
+from backhoe_planner.job.cycles.dump_checks import check_dump
+from backhoe_planner.job.cycles.dumping import NoDump, dump_of, ground_obstacle
+from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.estimates import choose, in_full
 from backhoe_planner.job.result.job_plan import PatternEstimate
+from backhoe_planner.job.worksite.lanes import lanes_of
+from backhoe_planner.motion import Problem, Trajectory
+from backhoe_planner.proof import Certificate, certify_problem
 from backhoe_planner.show.job.truck_load import load_body
 
 _TRUCK: dict[str, Any] = {"bed": {"position": [1.8, 2.9, 0.9], "size": [3.6, 1.9, 0.5]}}
@@ -58,6 +67,75 @@ def test_a_pattern_that_digs_less_than_another_is_not_finished_and_not_chosen() 
     found = in_full([estimate("all", 0.50, 107.0), estimate("nearly all", 0.48, 110.0), estimate("part", 0.30, 84.0)])
     assert [one.finished for one in found] == [True, True, False]
     assert choose(found) == 0
+
+
+@pytest.mark.parametrize(
+    ("position", "said"), [([3.8, 0.9, 0.9], "stands on what is dug"), ([0.9, 0.9, 0.6], "stands in the machine")]
+)
+def test_a_truck_on_the_trench_or_in_the_machine_is_refused(position: list[float], said: str) -> None:
+    bed = _TRUCK["bed"] | {"position": position}
+    with pytest.raises(bp.SceneError, match=said) as refused:
+        plan_job(small_job(dump={"truck": {"bed": bed, "capacity": 1.5}}, ground=_WIDE), effort="quick")
+    assert refused.value.key == "dump.truck.bed.position"
+
+
+def test_a_heap_beyond_the_ground_of_the_job_is_refused_with_its_key() -> None:
+    site = build_worksite(small_job(ground={"low": [0.5, -2.0], "high": [6.0, 1.5]}))
+    with pytest.raises(bp.SceneError, match="beyond the ground") as refused:
+        check_dump(site, site.design_heights())
+    assert refused.value.key == "dump.heap.at"
+
+
+def test_a_heap_that_no_bucket_reaches_is_unreachable_and_says_how_far_it_reaches() -> None:
+    site = build_worksite(
+        small_job(dump={"heap": {"at": [0.6, -1.0]}}, ground={"low": [-1.5, -4.5], "high": [6.0, 1.5]})
+    )
+    dump = dump_of(site)
+    found = dump.options(
+        dump.first(site.ground, ground_obstacle(site, site.ground)), 0.1, np.array([0, 0.9, -1.6, -1.8])
+    )
+    assert isinstance(found, NoDump)
+    assert found.reason == "unreachable"
+    reach = re.search(r"it can ([\d.]+) to ([\d.]+) m from the swing axis", found.words)
+    assert reach is not None
+    least, most = (float(part) for part in reach.groups())
+    assert np.hypot(0.6, 1.0) < least < 3.0 < most  # a bucket is emptied at 3 m, as in the job itself
+
+
+def test_a_job_that_is_stopped_on_its_way_to_the_dump_is_blocked(monkeypatch: pytest.MonkeyPatch) -> None:
+    words = "no way past the wall"
+    monkeypatch.setattr(CyclePlanner, "plan", lambda *_: Failed("swing", words))
+    found = plan_job(small_job(), effort="quick")
+    assert (found.verdict, found.reason, found.note) == ("failed", "blocked", words)
+
+
+def test_a_cut_that_takes_too_much_force_is_dug_slower_or_less_deep(monkeypatch: pytest.MonkeyPatch) -> None:
+    site = build_worksite(small_job())
+    lanes = lanes_of(site)
+    chosen = next_cut(site, lanes, Pattern("layers", 0.3), site.ground)
+    assert isinstance(chosen, NextCut)
+    planner = CyclePlanner(site, dump_of(site), effort="quick", seed=0)
+    state = planner.first(site.ground)
+    runs: list[tuple[float, float]] = []
+
+    def certify(problem: Problem, motion: Trajectory) -> Certificate:
+        lowest = float(site.plane.kinematics.at(motion.q).tip_position[:, 2].min())
+        runs.append((motion.duration, lowest))
+        found = certify_problem(problem, motion)
+        fits = motion.duration > 1.2 * runs[0][0] if slower else lowest > 0.8 * runs[0][1]
+        too_much = replace(found.velocity, ratio=1.08)
+        return found if fits else replace(found, velocity=too_much, problems=("108 % of a cylinder",))
+
+    monkeypatch.setattr(cycle_planning, "certify_problem", certify)
+    for slower in (True, False):
+        runs.clear()
+        made = planner.plan(1, None, state, chosen)
+        assert not isinstance(made, Failed)
+        assert made[0].verified
+        assert len(runs) == (2 if slower else 3)
+        assert runs[1][0] > 1.2 * runs[0][0]
+        assert runs[1][1] == pytest.approx(runs[0][1], abs=1e-3)
+    assert runs[2][1] == pytest.approx(0.7 * runs[0][1], abs=0.02)
 
 
 @pytest.fixture(scope="module")

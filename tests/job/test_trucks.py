@@ -11,7 +11,7 @@ from small_jobs import small_job
 
 import backhoe_planner as bp
 from backhoe_planner.job import build_worksite, plan_job
-from backhoe_planner.job.cycles.dumping import SiteState, TruckDump, dump_of, ground_obstacle
+from backhoe_planner.job.cycles.dumping import NoDump, SiteState, TruckDump, dump_of, ground_obstacle
 
 TAN = math.tan(0.6)
 _WIDE = {"low": [0.5, -4.5], "high": [6.0, 4.5]}
@@ -56,7 +56,7 @@ def test_bucketfuls_fill_a_bed_up_to_its_walls_and_then_the_next_truck_comes() -
     numbers = []
     for count in range(1, 8):
         options = dump.options(state, 0.2, start)
-        assert not isinstance(options, str)
+        assert not isinstance(options, NoDump)
         option = options[0]
         after = dump.dumped(state, option.place[:2], 0.2, option.number)
         assert isinstance(after, SiteState)

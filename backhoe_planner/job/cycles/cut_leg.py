@@ -56,11 +56,19 @@ def cut_path(site: Worksite, cut: Cut, ground: Terrain, *, higher: float = 0.0) 
     return CutPath(q, len(down), len(down) + lift)
 
 
-def cut_motion(site: Worksite, cut: Cut, path: CutPath) -> Trajectory:
-    """The fastest motion along a cut."""
+def cut_motion(site: Worksite, cut: Cut, path: CutPath, *, pace: float = 1.0) -> Trajectory:
+    """The fastest motion along a cut.
+
+    Parameters
+    ----------
+    pace: part of the joints' rates that it uses at most.
+    """
+    limits = site.problem.limits
+    if pace < 1.0:
+        limits = replace(limits, velocity=pace * limits.velocity, acceleration=pace**2 * limits.acceleration)
     tips = site.plane.kinematics.at(path.q).tip_position
     stations = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tips, axis=0), axis=1))))
-    return time_along(stations, path.q, site.problem.limits, drive=site.digger.drive(cut))
+    return time_along(stations, path.q, limits, drive=site.digger.drive(cut))
 
 
 def cut_problem(site: Worksite, load: Load, problem: Problem, ground: Terrain) -> Problem:

@@ -8,10 +8,10 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import SceneError
-from backhoe_planner.job.cycles.dumping import empty_bed, postures_over
+from backhoe_planner.job.cycles.dumping import empty_bed, postures_over, radii_of_dumps
+from backhoe_planner.job.worksite.column_parts import parts_within
 from backhoe_planner.job.worksite.worksite import Worksite
-
-_RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which a dump is tried, for messages
+from backhoe_planner.site import Proximity
 
 
 def check_dump(site: Worksite, allowed: Matrix) -> None:
@@ -23,8 +23,8 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
 
     Raises
     ------
-    SceneError: a heap lies within its edge distance, or a place is out of reach; or a truck takes no bucketful, or
-        all trucks together less than what must be dug.
+    SceneError: a heap lies within its edge distance, or a place is out of reach; or all trucks together take less than
+        what must be dug.
     """
     heap, truck, job = site.job.dump.heap, site.job.dump.truck, site.job
     if heap is not None:
@@ -46,13 +46,6 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
                 )  # fmt: skip
             _check_reach(site, at, 0.0, key)
     if truck is not None:
-        bucketful = site.bucket.capacity
-        if truck.capacity < bucketful:
-            raise SceneError(
-                "takes less than one bucketful", file=job.file, key="dump.truck.capacity", found=truck.capacity,
-                allowed=f"{bucketful:.2f} m^3 or more: what the bucket holds", hint="or a smaller bucket.capacity",
-            )  # fmt: skip
-        empty_bed(site, truck)
         x, y, z = truck.bed.position
         _check_reach(site, np.array([x, y]), z + truck.bed.size[2], "dump.truck.bed.position")
         loose = _least_loose(site, allowed)
@@ -62,6 +55,46 @@ def check_dump(site: Worksite, allowed: Matrix) -> None:
                 allowed=f"{math.ceil(loose / truck.capacity)} or more: {loose:.2f} m^3 of loose soil, "
                 f"{truck.capacity:.2f} m^3 in each",
                 hint="or dig less of it",
+            )  # fmt: skip
+
+
+def check_truck(site: Worksite) -> None:
+    """Check the truck of a job by itself.
+
+    Raises
+    ------
+    SceneError: it takes no bucketful, or more than its bed holds; or it stands over what is dug, or in the machine.
+    """
+    truck, job = site.job.dump.truck, site.job
+    if truck is None:
+        return
+    bucketful = site.bucket.capacity
+    if truck.capacity < bucketful:
+        raise SceneError(
+            "takes less than one bucketful", file=job.file, key="dump.truck.capacity", found=truck.capacity,
+            allowed=f"{bucketful:.2f} m^3 or more: what the bucket holds", hint="or a smaller bucket.capacity",
+        )  # fmt: skip
+    empty_bed(site, truck)
+    bed, start = truck.bed, site.problem.start_q
+    turn = np.array([[math.cos(bed.yaw), -math.sin(bed.yaw)], [math.sin(bed.yaw), math.cos(bed.yaw)]])
+    half = 0.5 * np.array(bed.size[:2])
+    corners = np.array(bed.position[:2]) + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) @ turn.T
+    share, _ = parts_within(site.nodes, site.ground.cell, corners)
+    over = (share > 0.0) & (site.share > 0.0)
+    if over.any():
+        x, y = site.nodes[over][0].tolist()
+        raise SceneError(
+            "stands on what is dug", file=site.job.file, key="dump.truck.bed.position", found=list(bed.position),
+            allowed=f"a place beside it: they meet at x {x:.2f}, y {y:.2f} m",
+        )  # fmt: skip
+    if start is not None:
+        walls = [one for one in site.problem.obstacles if one.name in {wall["name"] for wall in bed.walls()}]
+        near = Proximity(site.robot, walls).tightest(start)
+        if near is not None and near.margin < 0.0 and near.name in {one.name for one in walls}:
+            raise SceneError(
+                "stands in the machine, or too near to it", file=job.file, key="dump.truck.bed.position",
+                found=f"{near.distance:.2f} m between {near.link} and the {near.name}",
+                allowed=f"{near.distance - near.margin:.2f} m or more while the machine stands at its start",
             )  # fmt: skip
 
 
@@ -79,11 +112,10 @@ def _check_reach(site: Worksite, at: np.ndarray, top: float, key: str) -> None:
     if len(postures_over(site, at, top)[0]):
         return
     off = at - site.plane.axis
-    ahead = off / max(float(np.linalg.norm(off)), 1e-9)
-    reached = [r for r in _RADII if len(postures_over(site, site.plane.axis + r * ahead, top)[0])]
+    reached = radii_of_dumps(site, at, top)
     limits, swing = site.plane.limits, float(np.degrees(np.arctan2(off[1], off[0])))
     if reached:
-        allowed = f"{min(reached):.1f} to {max(reached):.1f} m from the swing axis in this direction"
+        allowed = f"{reached[0]:.1f} to {reached[1]:.1f} m from the swing axis in this direction"
     else:
         allowed = f"swings of {np.degrees(limits.lower[0]):.0f} to {np.degrees(limits.upper[0]):.0f} degrees"
     raise SceneError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -28,6 +28,7 @@ _TILTS = (0.0, 0.25, 0.5)  # rad from level at which the bucket may arrive
 _HEAP = 0.5  # m that a heap is high on the average, for estimates
 _ALONG_BED = (0.0, -0.5, 0.5, -1.0, 1.0)  # of the room along a bed: where a bucketful may be dumped; chosen
 _EVEN = 0.15  # m by which a place may lie higher than the lowest and still count as low; chosen
+_RADII = np.arange(1.0, 12.0, 0.1)  # m from the swing axis at which a dump is tried, for messages
 _GROUND, _TRUCK = "the ground", "the truck"
 
 
@@ -91,6 +92,20 @@ class Dumping:
     number: int
 
 
+@dataclass(frozen=True)
+class NoDump:
+    """Why a bucketful can be dumped nowhere.
+
+    Attributes
+    ----------
+    reason: ``full``, or ``unreachable`` where no bucket can be emptied over what has room.
+    words: in a sentence.
+    """
+
+    reason: Literal["full", "unreachable"]
+    words: str
+
+
 class DumpSite(Protocol):
     """Where soil goes."""
 
@@ -100,7 +115,7 @@ class DumpSite(Protocol):
     def near(self, start: Vector) -> tuple[Vector, Vector] | None:
         """(n,), (n,) postures, level and open, over a place to dump, soon reached from `start` (n,); for estimates."""
 
-    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
+    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """Places at which `volume` [m^3] of loose soil can be dumped, the soonest reached from `start` (n,) first.
 
         Where there is none, why.
@@ -138,24 +153,26 @@ class HeapDump:
         tops = [(np.array(place), _height(level, np.array(place)) + _HEAP) for place in self._heap.places]
         return _soonest(self._site, tops, start)
 
-    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
+    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """See `DumpSite`."""
         found: list[Dumping] = []
-        refused = ""
+        full, unreachable = "", ""
         for at in self._heap.places:
             place = np.array(at)
             after = deposited(state.ground, place, volume, clear_of=self._clear_of)
             if isinstance(after, Refusal):
-                refused = refused or after.reason
+                full = full or after.reason
                 continue
             top = _height(after, place)
             arrivals, openings = postures_over(self._site, place, top)
             if not len(arrivals):
-                refused = refused or f"the bucket cannot be emptied over x {at[0]:.2f}, y {at[1]:.2f} m: out of reach"
+                unreachable = unreachable or _out_of_reach(self._site, place, top)
                 continue
             found.append(Dumping(np.array([*at, top]), arrivals, openings, 0))
         limits = self._site.problem.limits
-        return sorted(found, key=lambda one: travel_time(one.arrivals[0] - start, limits)) if found else refused
+        if not found:
+            return NoDump("full", full) if full else NoDump("unreachable", unreachable)
+        return sorted(found, key=lambda one: travel_time(one.arrivals[0] - start, limits))
 
     def dumped(self, state: SiteState, place: Vector, volume: float, number: int) -> SiteState | str:
         """See `DumpSite`."""
@@ -192,12 +209,12 @@ class TruckDump:
         """See `DumpSite`."""
         return _soonest(self._site, [(place[:2], float(place[2])) for place in self._places], start)
 
-    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | str:
+    def options(self, state: SiteState, volume: float, start: Vector) -> list[Dumping] | NoDump:
         """See `DumpSite`."""
         assert state.truck is not None
         truck = self._truck_for(state.truck, volume)
         if isinstance(truck, str):
-            return truck
+            return NoDump("full", truck)
         found = []
         for place in self._places:
             after = truck.bed.loaded(place[:2], volume)
@@ -207,7 +224,7 @@ class TruckDump:
             if len(arrivals):
                 found.append(Dumping(np.array([*place[:2], top]), arrivals, openings, truck.number))
         if not found:
-            return "the bucket cannot be emptied over the truck's bed: out of reach"
+            return NoDump("unreachable", f"over the truck's bed: {_out_of_reach(self._site, place[:2], top)}")
         limits = self._site.problem.limits
         # where it lies lowest first, so that the bed fills evenly
         lowest = min(one.place[2] for one in found)
@@ -291,6 +308,28 @@ def postures_over(site: Worksite, place: Vector, top: float) -> tuple[Matrix, Ma
                 openings.append(opened)
                 break
     return np.array(arrivals).reshape(-1, n), np.array(openings).reshape(-1, n)
+
+
+def radii_of_dumps(site: Worksite, place: Vector, top: float) -> tuple[float, float] | None:
+    """The least and the greatest distance from the swing axis [m] at which a bucket can be emptied; None where nowhere.
+
+    Parameters
+    ----------
+    place: (2,) in whose direction [m].
+    top: height of what lies there [m].
+    """
+    off = place - site.plane.axis
+    ahead = off / max(float(np.linalg.norm(off)), 1e-9)
+    reached = [r for r in _RADII.tolist() if len(postures_over(site, site.plane.axis + r * ahead, top)[0])]
+    return (min(reached), max(reached)) if reached else None
+
+
+def _out_of_reach(site: Worksite, place: Vector, top: float) -> str:
+    radii = radii_of_dumps(site, place, top)
+    where = f"the bucket cannot be emptied over x {place[0]:.2f}, y {place[1]:.2f} m, {top:.2f} m high"
+    if radii is None:
+        return f"{where}: it can nowhere in this direction"
+    return f"{where}: in this direction it can {radii[0]:.1f} to {radii[1]:.1f} m from the swing axis"
 
 
 def swing_towards(site: Worksite, off: Vector) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -202,6 +202,22 @@ def _filled(site: Worksite, lane: Lane, ground: tuple[Profile, Terrain], floor: 
         return cut
     wide = Profile.of_terrain(terrain, site.plane, lane.swing, width=site.arm.span)
     return found if site.arm.clears(found.q[::_EVERY], site.arm.raised(wide)).all() else cut
+
+
+def shallower(site: Worksite, chosen: NextCut, ground: Terrain, part: float) -> NextCut | None:
+    """The same cut at most `part` of its depth deep, and as much longer; None where there is none.
+
+    Parameters
+    ----------
+    ground: as it is now.
+    """
+    cut, lane = chosen.cut, chosen.lane
+    profile = Profile.of_terrain(ground, site.plane, lane.swing, width=site.bucket.width)
+    found = find_cut(
+        site.digger, profile, swing=lane.swing, start=float(cut.r[0]), end=lane.end,
+        depth=max(part * cut.greatest_depth, 1e-3), floor=(lane.r, lane.line), volume=cut.wanted, leave=LEAVE,
+    )  # fmt: skip
+    return None if isinstance(found, NoCut) else replace(chosen, cut=found)
 
 
 def _rate(cut: Cut) -> float:
