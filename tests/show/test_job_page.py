@@ -107,6 +107,8 @@ def test_the_ground_is_dug_while_the_page_plays(browser: Any, plan: JobPlan, tmp
     assert page.evaluate(height) == pytest.approx(0.0, abs=1e-3)
     assert page.inner_text("#now").startswith("Cycle 1 of")
     assert page.inner_text("#badge") == "Verified"
+    picture, section = (page.locator(name).bounding_box() for name in ("#stage", "#section-card"))
+    assert section["x"] >= picture["x"] + picture["width"]  # beside the picture, in which it would hide the bucket
     assert trouble == []
     page.close()
 

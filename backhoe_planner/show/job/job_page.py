@@ -71,7 +71,7 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     tracks += draw_truck_load(visualizer, graph.prefix, plan, frames.parts, line.time)
     visualizer.set_animation(PlanAnimation(tracks, float(line.time[-1])), play=False)
     view = graph.look_at_motion(line)
-    tell_problem(display, problem, graph, view, line.obstacles, task=_words(plan))
+    tell_problem(display, problem, graph, view, line.obstacles, task=_words(plan), unnamed=_walls(plan))
     display.tell("plan", _plan_content(plan, line, view))
     display.tell(
         "job",
@@ -95,6 +95,12 @@ def _words(plan: JobPlan) -> str:
         length, width, depth = (f"{round(size, 2):g} m" for size in (trench.length, trench.width, trench.depth))
         what = f"a trench of {length}, {width} wide, {depth} deep"
     return f"digs {what}"
+
+
+def _walls(plan: JobPlan) -> tuple[str, ...]:
+    """The walls of the truck's bed: four names in one place would hide it."""
+    truck = plan.job.dump.truck
+    return () if truck is None else tuple(wall["name"] for wall in truck.bed.walls())
 
 
 def _buried(problem: Problem, graph: SceneGraph, lowest: float) -> list[str]:

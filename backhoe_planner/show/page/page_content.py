@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,14 @@ def frame_numbers(frames: Timeline, links: tuple[str, ...]) -> dict[str, Any]:
 
 
 def tell_problem(
-    display: Display, problem: Problem, graph: SceneGraph, view: View, obstacles: tuple[str, ...], *, task: str = ""
+    display: Display,
+    problem: Problem,
+    graph: SceneGraph,
+    view: View,
+    obstacles: tuple[str, ...],
+    *,
+    task: str = "",
+    unnamed: Collection[str] = (),
 ) -> None:
     """Tell the page of the site and the machine: names and where they are written, clearances, limits.
 
@@ -70,6 +78,7 @@ def tell_problem(
     graph, view: the picture and its camera.
     obstacles: names of what margins are shown for.
     task: what the machine does, in words; by default from its task.
+    unnamed: obstacles whose names are not written in the picture.
     """
     robot, scene = problem.robot, problem.scene
     listed = {
@@ -80,6 +89,8 @@ def tell_problem(
         velocity = obstacle.velocity if obstacle.moves else None
         more = {"clearance": obstacle.clearance, "appears_at": obstacle.appears_at, "velocity": velocity}
         listed[obstacle.name].update(more)
+    for name in unnamed:
+        listed[name]["anchor"] = None
     joints = []
     for name, slides, low, high in zip(
         robot.joint_names, robot.prismatic, problem.limits.lower, problem.limits.upper, strict=True

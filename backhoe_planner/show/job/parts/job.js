@@ -163,11 +163,10 @@
   const depths = [...known(section.design), ...section.end, ...section.start,
     ...section.crossings.map((one) => one.z - one.half)];
   const lowest = Math.min(...depths) - 0.25, highest = Math.max(...depths, 0) + 0.7;
-  const narrow = matchMedia("(max-width: 560px)");
-  function placeSection() {
-    if (narrow.matches) get("panel").insertBefore(card, get("facts-section")); else get("stage").append(card);
+  function redrawSection() {
     drawSection(plan.time.length > 1 ? Math.min(backhoe.time / end, 1) * (plan.time.length - 1) : 0);
   }
+  get("panel").insertBefore(card, get("facts-section"));  // over the picture it would hide the bucket
   card.hidden = false;
   get("section-fold").addEventListener("click", () => {
     const folded = card.classList.toggle("folded");
@@ -235,7 +234,8 @@
       pen.font = "10px system-ui, sans-serif";
       pen.textAlign = "center";
       pen.textBaseline = "top";
-      pen.fillText(one.name, px(one.station), py(one.z - one.radius - one.clearance) + 2);
+      const under = py(one.z - one.radius - one.clearance) + 2, over = py(one.z + one.radius + one.clearance) - 13;
+      pen.fillText(one.name, px(one.station), under + 12 < py(lowest) ? under : over);
     }
     drawBucket(pen, Math.round(frame), px, py);
     pen.restore();
@@ -265,8 +265,7 @@
     pen.stroke();
   }
 
-  get("section-title").textContent = "Section along the cut";
-  narrow.addEventListener("change", placeSection);
+  get("section-title").textContent = "Section";
   new ResizeObserver(() => drawSection(lastFrame)).observe(card);
 
   // ---- time --------------------------------------------------------------------------
@@ -286,6 +285,6 @@
     drawSection(frame);
   }
   addEventListener("backhoe-time", (event) => follow(event.detail.time, event.detail.frame));
-  placeSection();
+  redrawSection();
   follow(backhoe.time, 0);
 })();
