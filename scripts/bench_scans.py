@@ -50,7 +50,8 @@ def main() -> None:
         row = (
             "+".join(kinds) if len(kinds) < 2 else "all", f"{cost.intake:.2f}", f"{ratio:.2f} times",
             f"{np.isfinite(cost.durations).sum()} of {len(cost.durations)}", steps,
-            f"{np.percentile(cost.steps, 99):.0f}", f"{cost.steps.max():.0f}", f"{cost.memory - plain.memory:+.0f}", f"{cost.page:.1f}",
+            f"{np.percentile(cost.steps, 99):.0f}", f"{cost.steps.max():.0f}",
+            f"{cost.memory - plain.memory:+.0f}", f"{cost.page:.1f}",
             f"{cost.least_gap:.3f}",
         )  # fmt: skip
         print("".join(f"{value:>15}" for value in row))

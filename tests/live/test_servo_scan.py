@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from backhoe_planner import Servo
@@ -112,3 +113,22 @@ def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
         assert servo.last_error is None
     assert sum(measured) > 20
     assert max(measured) <= 2
+
+
+@pytest.mark.parametrize("depth", [0.1, 0.3])
+def test_sunk_in_fine_ground_it_comes_up(backhoe: Robot, tmp_path: Path, depth: float) -> None:
+    q = np.array([0.1, 0.1, -1.3, -0.8])
+    data = backhoe.model.createData()
+    pin.forwardKinematics(backhoe.model, data, q)
+    lowest = min((data.oMi[one.joint].act(x))[2] for one in backhoe.pieces if one.joint for x in one.piece.hull)
+    x = np.linspace(-8.0, 8.0, 161)
+    np.savetxt(tmp_path / "fine.csv", lowest + depth + 0.03 * np.sin(1.3 * x)[:, None] * np.cos(x), delimiter=",")
+    ground = {"name": "ground", "shape": "heightmap", "file": "fine.csv", "size": [16.0, 16.0]}
+    scene = {**SCENE, "start": {"joints": dict(zip(backhoe.joint_names, q.tolist(), strict=True))}}
+    servo = Servo(backhoe, scene_from_dict({**scene, "obstacles": [ground]}, folder=tmp_path), dt=0.01)
+    gauge = Proximity(backhoe, servo.snapshot(), self_collision=False)
+    assert float(np.min(gauge.distances(q))) < 0.0
+    for _ in range(400):
+        state = servo.step()
+        assert servo.last_error is None
+    assert float(np.min(gauge.distances(state.q) - gauge.clearance)) > -1e-6

@@ -320,3 +320,30 @@ def test_cells_near_a_box_are_all_that_touch_it(kind: str) -> None:
         own = middle.T[np.abs(middle.T - 0.5 * (low + high)).max(axis=1) <= 0.5 * (high - low).min()]
         assert {tuple(row) for row in np.round(own, 9).tolist()} <= found
     assert (radius > 0.0).all()
+
+
+def test_ground_around_a_sunken_link_lies_in_boxes_with_a_face_above_it() -> None:
+    rng = np.random.default_rng(15)
+    x = np.linspace(-2.0, 2.0, 81)
+    heights = 0.2 * np.sin(2.0 * x)[:, None] * np.cos(1.5 * x) + rng.normal(0.0, 0.01, (81, 81))
+    cluster = terrain(heights, 4.0, at(0.1, 0.0, 0.3))
+    compared = 0
+    for number in range(12):
+        link, depth = LINKS[number % 3], float(rng.uniform(0.05, 0.4))
+        turn = Rotation.from_euler("zy", rng.uniform(-0.3, 0.3, 2)).as_matrix()
+        place = pin.SE3(turn, np.array([*rng.uniform(-0.4, 0.4, 2), 0.3 - depth]))
+        ground = cluster.ground_under(link, place, 0.8)
+        if ground is None:
+            continue
+        assert ground.reading.distance < 0.0
+        assert ground.reading.normal[2] < -0.7
+        assert gap(link, place, ground.piece) == pytest.approx(ground.reading.distance, abs=1e-6)
+        found = cluster.around(link, place, 0.8, ball=BALL, most=15, ground=ground)
+        for up in (0.2, 0.4, 0.6):
+            moved = pin.SE3(turn, place.translation + np.array((*rng.normal(0.0, 0.05, 2), up)))
+            least = distance(cluster, link, moved)
+            if 0.0 < least < 0.2:
+                assert min(gap(link, moved, part.piece) for part in (ground, *found.parts)) <= least + 1e-9
+                compared += 1
+    assert compared >= 5
+    assert cluster.ground_under(LINKS[0], at(0.0, 0.0, 1.5), 0.8) is None

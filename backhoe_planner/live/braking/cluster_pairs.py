@@ -85,11 +85,17 @@ class ClusterPairs:
         if away > reach:
             self.covered = self.nearest = away
             return ()
-        found = self.cluster.around(self.own, T, reach, ball=self.ball, most=SLOTS - _REST, exact=exact)
-        parts, self.covered = found.parts, found.covered
-        if found.rest is not None and found.covered < min(reach, self.clearance + _ROOM):
-            parts, self.covered = (*parts, found.rest), reach
-        self.nearest = min((part.reading.distance for part in parts), default=found.covered)
+        ground = self.cluster.ground_under(self.own, T, reach) if is_new or self.was_inside else None
+        parts = self._parts(T, reach, exact, ground)
+        if ground is None and self.nearest <= 0.0:
+            ground = self.cluster.ground_under(self.own, T, reach)
+            if ground is not None:
+                parts = self._parts(T, reach, exact, ground)
+        if ground is not None:
+            self.was_inside = True
+            # its face holds wherever the piece is, so that it lasts until it is nearly out
+            self.nearest = abs(ground.reading.distance)
+            return parts
         if self.nearest > 0.0 and self.cluster.solid.is_full and (is_new or self.was_inside):
             # what touches no cell may still be inside, in the ground or in a closed mesh
             inside = self.cluster.inside_of(self.own, T)
@@ -97,6 +103,18 @@ class ClusterPairs:
             if inside is not None:
                 parts = (*parts[: SLOTS - 1], inside)
                 self.nearest = inside.reading.distance
+        return parts
+
+    def _parts(self, T: pin.SE3, reach: float, exact: float, ground: Part | None) -> tuple[Part, ...]:
+        """The boxes of all cells, with `ground` before them where there is one."""
+        first = () if ground is None else (ground,)
+        found = self.cluster.around(
+            self.own, T, reach, ball=self.ball, most=SLOTS - _REST - len(first), exact=exact, ground=ground
+        )
+        parts, self.covered = (*first, *found.parts), found.covered
+        if found.rest is not None and found.covered < min(reach, self.clearance + _ROOM):
+            parts, self.covered = (*parts, found.rest), reach
+        self.nearest = min((part.reading.distance for part in parts), default=found.covered)
         return parts
 
     def urgency(self, odometer: float, needed: float, time: float) -> float:

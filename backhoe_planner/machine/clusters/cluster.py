@@ -145,7 +145,7 @@ class Cluster:
 
     def around(
         self, piece: Piece, T_world_body: pin.SE3, reach: float, *, ball: tuple[Vector, float], most: int,
-        shift: Vector | None = None, exact: float = 0.0,
+        shift: Vector | None = None, exact: float = 0.0, ground: Part | None = None,
     ) -> Around:  # fmt: skip
         """All cells within `reach` [m] of a convex piece of a body, in a few boxes.
 
@@ -160,11 +160,17 @@ class Cluster:
         T_world_body, shift: as in `measure`.
         exact: distance up to which, too, cells are looked at one by one: no cube further off comes nearer [m].
         ball: centre (3,) and radius [m] of where the machine can be, world.
+        ground: from `ground_under` for the same reach. What is behind its face is in it, and in no other box.
         most: the greatest number of boxes. Where it takes more, what is left is further away than `covered` [m].
         """
         shift = _NO_SHIFT if shift is None else shift
         link = self._local(piece, T_world_body, shift)
         cells, off = self._cells_around(link, reach, ball, exact)
+        if ground is not None:
+            n = ground.reading.normal @ self._R
+            face = float((ground.reading.other_point - self._t - shift) @ ground.reading.normal)
+            above = (cells.least_along(n) < face - _BEYOND).nonzero()[0]
+            cells, off = cells.only(above), off.take(above)
         gauge, T_link = Gauge(), transform(link.R, link.t)
         parts: list[Part] = []
         while len(off) and len(parts) < most:
@@ -227,6 +233,56 @@ class Cluster:
         # cubes precede triangles
         first = len(cells.half)
         return both, np.concatenate((off[:first], away.take(outer), off[first:]))
+
+    def ground_under(
+        self, piece: Piece, T_world_body: pin.SE3, reach: float, *, shift: Vector | None = None
+    ) -> Part | None:
+        """For a piece of a body that is in the ground: a box that contains the ground under and beside it.
+
+        Its face is level with the surface over the piece, so that the way out is up. From below, or within it,
+        single cells of the surface would show the way down or aside. It contains all cells within `reach` [m] that
+        are not above that face. None for a piece that is not in the ground, and of what is no ground.
+        """
+        shift = _NO_SHIFT if shift is None else shift
+        link = self._local(piece, T_world_body, shift)
+        if not self.solid.is_ground:
+            return None
+        touching = self.solid.measure(link, 0.0)
+        if touching is None or touching.distance >= 0.0:
+            return None
+        low, high = link.box(0.0)
+        size = float((high - low).max()) + reach
+        cells = self.solid.near(low - reach, high + np.array((reach, reach, size)))
+        middle, _ = cells.around()
+        more = self.solid.finest
+        beside = np.maximum(low[:2, None] - middle[:2], middle[:2] - high[:2, None])
+        over = (beside.max(axis=0) <= more).nonzero()[0]
+        if not len(over):
+            return None
+        above = middle.take(over, axis=1)
+        above -= above.mean(axis=1)[:, None]
+        slope = np.linalg.lstsq(above[:2].T, above[2], rcond=1e-3)[0]
+        n = np.array([*np.clip(slope, -1.0, 1.0), -1.0])
+        n /= math.sqrt(float(n @ n))
+        along = cells.least_along(n)
+        plane = float(along[over].min())
+        own = (along >= plane - more - _BEYOND).nonzero()[0]
+        plane = float(along[own].min())
+        deepest = int((link.hull @ n).argmax())
+        x_link = link.hull[deepest] + link.radius * n
+        distance = plane - float(x_link @ n)
+        if distance >= 0.0:
+            return None
+        axes = _frame_along(n, link.R)
+        start, end = cells.only(own).extent(axes)
+        at = link.hull @ axes
+        more_aside = size - distance
+        start = np.minimum(start, at.min(axis=0) - link.radius - more_aside)
+        end = np.maximum(end, at.max(axis=0) + link.radius + more_aside)
+        start[0] = plane
+        R = self._R @ axes
+        placed = box(end - start, pin.SE3(R, R @ (0.5 * (start + end)) + self._t + shift))
+        return Part(placed, self._placed(Reading(distance, n, x_link, x_link + distance * n), shift))
 
     def inside_of(self, piece: Piece, T_world_body: pin.SE3) -> Part | None:
         """For a piece of a body that is in the ground or in a closed mesh and touches no cell: a box around it.

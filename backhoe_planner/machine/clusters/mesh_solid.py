@@ -39,6 +39,8 @@ class MeshSolid:
     InputError: it has more.
     """
 
+    is_ground = False
+
     def __init__(self, mesh: trimesh.Trimesh, *, most: int) -> None:
         if len(mesh.faces) > most:
             raise InputError(

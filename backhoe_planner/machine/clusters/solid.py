@@ -58,11 +58,13 @@ class Solid(Protocol):
     bounds: (2, 3) box around it [m].
     finest: edge of its cells, about [m].
     is_full: whether more is solid than its cells: what is below the ground or within a closed mesh.
+    is_ground: whether all that is below its cells is solid.
     """
 
     bounds: Matrix
     finest: float
     is_full: bool
+    is_ground: bool
 
     def __len__(self) -> int:
         """How many cells it has."""

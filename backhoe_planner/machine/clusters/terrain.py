@@ -43,6 +43,7 @@ class TerrainSolid:
     """
 
     is_full = True
+    is_ground = True
 
     def __init__(self, heights: Matrix, size: tuple[float, float], *, depth: float, most: int) -> None:
         rows, columns = heights.shape

@@ -50,6 +50,7 @@ class VoxelSolid:
     """
 
     is_full = False
+    is_ground = False
 
     def __init__(self, keys: Keys, edge: float, *, most: int) -> None:
         if len(keys) > most:
