@@ -337,7 +337,7 @@ class Proximity:
 
     def is_at_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
         """The same for callers in a loop, whose arguments are right as they are made."""
-        return bool(self._bound_time == time and (self._q_bound == q).all())
+        return self._bound_time == time and not np.count_nonzero(self._q_bound != q)
 
     def stays_clear(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the last measurement proves that every clearance holds on the straight way from there to `q`.
@@ -574,10 +574,10 @@ class Proximity:
         gradient = raw[:, :6].dot(self._J())
         gradient *= self._sense.take(pair, axis=0)
         left = raw[:, 9] - self.clearance.take(pair)
-        drift = np.einsum("ki,ki->k", raw[:, :3], self._velocity[pair]) if self._moving else np.zeros(len(pair))
+        drift = np.vecdot(raw[:, :3], self._velocity[pair]) if self._moving else np.zeros(len(pair))
         if lead is not None:
             counts = left <= margin
-            if not counts.all():
+            if np.count_nonzero(counts) < len(counts):
                 counts |= lead.can_bind(left, gradient, drift)
                 pair, raw, gradient, left, drift = (
                     pair[counts],

@@ -42,7 +42,7 @@ class Lead(NamedTuple):
 
     def can_bind(self, margin: Vector, gradient: Matrix, drift: Vector) -> Flags:
         """(K,) whether margins (K,) [m] with these gradients (K, n) and drifts (K,) [m/s] count."""
-        rate = -np.minimum(gradient * self.low, gradient * self.high).sum(axis=1) - drift
+        rate = -np.add.reduce(np.minimum(gradient * self.low, gradient * self.high), axis=1) - drift
         return np.asarray(margin < self.longest * rate)
 
 
@@ -89,16 +89,16 @@ class ApproachBounds:
         turn = seen[:, 3:]
         passing = seen[:, :3] - velocity + turn[:, _NEXT] * here[:, _LAST] - turn[:, _LAST] * here[:, _NEXT]
         away = self._centre.take(body, axis=0) + shift - here
-        length = np.sqrt(np.einsum("ki,ki->k", away, away))
-        speed = np.sqrt(np.einsum("ki,ki->k", passing, passing))
+        length = np.sqrt(np.vecdot(away, away))
+        speed = np.sqrt(np.vecdot(passing, passing))
         length = np.maximum(length, _NO_LENGTH)
         sine = np.minimum((self._size.take(body) + size) / length, 1.0)
         cosine = np.sqrt(1.0 - sine * sine)
-        along = np.einsum("ki,ki->k", away, passing) / length
+        along = np.vecdot(away, passing) / length
         across = np.sqrt(np.maximum(speed * speed - along * along, 0.0))
         aside = (along < speed * cosine) & (sine < 1.0)
         towards = np.where(aside, along * cosine + across * sine, speed)
-        return np.asarray(towards + np.sqrt(np.einsum("ki,ki->k", turn, turn)) * size)
+        return np.asarray(towards + np.sqrt(np.vecdot(turn, turn)) * size)
 
 
 def _ball(piece: shapes.Piece) -> tuple[Vector, float]:
