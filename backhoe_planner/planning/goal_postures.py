@@ -100,7 +100,8 @@ def _on_target(
     world: World, target: TipTarget, goal: Goal, near: Vector, time: float, more: int
 ) -> tuple[Vector, ...] | Outcome:
     count = more * world.work.effort.starting_points
-    found = world.postures.at(target, near=near, count=count, time=time)
+    hurried = world.work.effort.dull_searches == 0
+    found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried)
     if found.best.reached and not found.clear:
         found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)
     return no_posture(world, found, target, "goal_in_collision", goal.name) or found.clear

@@ -105,7 +105,10 @@ class MotionSearch:
         self._world, self._start, self._time = world, start, time
         self._problem = world.problem
         self._drive = drive_of(world.problem)
-        self._descent = Descent(world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake)
+        self._descent = Descent(
+            world.problem, world.proximity, world.kinematics, time=time, brake=world.work.brake,
+            hurried=not self._goes_on(),
+        )  # fmt: skip
         self._least_times = LeastTimes(world.problem, start, longest=_LONGEST)
         self._postures: list[Vector] = []
         self._goals: list[Goal] = []  # of each posture

@@ -151,3 +151,12 @@ def test_torques_with_a_force_at_the_tip_are_pinocchios(any_robot: bp.Robot) -> 
         expected = pin.rnea(model, data, q, v, a, outside)
         found = Dynamics(any_robot).torques(q, v, a, tip_force=force)
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-8)
+
+
+def test_torques_of_many_moments_are_those_of_each(panda: bp.Robot) -> None:
+    rng = np.random.default_rng(3)
+    q, v, a = rng.normal(size=(3, 20, panda.n))
+    dynamics = Dynamics(panda, payload=2.0)
+    each = [dynamics.torques(*moment) for moment in zip(q, v, a, strict=True)]
+    np.testing.assert_array_equal(dynamics.torques_along(q, v, a), each)
+    assert dynamics.torques_along(q[:0], v[:0], a[:0]).shape == (0, panda.n)

@@ -6,6 +6,7 @@ import copy
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -216,6 +217,19 @@ def test_moment_arms_are_the_slope_of_the_lengths(hydraulics: Hydraulics, postur
         move = step * np.eye(4)[j]
         slope = (hydraulics.lengths(postures + move) - hydraulics.lengths(postures - move)) / (2.0 * step)
         np.testing.assert_allclose(hydraulics.moment_arms(postures)[..., j], slope, atol=2e-8)
+
+
+def test_arms_that_were_asked_before_are_those_of_the_same_joints(hydraulics: Hydraulics, postures: Array) -> None:
+    """Of more arrays than are remembered, one of them changed in place: always as asked one posture at a time."""
+    tau = np.linspace(1e3, 2e3, postures.shape[1])
+    for _ in range(2):
+        for count in range(1, 13):
+            q = postures[:count].copy()
+            hydraulics.cylinder_forces(q, tau)
+            q[0] = postures[-1]
+            found = hydraulics.cylinder_forces(q, tau)
+            one_by_one = [replace(hydraulics).cylinder_forces(row, tau) for row in q]
+            np.testing.assert_array_equal(found, one_by_one)
 
 
 def test_the_work_of_the_cylinders_is_that_of_the_joints(hydraulics: Hydraulics, postures: Array) -> None:

@@ -36,6 +36,9 @@ _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps s
 _NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
 _GROW, _SHRINK = 1.5, 0.4
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
+_ENOUGH_HURRIED = (
+    0.01  # the same of a descent in a hurry; chosen: its last round gained less, and is a fifth of its time
+)
 _ENOUGH_BENT = 1e-3  # the same for another cost than the time, which falls for longer; chosen
 _UNEVEN = 1.1  # times the duration of its fastest motion, from which on a curve is fitted to that; chosen
 _KEPT = 1e-4  # m by which the last round may miss what is to be kept beyond the clearance
@@ -78,6 +81,7 @@ class Descent:
     kinematics: of the machine.
     time: the obstacles stand where they are at this time [s].
     brake: checked in every round.
+    hurried: whether a descent ends at smaller gains, and looks at what is nearer alone.
 
     Attributes
     ----------
@@ -85,10 +89,11 @@ class Descent:
     """
 
     def __init__(
-        self, problem: Problem, proximity: Proximity, kinematics: Kinematics, *, time: float, brake: Brake
-    ) -> None:
+        self, problem: Problem, proximity: Proximity, kinematics: Kinematics, *, time: float, brake: Brake,
+        hurried: bool = False,
+    ) -> None:  # fmt: skip
         self._problem, self._proximity, self._kinematics = problem, proximity, kinematics
-        self._time, self._brake = time, brake
+        self._time, self._brake, self._hurried = time, brake, hurried
         self._drive = drive_of(problem)
         rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
@@ -158,9 +163,15 @@ class Descent:
             here, box, failed = there, min(_GROW * box, _LARGEST_BOX), 0
             if here.missed <= looks.allowed:
                 clear, box_then = here, box
-            if gain < (_ENOUGH if bend is None else _ENOUGH_BENT) * here.cost and here.missed <= _KEPT:
+            if gain < self._enough(bend) * here.cost and here.missed <= _KEPT:
                 break
         return clear if here.missed > looks.allowed >= clear.missed else here
+
+    def _enough(self, bend: Bend | None) -> float:
+        """Part of the cost: a round that gains less ends the descent."""
+        if bend is not None:
+            return _ENOUGH_BENT
+        return _ENOUGH_HURRIED if self._hurried else _ENOUGH
 
     def _mended(self, there: Timed, goal: Goal | None, looks: Looks, box: float, *, below: float) -> Timed | None:
         """The curve after one more step, which takes back what the one before has missed where that is little."""
@@ -235,6 +246,7 @@ class Descent:
         return Looks(
             self._proximity, self._screens[spare], self._problem.keep,
             steps=density * PLACES_PER_PIECE * curve.pieces, spare=spare, time=self._time,
+            hurried=self._hurried,
         )  # fmt: skip
 
     def _onto(self, goal: Goal, q: Vector) -> Vector | None:
