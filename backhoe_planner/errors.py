@@ -4,6 +4,7 @@
     +-- InputError (also ValueError)      something handed in from outside is wrong
         +-- RobotError                    the URDF, or a name in it
         +-- SceneError                    the scene file, or a file it names
+        +-- StudyError                    the study file, or the folder of its results
         +-- PlanFileError                 the plan file
         +-- OutputError                   a result cannot be written where asked
 
@@ -101,6 +102,10 @@ class RobotError(InputError):
 
 class SceneError(InputError):
     """The scene file, or a file it names, cannot be used."""
+
+
+class StudyError(InputError):
+    """The study cannot be run as it is written, or not into this folder of results."""
 
 
 class PlanFileError(InputError):

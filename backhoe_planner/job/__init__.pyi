@@ -35,6 +35,7 @@ from .result.job_plan_file import is_job_plan as is_job_plan
 from .result.job_plan_file import job_figures as job_figures
 from .result.job_plan_file import job_plan_to_dict as job_plan_to_dict
 from .result.job_plan_file import read_job_plan_file as read_job_plan_file
+from .schema.job_file import SITE_KEYS as SITE_KEYS
 from .schema.job_file import Job as Job
 from .schema.job_file import job_from_dict as job_from_dict
 from .schema.job_file import load_job as load_job

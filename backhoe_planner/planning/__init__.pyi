@@ -41,10 +41,12 @@ from .result.metrics import DetourTotal as DetourTotal
 from .result.metrics import Metrics as Metrics
 from .result.metrics import ObjectiveCost as ObjectiveCost
 from .result.metrics import measure_motion as measure_motion
+from .result.plan import METHODS as METHODS
 from .result.plan import Plan as Plan
 from .result.plan import PlannedLeg as PlannedLeg
 from .result.plan import load_plan as load_plan
 from .result.plan import plan_to_dict as plan_to_dict
+from .result.plan_file import CertificateRecord as CertificateRecord
 from .search.blending import blend as blend
 from .search.effort import DEFAULT_BUDGET as DEFAULT_BUDGET
 from .search.effort import EFFORTS as EFFORTS

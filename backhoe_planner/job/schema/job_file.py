@@ -15,7 +15,7 @@ from backhoe_planner.job.schema.work import BucketSize, Dig, Dump, Ground, JobSo
 from backhoe_planner.machine import shipped_file
 from backhoe_planner.site import Scene, load_scene, scene_from_dict
 
-_SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
+SITE_KEYS = ("base", "tip", "hold", "clearance", "influence", "obstacles", "zones", "limits", "tracking")
 
 
 class Job(FileRecord):
@@ -63,7 +63,7 @@ class Job(FileRecord):
     def scene_dict(self) -> dict[str, Any]:
         """What a scene of this site holds, but for start and task, as plain data."""
         content = self.site_scene.to_dict()
-        found = {"version": 1, "name": self.name} | {key: content[key] for key in _SITE_KEYS if key in content}
+        found = {"version": 1, "name": self.name} | {key: content[key] for key in SITE_KEYS if key in content}
         truck = self.dump.truck
         if truck is not None:
             found["obstacles"] = [*content.get("obstacles", []), *truck.bed.walls()]
@@ -73,7 +73,7 @@ class Job(FileRecord):
         """The job as plain data that `job_from_dict` reads again; of the site its keys, wherever they came from."""
         content = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         site = self.site_scene.to_dict()
-        return content | {"site": {key: value for key, value in site.items() if key in _SITE_KEYS}}
+        return content | {"site": {key: value for key, value in site.items() if key in SITE_KEYS}}
 
 
 def load_job(path: str | Path) -> Job:
@@ -121,9 +121,9 @@ def _site(job: Job, folder: Path) -> Scene:
             return _standing(load_scene(job.folder / job.site), job.file)
         except SceneError as error:
             raise SceneError(str(error), file=job.file, key="site") from None
-    unknown = next((key for key in job.site if key not in _SITE_KEYS), None)
+    unknown = next((key for key in job.site if key not in SITE_KEYS), None)
     if unknown is not None:
-        raise SceneError.unknown_name("there is no such key", unknown, names=_SITE_KEYS, file=job.file, key="site")
+        raise SceneError.unknown_name("there is no such key", unknown, names=SITE_KEYS, file=job.file, key="site")
     idle = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0.0, 0.0, 0.0]}}}
     try:
         scene = scene_from_dict({**idle, **job.site}, folder=folder, file=job.file)

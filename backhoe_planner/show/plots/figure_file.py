@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import os
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from backhoe_planner.errors import InputError
+from backhoe_planner.files.extras import need_package
 from backhoe_planner.files.output_file import check_ending, check_output, whole_file
 
 if TYPE_CHECKING:
@@ -31,8 +30,7 @@ def new_figure(path: str | os.PathLike[str], width: float, height: float, *, inp
     """
     check_ending(path, FIGURE_FORMATS, what="a figure")
     check_output(path, inputs)
-    if importlib.util.find_spec("matplotlib") is None:
-        raise InputError("figures need matplotlib", hint="pip install backhoe_planner[plots]")
+    need_package("matplotlib", extra="plots", what="figures")
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")

@@ -1,0 +1,24 @@
+"""Packages that only some uses need: where one is missing, the message says what to install."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from backhoe_planner.errors import InputError
+
+
+def need_package(package: str, *, extra: str, what: str) -> None:
+    """Check that a package of an extra is installed.
+
+    Parameters
+    ----------
+    package: as it is imported.
+    extra: of this package's, that brings it.
+    what: needs it, for the message, in the plural: ``studies``.
+
+    Raises
+    ------
+    InputError: it is not installed.
+    """
+    if importlib.util.find_spec(package) is None:
+        raise InputError(f"{what} need {package}", hint=f'pip install "backhoe_planner[{extra}]"')

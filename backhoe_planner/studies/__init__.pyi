@@ -1,0 +1,10 @@
+from .results.outcome import Outcome as Outcome
+from .results.results_folder import PAGE as PAGE
+from .results.results_folder import TABLE as TABLE
+from .schema.study_file import Study as Study
+from .schema.study_file import load_study as load_study
+from .schema.study_file import study_from_dict as study_from_dict
+from .study import study as study
+from .study_run import StudyResult as StudyResult
+from .study_run import StudyStep as StudyStep
+from .study_run import run_study as run_study

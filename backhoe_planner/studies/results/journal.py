@@ -1,0 +1,146 @@
+"""The journal of a study: one line for every row that is done, written at once.
+
+A line begins with a checksum of the rest of it. A last line that is torn, since the program was killed or the
+disk is full, has a wrong one: it is dropped, and its row is planned again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import time as clock
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from backhoe_planner.errors import OutputError, StudyError
+from backhoe_planner.studies.results.outcome import Outcome
+
+FORMAT = "backhoe-planner/study"
+VERSION = 1
+_CHECKSUM = 16  # hexadecimal digits: one torn line in 1e19 would be taken for a whole one
+_SYNC_EVERY = 1.0  # s, between writes to the disk itself, for a computer that loses its power; chosen
+
+
+class Journal:
+    """The journal in a folder of results, open for writing; a context.
+
+    Attributes
+    ----------
+    done: what it holds of the rows of this study, by the identity of the row.
+    """
+
+    def __init__(self, file: Path, header: Mapping[str, Any]) -> None:
+        """Open the journal, or begin one.
+
+        Parameters
+        ----------
+        header: all that determines the rows of the study, plain data.
+
+        Raises
+        ------
+        StudyError: the journal is of another study; says what differs.
+        OutputError: it cannot be read or written.
+        """
+        self._file = file
+        self.done: dict[str, Outcome] = {}
+        try:
+            end = self._read(header)
+            self._stream: IO[bytes] = file.open("ab", buffering=0)
+            os.truncate(file, end)  # whatever is torn
+        except OSError as error:
+            raise OutputError(f"cannot be written: {error.strerror}", file=file) from error
+        self._end, self._synced = end, 0.0
+        if end == 0:
+            self._write({"format": FORMAT, "version": VERSION, **header})
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(OSError):
+            os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def add(self, identity: str, outcome: Outcome) -> None:
+        """Note that a row is done.
+
+        Raises
+        ------
+        OutputError: that cannot be written; the lines before stay as they are.
+        """
+        self._write({"id": identity, **outcome.to_dict()})
+        self.done[identity] = outcome.without_plan()
+
+    def _write(self, content: Mapping[str, Any]) -> None:
+        line = _line(json.dumps(content, allow_nan=False, separators=(",", ":")).encode())
+        try:
+            left = line
+            while left:  # a raw stream may write a part
+                left = left[self._stream.write(left) :]
+            if clock.monotonic() - self._synced > _SYNC_EVERY:
+                os.fsync(self._stream.fileno())
+                self._synced = clock.monotonic()
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                os.truncate(self._file, self._end)
+            raise OutputError(
+                f"cannot be written: {error.strerror}", file=self._file,
+                hint=f"{len(self.done)} rows are in it; the same command goes on from there",
+            ) from error  # fmt: skip
+        self._end += len(line)
+
+    def _read(self, header: Mapping[str, Any]) -> int:
+        """Read what is there; up to where it is whole [bytes]."""
+        if not self._file.exists():
+            return 0
+        content = self._file.read_bytes()
+        first, *lines = content.splitlines(keepends=True) or [b""]
+        known = _content(first)
+        if known is None and b"\n" not in content:
+            return 0  # killed while the first line was written
+        if not isinstance(known, dict) or known.get("format") != FORMAT or known.get("version") != VERSION:
+            raise StudyError("is not the journal of a study", file=self._file, hint="choose another folder")
+        differs = _differences({key: known[key] for key in known if key not in ("format", "version")}, header)
+        if differs:
+            raise StudyError(
+                "holds the results of another study", file=self._file.parent,
+                found=f"another {', another '.join(differs)}", allowed="the study it was begun with; only `count` and "
+                "`name` may change", hint="choose another folder with -o, or begin anew with --anew",
+            )  # fmt: skip
+        end = 0 if known is None else len(first)
+        for line in lines:
+            found = _content(line)
+            if found is not None:
+                with contextlib.suppress(KeyError, TypeError, ValueError):
+                    self.done[found["id"]] = Outcome.from_dict(found)
+            elif line is lines[-1]:
+                break  # torn
+            end += len(line)  # one that is damaged within stays, and its row is planned again
+        return end
+
+
+def _line(payload: bytes) -> bytes:
+    return hashlib.sha256(payload).hexdigest()[:_CHECKSUM].encode() + b" " + payload + b"\n"
+
+
+def _content(line: bytes) -> Any:
+    """What a line holds; None where it is torn or damaged."""
+    payload = line[_CHECKSUM + 1 : -1]
+    if _line(payload) != line:
+        return None
+    return json.loads(payload)
+
+
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any], above: str = "") -> list[str]:
+    """The keys in which two headers differ, down to the entries of their mappings."""
+    found = []
+    for key in dict.fromkeys((*before, *now)):
+        one, other = before.get(key), now.get(key)
+        if isinstance(one, dict) and isinstance(other, Mapping):
+            found += _differences(one, other, f"{above}{key} ")
+        elif one != other:
+            found.append(f"{above}{key}")
+    return found

@@ -1,0 +1,303 @@
+"""The template of a study: a scene or a job as plain data, and where in it every parameter stands."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from backhoe_planner.errors import InputError, RobotError, SceneError, StudyError, nearest_name
+from backhoe_planner.files.provenance import installed_versions
+from backhoe_planner.job import SITE_KEYS, Job, job_from_dict, load_job
+from backhoe_planner.machine import Robot
+from backhoe_planner.planning import EFFORTS, METHODS
+from backhoe_planner.site import Scene, load_machine, load_scene, scene_from_dict
+from backhoe_planner.studies.rows.key_paths import Address, NoSuchKey, find_address, put, spell
+from backhoe_planner.studies.rows.metrics import DEFAULTS, Kind, Metric, find_metric
+from backhoe_planner.studies.schema.study_file import Best, Study
+
+SETTINGS = ("machine", "method", "effort", "seed")  # of a plan, beside its scene
+_OWN: dict[str, Any] = {"method": "auto", "effort": "quick", "seed": 0}
+
+
+@dataclass(frozen=True)
+class Template:
+    """What all rows share.
+
+    Attributes
+    ----------
+    kind: whether a scene or a job is planned.
+    content: of the scene or the job, plain data.
+    machine: with a scene, as `load_robot` takes it; empty where it is a parameter or with a job.
+    addresses: where in the content each parameter stands; of settings of the plan, nothing.
+    metrics: what is kept of each plan.
+    best: by which of them rows are compared.
+    keep_plans: which plans are kept: ``none``, ``failed``, ``all``.
+    folder: where files named in the content are looked for, absolute.
+    site_folder: the same of the site of a job.
+    machine_folder: where a machine that is a parameter is looked for, absolute.
+    package_path: the folders of ROS packages in which meshes are looked for.
+    """
+
+    kind: Kind
+    content: dict[str, Any]
+    machine: str
+    addresses: Mapping[str, Address]
+    metrics: tuple[Metric, ...]
+    best: Best
+    keep_plans: str
+    folder: str
+    site_folder: str
+    machine_folder: str
+    package_path: tuple[str, ...]
+
+    def filled(self, values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The content with the values of a row, and the settings of its plan: machine, method, effort, seed."""
+        content, settings = copy.deepcopy(self.content), {"machine": self.machine, **_OWN}
+        for name, value in values.items():
+            address = self.addresses[name]
+            if address:
+                put(content, address, value)
+            else:
+                settings[name] = value
+        return content, settings
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The files from which the rows are planned.
+
+    Attributes
+    ----------
+    robots: every machine.
+    files: those of machines that do not come with the package, of the content and of parameters; absolute.
+    """
+
+    robots: tuple[Robot, ...]
+    files: tuple[Path, ...]
+
+
+def build_template(study: Study) -> tuple[Template, Inputs]:
+    """The template of a study and the files that it takes, checked.
+
+    Raises
+    ------
+    StudyError: a key path, a metric, a method or an effort does not exist; two parameters set the same place.
+    SceneError: the scene or the job of the template is wrong.
+    RobotError: a machine cannot be loaded.
+    """
+    template = _job_template(study) if study.job is not None else _scene_template(study)
+    kind: Kind = "scene" if isinstance(template, Scene) else "job"
+    content = template.to_dict()
+    addresses = dict(_addresses(study, content, kind))
+    _check_settings(study)
+    metrics, best = _metrics(study, kind)
+    folder = os.path.abspath(template.folder)
+    machine = "" if study.machine is None else _source(study.machine, study.folder)
+    made = Template(
+        kind=kind, content=content, machine=machine, addresses=addresses, metrics=metrics, best=best,
+        keep_plans=study.keep_plans, folder=folder,
+        site_folder=os.path.abspath(template.site_scene.folder) if isinstance(template, Job) else folder,
+        machine_folder=folder if kind == "job" else os.path.abspath(study.folder),
+        package_path=tuple(filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep))),
+    )  # fmt: skip
+    return made, _inputs(study, template, made)
+
+
+def machine_source(name: Any, folder: str | Path) -> str:
+    """A machine that a study or a job names, as `load_robot` takes it; InputError where it is no text."""
+    if not isinstance(name, str):
+        raise InputError("is not a machine", key="machine", found=name, allowed="a URDF file, or example:NAME")
+    return _source(name, folder)
+
+
+def _source(name: str, folder: str | Path) -> str:
+    if name.startswith("example:"):
+        return name
+    beside = os.path.normpath(Path(os.path.abspath(folder), name))
+    return beside if os.path.exists(beside) or not os.path.dirname(name) == "models" else f"example:{Path(name).stem}"
+
+
+def digest_of(template: Template, inputs: Inputs) -> dict[str, Any]:
+    """What determines all plans of a study beside its rows: plain data, of which no part depends on where it lies."""
+    files = {}
+    for file in inputs.files:
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise StudyError(f"cannot be read: {error.strerror}", file=file) from None
+        files[os.path.relpath(file, template.folder)] = hashlib.sha256(content).hexdigest()
+    machines = [[robot.urdf.path.name, robot.urdf.sha256] for robot in inputs.robots]
+    return {
+        "template": hashlib.sha256(json.dumps([template.kind, template.content]).encode()).hexdigest(),
+        "machines": machines,
+        "files": files,
+        "metrics": [metric.name for metric in template.metrics],
+        "keep_plans": template.keep_plans,
+        "versions": installed_versions(),
+    }
+
+
+def _scene_template(study: Study) -> Scene:
+    given = study.scene
+    if isinstance(given, str):
+        return load_scene(_shipped_or(study.folder, given))
+    assert given is not None
+    try:
+        return scene_from_dict(given, folder=study.folder, file=study.file)
+    except SceneError as error:
+        raise SceneError(error.problem, file=study.file, key=study.place("scene")) from None
+
+
+def _job_template(study: Study) -> Job:
+    given = study.job
+    if isinstance(given, str):
+        return load_job(_shipped_or(study.folder, given))
+    assert given is not None
+    try:
+        return job_from_dict(given, folder=study.folder, file=study.file)
+    except SceneError as error:
+        raise SceneError(error.problem, file=study.file, key=study.place("job")) from None
+
+
+def _shipped_or(folder: Path, name: str) -> Path:
+    """A file beside the study, or as it is named, which may be one that comes with the package."""
+    beside = folder / name
+    return beside if beside.exists() or not name.startswith("scenes/") else Path(name)
+
+
+def _addresses(study: Study, content: dict[str, Any], kind: Kind) -> Iterator[tuple[str, Address]]:
+    """Of every parameter; content that has defaults is written out where a parameter needs it."""
+    found: dict[str, Address] = {}
+    for name in study.parameters:
+        if name in SETTINGS and not (kind == "job" and name == "machine"):
+            if kind == "job" and name == "method":
+                raise StudyError(
+                    "is not a setting of a job", file=study.file, key=study.place("parameters", name),
+                    allowed="effort, seed, machine, or a key of the job",
+                )  # fmt: skip
+            yield name, ()
+            continue
+        try:
+            found[name] = _address(name, content, kind)
+        except NoSuchKey as error:
+            raise StudyError(str(error), file=study.file, key=study.place("parameters", name)) from None
+    for name, address in found.items():
+        for other, beside in found.items():
+            if name != other and beside[: len(address)] == address:
+                raise StudyError(
+                    f"sets {spell(beside)}, which {name!r} sets too", file=study.file,
+                    key=study.place("parameters", other),
+                )  # fmt: skip
+        yield name, address
+
+
+def _address(name: str, content: dict[str, Any], kind: Kind) -> Address:
+    if kind == "scene":
+        try:
+            return find_address(name, content, Scene)
+        except NoSuchKey as error:
+            near = nearest_name(name, SETTINGS)
+            if near is not None and "did you mean" not in str(error):
+                raise NoSuchKey(name, [*SETTINGS, *Scene.model_fields]) from None
+            raise
+    first, _, rest = name.partition(".")
+    if first == "site" or (first in SITE_KEYS and first not in Job.model_fields):
+        inner = rest if first == "site" else name
+        if inner.partition(".")[0] not in SITE_KEYS:
+            raise NoSuchKey(inner, SITE_KEYS, within=("site",))
+        return ("site", *find_address(inner, content.setdefault("site", {}), Scene))
+    return find_address(name, content, Job)
+
+
+def _check_settings(study: Study) -> None:
+    """That methods, efforts and seeds which are listed are such."""
+    for name, allowed in (("method", tuple(METHODS)), ("effort", tuple(EFFORTS))):
+        values = study.values.get(name)
+        if values is None:
+            continue
+        if values.draw is not None and "choice" not in (study.parameters[name] or {}):
+            raise StudyError(
+                "is drawn from numbers", file=study.file, key=study.place("parameters", name),
+                allowed=f"a list, or {{choice: [...]}}, of {', '.join(allowed)}",
+            )  # fmt: skip
+        for value in values.listed or study.parameters[name]["choice"]:
+            if value not in allowed:
+                raise StudyError.unknown_name(
+                    f"there is no such {name}", value, names=allowed, file=study.file,
+                    key=study.place("parameters", name),
+                )  # fmt: skip
+    seeds = study.values.get("seed")
+    for value in () if seeds is None else seeds.listed:
+        if type(value) is not int or not 0 <= value < 2**32:
+            raise StudyError(
+                "is not a seed", file=study.file, key=study.place("parameters", "seed"), found=value,
+                allowed=f"whole numbers from 0 to {2**32 - 1}",
+            )  # fmt: skip
+
+
+def _metrics(study: Study, kind: Kind) -> tuple[tuple[Metric, ...], Best]:
+    """What is kept, with the one by which rows are compared, and how they are."""
+    best, key = study.best, ("best",)
+    if isinstance(best, str):
+        best = Best(least=best)
+    if best is None:
+        best = _default_best(study, kind)
+    names = dict.fromkeys(DEFAULTS[kind] if study.metrics is None else study.metrics)
+    found = {}
+    for name in (*names, best.metric):
+        try:
+            found[name] = find_metric(name, kind)
+        except ValueError as error:
+            where = ("metrics", list(names).index(name)) if name in names else key
+            raise StudyError(str(error), file=study.file, key=study.place(*where)) from None
+        if name in study.parameters:
+            raise StudyError(
+                "is a parameter too, so that the table would have two columns of that name", file=study.file,
+                key=study.place("metrics"), found=name, hint=f"write {'.'.join(found[name].keys)}",
+            )  # fmt: skip
+    if found[best.metric].type not in ("float", "int"):
+        raise StudyError("is no number", file=study.file, key=study.place(*key), found=best.metric)
+    return tuple(found.values()), best
+
+
+def _default_best(study: Study, kind: Kind) -> Best:
+    """By the objective; by the duration where that differs from row to row."""
+    if kind == "job":
+        return Best(greatest="production")
+    return Best(least="duration" if "objective" in study.parameters else "cost.value")
+
+
+def _inputs(study: Study, template: Scene | Job, made: Template) -> Inputs:
+    """Every machine, loaded once, and every file."""
+    named: list[Any] = [made.machine] if made.machine else []
+    if isinstance(template, Job):
+        named = [machine_source(template.machine, template.folder)]
+    if "machine" in study.parameters:
+        values = study.values["machine"]
+        named = list(values.listed or study.parameters["machine"].get("choice", ()))
+        named = [machine_source(name, made.machine_folder) for name in named]
+        if not named:
+            raise StudyError("is drawn from numbers", file=study.file, key=study.place("parameters", "machine"))
+    robots = []
+    for source in named:
+        try:
+            robots.append(load_machine(source, template.site_scene if isinstance(template, Job) else template))
+        except RobotError as error:
+            key = "parameters.machine" if "machine" in study.parameters else "machine"
+            raise StudyError(str(error), file=study.file, key=key) from None
+    files = {file for robot in robots if not robot.urdf.source.startswith("example:") for file in robot.files}
+    own = {template.file, template.site_scene.file if isinstance(template, Job) else None}  # their content is known
+    files |= {file for file in template.files if file not in own}
+    for name, values in study.values.items():
+        if name.rpartition(".")[2] == "file":
+            site = made.kind == "job" and made.addresses[name][0] == "site"
+            texts = values.listed or study.parameters[name].get("choice", ())
+            found = (Path(made.site_folder if site else made.folder, text) for text in texts if isinstance(text, str))
+            files |= {file for file in found if file.is_file()}  # a row whose file is missing says so
+    return Inputs(tuple(robots), tuple(sorted({Path(os.path.abspath(file)) for file in files})))

@@ -1,0 +1,187 @@
+"""The study file: a scene or a job as template, what differs from row to row, and what is kept of each plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, PrivateAttr, StrictInt, ValidationError, model_validator
+
+from backhoe_planner.errors import StudyError, check_kind, check_path
+from backhoe_planner.files.records import Record, exactly_one, explain
+from backhoe_planner.files.yaml_text import KeyPath, read_yaml
+from backhoe_planner.machine import shipped_folder
+from backhoe_planner.studies.schema.values import MOST_VALUES, Values, plain, read_values
+
+
+def _readable(found: Any) -> Any:
+    found = plain(found)
+    read_values(found)
+    return found
+
+
+Spec = Annotated[Any, AfterValidator(_readable)]
+
+
+class Best(Record):
+    """By which figure rows are compared: exactly one of least, greatest."""
+
+    least: str | None = None
+    """The metric that is to be small."""
+    greatest: str | None = None
+    """The metric that is to be great."""
+
+    _one = exactly_one("least", "greatest")
+
+    @property
+    def metric(self) -> str:
+        """Its key path."""
+        return self.least or self.greatest or ""
+
+    @property
+    def sign(self) -> float:
+        """1 where less is better, -1 where more is."""
+        return 1.0 if self.least is not None else -1.0
+
+
+class Study(Record):
+    """Many plans of one scene, or of one job."""
+
+    version: Literal[1]
+    name: str = ""
+    machine: str | None = None
+    """A URDF file, relative to the study file, or example:NAME; with a scene. A job names its own."""
+    scene: str | dict[str, Any] | None = None
+    """The scene that is the template: a file, relative to the study file, or its keys."""
+    job: str | dict[str, Any] | None = None
+    """The job that is the template, instead of a scene."""
+    parameters: dict[str, Spec] = Field(default_factory=dict)
+    """What differs, by key path; `machine`, `method`, `effort` and `seed` are those of the plan."""
+    combine: Literal["grid", "zip", "random"] = "grid"
+    """Every combination, the first of each with the first of the others, or `count` of them at random."""
+    count: Annotated[StrictInt, Field(ge=1, le=MOST_VALUES)] | None = None
+    """With `random`, how many rows; with a grid that holds a distribution, how many draws at each of its points."""
+    seed: Annotated[StrictInt, Field(ge=0, lt=2**63)] = 0
+    """Of what is drawn at random."""
+    metrics: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    """Which figures of each plan are kept; by default the usual ones."""
+    best: str | Best | None = None
+    """By which figure the best row is found: a metric that is to be least, or {greatest: METRIC}."""
+    keep_plans: Literal["none", "failed", "all"] = "none"
+    """Which plans are written as files too."""
+
+    _folder: Path = PrivateAttr(default=Path())
+    _file: Path | None = PrivateAttr(default=None)
+    _lines: Mapping[KeyPath, int] = PrivateAttr(default_factory=dict)
+
+    _one = exactly_one("scene", "job")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Study:
+        if self.scene is not None and self.machine is None and "machine" not in self.parameters:
+            raise ValueError("machine is missing: a URDF file, or example:NAME")
+        if self.job is not None and self.machine is not None:
+            raise ValueError("machine stands beside a job; a job names its own, the key machine in it")
+        values = self.values
+        drawn = [name for name, one in values.items() if one.draw is not None]
+        if self.combine == "random":
+            if self.count is None:
+                raise ValueError("count is missing: how many rows are drawn")
+        elif self.combine == "zip":
+            lengths = {name: len(one.listed) for name, one in values.items() if len(one.listed) > 1}
+            if len(set(lengths.values())) > 1:
+                raise ValueError(
+                    "combine: zip takes lists of one length; found " + ", ".join(f"{n}: {k}" for n, k in lengths.items())
+                )
+            if self.count is not None and (lengths or not drawn):
+                raise ValueError("count stands beside a list with combine: zip, which has as many rows as the list")
+            if drawn and not lengths and self.count is None:
+                raise ValueError("count is missing: nothing with combine: zip says how many rows there are")
+        elif self.count is not None and not drawn:
+            raise ValueError("count stands beside a grid of lists: it is for combine: random, or with a distribution")
+        if self.rows > MOST_VALUES:
+            raise ValueError(f"the study has {self.rows} rows; allowed: at most {MOST_VALUES}")
+        return self
+
+    @property
+    def folder(self) -> Path:
+        """Where files named in the study are looked for."""
+        return self._folder
+
+    @property
+    def file(self) -> Path | None:
+        """The file from which it was read, if any."""
+        return self._file
+
+    @cached_property
+    def values(self) -> dict[str, Values]:
+        """What each parameter takes."""
+        return {name: read_values(spec) for name, spec in self.parameters.items()}
+
+    @property
+    def rows(self) -> int:
+        """How many plans it has."""
+        lengths = [len(one.listed) for one in self.values.values() if one.draw is None]
+        if self.combine == "random":
+            return self.count or 0
+        if self.combine == "zip":
+            return max([*lengths, 1]) if self.count is None else self.count
+        return math.prod(lengths) * (self.count or 1)
+
+    def place(self, *keys: str | int) -> str:
+        """A key as messages name it, with its line where the file is known."""
+        line = self._lines.get(keys)
+        name = ".".join(map(str, keys))
+        return name if line is None else f"{name} (line {line})"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The study as plain data that `study_from_dict` reads again."""
+        return self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+
+
+def load_study(path: str | Path) -> Study:
+    """Read and check a study file.
+
+    Raises
+    ------
+    StudyError: names the file, the key's path, what was found, and what is allowed.
+    """
+    file = check_path(path, key="path")
+    shipped = shipped_folder("scenes") / "studies" / file.name
+    if not file.exists() and file.parent in (Path("scenes/studies"), Path("scenes"), Path()) and shipped.is_file():
+        file = shipped
+    content, lines = read_yaml(file, what="study", keys="version, machine, scene, parameters, ...", error=StudyError)
+    return study_from_dict(content, folder=file.parent, file=file, lines=lines)
+
+
+def study_from_dict(
+    content: Mapping[str, Any],
+    *,
+    folder: str | Path = ".",
+    file: Path | None = None,
+    lines: Mapping[KeyPath, int] | None = None,
+) -> Study:
+    """Check a study given as plain data.
+
+    Parameters
+    ----------
+    content: keys and values as in a study file.
+    folder: where files that the study names are looked for.
+    file, lines: for messages: the file it came from, and the line of every key.
+
+    Raises
+    ------
+    StudyError: names the key's path, what was found, and what is allowed.
+    """
+    check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
+    folder = check_path(folder, key="folder")
+    file = None if file is None else check_path(file, key="file")
+    try:
+        study = Study.model_validate(content)
+    except ValidationError as error:
+        raise StudyError(explain(error, content, root=Study, lines=lines), file=file) from None
+    study._folder, study._file, study._lines = folder, file, lines or {}
+    return study

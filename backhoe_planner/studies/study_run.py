@@ -1,0 +1,201 @@
+"""A study run: all rows are drawn, those that are not done are planned, and the tables are written."""
+
+from __future__ import annotations
+
+import json
+import reprlib
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from backhoe_planner.errors import InputError, OutputError, check_flag, check_kind, check_path
+from backhoe_planner.files.extras import need_package
+from backhoe_planner.files.output_file import whole_file
+from backhoe_planner.files.provenance import relative_path
+from backhoe_planner.studies.results.journal import Journal
+from backhoe_planner.studies.results.outcome import Outcome
+from backhoe_planner.studies.results.results_folder import PLANS, TABLE, TIMINGS, ResultsFolder
+from backhoe_planner.studies.results.table import build_table, build_timings, write_table
+from backhoe_planner.studies.rows.drawing import StudyRow, draw_rows
+from backhoe_planner.studies.rows.template import Template, build_template, digest_of, machine_source
+from backhoe_planner.studies.schema.study_file import Study
+from backhoe_planner.studies.work.bundle import build_bundle, check_meshes_travel
+from backhoe_planner.studies.work.cluster import plan_on_cluster
+from backhoe_planner.studies.work.local_pool import plan_locally
+
+
+@dataclass(frozen=True)
+class StudyStep:
+    """What is told while a study runs.
+
+    Attributes
+    ----------
+    done: rows that are done, with those of earlier runs.
+    rows: how many there are.
+    row: the values of the one that was done last; None at the beginning.
+    verdict: of it.
+    """
+
+    done: int
+    rows: int
+    row: Mapping[str, Any] | None = None
+    verdict: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class StudyResult:
+    """What came of a study.
+
+    Attributes
+    ----------
+    study: as it was given.
+    template: what all rows share.
+    rows: all of them.
+    outcomes: what came of those that are done, by the number of the row.
+    folder: where its tables lie.
+    earlier: how many rows were done by earlier runs.
+    interrupted: whether it was ended by Ctrl-C.
+    """
+
+    study: Study
+    template: Template
+    rows: Sequence[StudyRow]
+    outcomes: Mapping[int, Outcome]
+    folder: Path
+    earlier: int
+    interrupted: bool
+
+    @cached_property
+    def table(self) -> Any:
+        """One row a plan, those that are done: a `pyarrow.Table`."""
+        return build_table(self.template, self.rows, self.outcomes, all_rows=False)
+
+    def write(self) -> None:
+        """Write the tables into the folder."""
+        write_table(self.table, self.folder / TABLE)
+        write_table(build_timings(self.outcomes), self.folder / TIMINGS)
+
+
+def run_study(
+    study: Study,
+    folder: str | Path,
+    *,
+    scheduler: str | None = None,
+    jobs: int = -1,
+    anew: bool = False,
+    watch: Callable[[StudyStep], object] | None = None,
+) -> StudyResult:
+    """Run a study, or go on with it.
+
+    Parameters
+    ----------
+    folder: of its results: ``journal.jsonl``, ``table.parquet``, ``timings.parquet``, ``plans/``. Rows that its
+        journal has are not planned again.
+    scheduler: of a Dask cluster that plans the rows; by default processes of this computer do.
+    jobs: how many processes; -1 for one on each core.
+    anew: whether results of a study that are in the folder are thrown away.
+    watch: called with a `StudyStep` at the beginning and after every row.
+
+    Returns
+    -------
+    The result, also after Ctrl-C: then with the rows that are done.
+
+    Raises
+    ------
+    StudyError: the study cannot be run, see `build_template`; the folder is of another study, or another run's;
+        the cluster cannot be reached.
+    OutputError: results cannot be written; what is in the journal stays.
+    InputError: an argument is not allowed, or a package is missing.
+    """
+    check_kind(study, Study, key="study")
+    folder = check_path(folder, key="folder")
+    if scheduler is not None:
+        check_kind(scheduler, str, key="scheduler")
+        need_package("distributed", extra="dask", what="studies on a cluster")
+    for package in ("joblib", "pyarrow", "pandas"):
+        need_package(package, extra="studies", what="studies")
+    processes = _processes(jobs)
+    anew = check_flag(anew, key="anew")
+    if watch is not None and not callable(watch):
+        raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
+    template, inputs = build_template(study)
+    rows = draw_rows(study)
+    shared = digest_of(template, inputs)
+    if scheduler is not None:
+        check_meshes_travel(inputs.robots)
+    identity = {row.number: row.identity(json.dumps(shared, sort_keys=True)) for row in rows}
+    with ResultsFolder(folder, anew=anew) as results, Journal(results.journal, _header(study, shared)) as journal:
+        outcomes = {number: journal.done[key] for number, key in identity.items() if key in journal.done}
+        earlier = len(outcomes)
+        todo = [row for row in rows if row.number not in outcomes]
+        told = watch or (lambda _: None)
+        told(StudyStep(earlier, len(rows)))
+        interrupted = False
+        if todo:
+            bundle = build_bundle(template, inputs)
+            planned: Generator[Outcome, None, None]
+            if scheduler is not None:
+                planned = plan_on_cluster(bundle, todo, scheduler)
+            else:
+                results.scratch.mkdir(exist_ok=True)
+                planned = plan_locally(bundle, todo, results.scratch, processes=min(processes, len(todo)))
+            try:
+                for outcome in planned:
+                    if outcome.plan is not None:
+                        _write_plan(outcome, rows[outcome.row].values.get("machine", template.machine), template, results)
+                    journal.add(identity[outcome.row], outcome)
+                    outcomes[outcome.row] = outcome.without_plan()
+                    told(StudyStep(len(outcomes), len(rows), rows[outcome.row].values, outcome.verdict))
+            except KeyboardInterrupt:
+                interrupted = True
+            finally:
+                planned.close()
+        found = StudyResult(study, template, rows, outcomes, folder, earlier, interrupted)
+        found.write()
+    return found
+
+
+def _header(study: Study, shared: Mapping[str, Any]) -> dict[str, Any]:
+    """All that determines the rows but their number; two studies of which it is equal can share a folder."""
+    free = ("name", "count", "scene", "job", "metrics", "keep_plans")  # the last four are in what is shared
+    content = {key: value for key, value in study.to_dict().items() if key not in free}
+    return {"study": content, **shared}
+
+
+def _write_plan(outcome: Outcome, machine: str, template: Template, results: ResultsFolder) -> None:
+    """Write the file of a plan of a `machine`, with paths as they are from there."""
+    file = results.plan_file(outcome.row)
+    content = json.loads(outcome.plan or "")
+    folder = results.path / PLANS
+
+    def seen(path: str) -> str:
+        return relative_path(Path(path), folder)
+
+    def seen_machine(name: str) -> str:
+        source = machine_source(name, template.machine_folder)
+        return source if source.startswith("example:") else seen(source)
+
+    if template.kind == "job":
+        content["machine"] = seen_machine(content["job"].get("machine", "example:backhoe"))
+        content["folder"], content["site_folder"] = seen(template.folder), seen(template.site_folder)
+    else:
+        content["robot"]["urdf"] = seen_machine(machine)
+        content["scene_folder"] = seen(template.folder)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", file=folder) from error
+    with whole_file(file) as stream:
+        stream.write(json.dumps(content, allow_nan=False) + "\n")
+
+
+def _processes(jobs: int) -> int:
+    if jobs == -1:
+        from joblib import cpu_count
+
+        return int(cpu_count())
+    if not isinstance(jobs, int) or isinstance(jobs, bool) or jobs < 1:
+        raise InputError("is not a number of processes", key="jobs", found=jobs, allowed="1 or more; -1: all cores")
+    return jobs

@@ -1,0 +1,1 @@
+"""Rows planned by processes of this machine, or by a cluster."""
