@@ -4,6 +4,7 @@ from .errors import PlanFileError as PlanFileError
 from .errors import PlannerError as PlannerError
 from .errors import RobotError as RobotError
 from .errors import SceneError as SceneError
+from .errors import StudyError as StudyError
 from .job import Cycle as Cycle
 from .job import CycleLeg as CycleLeg
 from .job import Digging as Digging
@@ -96,5 +97,9 @@ from .site import load_scene as load_scene
 from .site import scene_from_dict as scene_from_dict
 from .site import scene_schema as scene_schema
 from .site import zone_log as zone_log
+from .studies import Study as Study
+from .studies import StudyStep as StudyStep
+from .studies import load_study as load_study
+from .studies import study as study
 
 __version__: str

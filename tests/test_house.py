@@ -19,7 +19,7 @@ ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 FLOORS = [
     "errors", "arrays", "files",
-    "machine", "site", "motion", "proof", "law", "planning", "live", "job", "show", "cli", "__main__",
+    "machine", "site", "motion", "proof", "law", "planning", "live", "job", "studies", "show", "cli", "__main__",
 ]  # fmt: skip
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -79,7 +79,8 @@ SUITES = {
     "planning": ["search", "descent", "paths", "reactive", "report", "result", "", "sequence"],
     "live": ["braking", "recovery", "servo", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],
-    "show": ["drawing", "plots", "page", "job", "viewer", "teleop"],
+    "studies": ["schema", "rows", "results", "work", ""],
+    "show": ["drawing", "plots", "page", "job", "study", "viewer", "teleop"],
 }
 
 

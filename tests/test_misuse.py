@@ -462,6 +462,17 @@ def calls() -> dict[str, Call]:
             terrain=(None, optional(THING)), resume=(None, optional(THING)),
             watch=(None, only("text", {"a": 1}, OBJECT, [], 3.0)), lists=False,
         ),
+        # studies
+        "load_study": call(bp.load_study, path=("no/such/study", PATH), lists=False),
+        "study": call(
+            bp.study, study=("example:backhoe", only(None, 3.0, {"a": 1}, OBJECT, [])),
+            scene=(scene(), only(3.0, {"a": 1}, OBJECT, [])), parameters=({"clearance": [0.1]}, only(3.0, [1], OBJECT)),
+            combine=("grid", only("text", 3.0, OBJECT)), count=(None, only("text", 2.5, -1, OBJECT)),
+            seed=(0, only("text", 2.5, -1, OBJECT)),
+            metrics=(None, only("text", 3.0, OBJECT, [], ["no such"])),
+            folder=("no/such", only(3.0, OBJECT, [])), scheduler=(None, only(3.0, OBJECT, [])),
+            jobs=(1, only("text", 0, -2, 2.5, OBJECT)), watch=(None, only("text", 3.0, OBJECT)), lists=False,
+        ),
         "JobPlan.save": call(lambda path: job_plan().save(path), path=("no/such/folder/a.json", PATH), lists=False),
         "JobPlan.mean_use": call(job_plan().mean_use, name=("pump", TEXT), lists=False),
         "Cycle.leg": call(lambda name: cycle().leg(name), name=("cut", TEXT), lists=False),
@@ -520,7 +531,7 @@ def recording() -> bp.Plan:
 RESULTS = {
     "Beside", "BothWays", "Certificate", "Configuration", "Cylinder", "Detour", "DiggingForces", "FollowerState",
     "Hydraulics", "InverseKinematics", "KeepUse", "LimitUse", "Moments", "MotionEnergy", "Nearby", "NearestPose",
-    "LegCertificate", "Obstruction", "Piece", "Plan", "PlannedLeg",
+    "LegCertificate", "Obstruction", "StudyStep", "Piece", "Plan", "PlannedLeg",
     "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "SpotTurn",
     "Cycle", "CycleLeg", "Digging", "JobPlan", "JobStep", "Load", "PatternEstimate", "Undug",
     "Step", "TaskInverse", "Tracking", "Transgression", "WaypointStep", "Wish",

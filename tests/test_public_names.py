@@ -30,6 +30,7 @@ FILE_ENTRIES = tuple(
         "machine.robot",
         "machine.clusters.cluster",
         "job.schema",
+        "studies.schema",
     )
 )
 

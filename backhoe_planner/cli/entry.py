@@ -15,7 +15,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import backhoe_planner as bp
-from backhoe_planner.cli import inspect_command, job_command, plan_commands, teleop_command
+from backhoe_planner.cli import inspect_command, job_command, plan_commands, study_command, teleop_command
 from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, print_error
 
 app = typer.Typer(
@@ -45,6 +45,7 @@ def _options(
 for command in (
     plan_commands.plan,
     job_command.job,
+    study_command.study,
     plan_commands.view,
     plan_commands.check,
     inspect_command.inspect,

@@ -1,6 +1,10 @@
-from .results.outcome import Outcome as Outcome
 from .results.results_folder import PAGE as PAGE
 from .results.results_folder import TABLE as TABLE
+from .results.summary import Map as Map
+from .results.summary import Share as Share
+from .results.summary import Summary as Summary
+from .results.summary import map_of_two as map_of_two
+from .results.summary import trade_offs as trade_offs
 from .schema.study_file import Study as Study
 from .schema.study_file import load_study as load_study
 from .schema.study_file import study_from_dict as study_from_dict
@@ -8,3 +12,4 @@ from .study import study as study
 from .study_run import StudyResult as StudyResult
 from .study_run import StudyStep as StudyStep
 from .study_run import run_study as run_study
+from .study_run import summarise_study as summarise_study

@@ -13,6 +13,7 @@ from backhoe_planner.job import Job
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Scene, load_scene
 from backhoe_planner.studies.schema.study_file import Study, load_study, study_from_dict
+from backhoe_planner.studies.schema.values import plain
 from backhoe_planner.studies.study_run import StudyResult, StudyStep, run_study
 
 
@@ -34,7 +35,7 @@ def study(
 
     Parameters
     ----------
-    study: a study or its file; or with a scene the machine, as it was loaded, a URDF file or ``example:NAME``; or a job.
+    study: a study or its file; with a scene the machine, as it was loaded, a URDF file or ``example:NAME``; or a job.
     scene: the template, or its file.
     parameters: with a machine or a job, what differs: by key path (``obstacles.pipe.position``) a list, ``{"from": a,
         "to": b, "count": n}``, ``{"uniform": [a, b]}`` and so on, as in a study file.
@@ -82,7 +83,12 @@ def _asked(study: Any, scene: Any, parameters: Any, **others: Any) -> Study:
             )
         return study if isinstance(study, Study) else load_study(check_path(study, key="study"))
     content: dict[str, Any] = {"version": 1, "parameters": dict(_mapping(parameters))}
-    content |= {key: value for key, value in others.items() if value is not None}
+    for key, value in others.items():
+        if value is not None:
+            try:
+                content[key] = plain(value)
+            except ValueError as error:
+                raise InputError(str(error), key=key) from None
     if isinstance(study, Job):
         if scene is not None:
             raise InputError("stands beside a job", key="scene", allowed="a job, or a machine and a scene")
@@ -93,8 +99,8 @@ def _asked(study: Any, scene: Any, parameters: Any, **others: Any) -> Study:
     if template is None:
         template = load_scene(check_path(scene, key="scene"))
     machine = study.urdf.source if isinstance(study, Robot) else str(check_path(study, key="study"))
-    if not machine.startswith("example:") and os.path.exists(machine):
-        machine = os.path.abspath(machine)
+    if not machine.startswith("example:") and Path(machine).exists():
+        machine = str(Path(machine).absolute())
     return _made(content | {"machine": machine, "scene": template.to_dict()}, template.folder)
 
 

@@ -17,6 +17,7 @@ from backhoe_planner.files.provenance import relative_path
 from backhoe_planner.studies.results.journal import Journal
 from backhoe_planner.studies.results.outcome import Outcome
 from backhoe_planner.studies.results.results_folder import PLANS, TABLE, TIMINGS, ResultsFolder
+from backhoe_planner.studies.results.summary import Summary, summarise
 from backhoe_planner.studies.results.table import build_table, build_timings, write_table
 from backhoe_planner.studies.rows.drawing import StudyRow, draw_rows
 from backhoe_planner.studies.rows.template import Template, build_template, digest_of, machine_source
@@ -144,7 +145,9 @@ def run_study(
             try:
                 for outcome in planned:
                     if outcome.plan is not None:
-                        _write_plan(outcome, rows[outcome.row].values.get("machine", template.machine), template, results)
+                        _write_plan(
+                            outcome, rows[outcome.row].values.get("machine", template.machine), template, results
+                        )
                     journal.add(identity[outcome.row], outcome)
                     outcomes[outcome.row] = outcome.without_plan()
                     told(StudyStep(len(outcomes), len(rows), rows[outcome.row].values, outcome.verdict))
@@ -155,6 +158,11 @@ def run_study(
         found = StudyResult(study, template, rows, outcomes, folder, earlier, interrupted)
         found.write()
     return found
+
+
+def summarise_study(result: StudyResult) -> Summary:
+    """What the rows that are done say."""
+    return summarise(result.rows, result.outcomes, result.template.best)
 
 
 def _header(study: Study, shared: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,7 +20,7 @@ Address = tuple[str | int, ...]
 _SEQUENCES = (tuple, list, Sequence)
 
 
-class NoSuchKey(ValueError):
+class NoSuchKeyError(ValueError):
     """A key path leads nowhere; the message says where it ends and what is there."""
 
     def __init__(self, found: str, names: Sequence[str], *, within: Address = (), what: str = "key") -> None:
@@ -46,7 +46,7 @@ def find_address(path: str, content: MutableMapping[str, Any], root: Any) -> Add
 
     Raises
     ------
-    NoSuchKey: the path leads nowhere.
+    NoSuchKeyError: the path leads nowhere.
     """
     address: list[str | int] = []
     node: Any = content
@@ -57,7 +57,7 @@ def find_address(path: str, content: MutableMapping[str, Any], root: Any) -> Add
         if isinstance(node, MutableMapping) and (fields := _fields(kinds, node)):
             token, rest = _first(rest, fields)
             if token not in fields:
-                raise NoSuchKey(token, sorted(fields), within=at)
+                raise NoSuchKeyError(token, sorted(fields), within=at)
             kinds = [kind for field in fields[token] for kind in members(field.annotation)]
             if rest:
                 node[token] = _opened(node.get(token), kinds, fields[token][0], rest)
@@ -75,7 +75,7 @@ def find_address(path: str, content: MutableMapping[str, Any], root: Any) -> Add
             node = node[number]
             continue
         else:
-            raise NoSuchKey(_first(rest, ())[0], [], within=at)
+            raise NoSuchKeyError(_first(rest, ())[0], [], within=at)
         address.append(token)
     return tuple(address)
 
@@ -163,13 +163,11 @@ def _first(rest: str, names: Any) -> tuple[str, str]:
 
 def _numbered(rest: str, node: Sequence[Any], at: Address) -> tuple[str, int, str]:
     """The first key of a path as the number of an entry of a list."""
-    named = {
-        one["name"]: number for number, one in enumerate(node) if isinstance(one, Mapping) and one.get("name")
-    }
+    named = {one["name"]: number for number, one in enumerate(node) if isinstance(one, Mapping) and one.get("name")}
     token, after = _first(rest, named)
     if token in named:
         return token, named[token], after
     if token.isdecimal() and int(token) < len(node):
         return token, int(token), after
     numbers = [f"0 to {len(node) - 1}"] if node else []
-    raise NoSuchKey(token, [*named, *numbers], within=at, what="entry")
+    raise NoSuchKeyError(token, [*named, *numbers], within=at, what="entry")

@@ -17,7 +17,7 @@ from backhoe_planner.job import SITE_KEYS, Job, job_from_dict, load_job
 from backhoe_planner.machine import Robot
 from backhoe_planner.planning import EFFORTS, METHODS
 from backhoe_planner.site import Scene, load_machine, load_scene, scene_from_dict
-from backhoe_planner.studies.rows.key_paths import Address, NoSuchKey, find_address, put, spell
+from backhoe_planner.studies.rows.key_paths import Address, NoSuchKeyError, find_address, put, spell
 from backhoe_planner.studies.rows.metrics import DEFAULTS, Kind, Metric, find_metric
 from backhoe_planner.studies.schema.study_file import Best, Study
 
@@ -97,13 +97,13 @@ def build_template(study: Study) -> tuple[Template, Inputs]:
     addresses = dict(_addresses(study, content, kind))
     _check_settings(study)
     metrics, best = _metrics(study, kind)
-    folder = os.path.abspath(template.folder)
+    folder = absolute(template.folder)
     machine = "" if study.machine is None else _source(study.machine, study.folder)
     made = Template(
         kind=kind, content=content, machine=machine, addresses=addresses, metrics=metrics, best=best,
         keep_plans=study.keep_plans, folder=folder,
-        site_folder=os.path.abspath(template.site_scene.folder) if isinstance(template, Job) else folder,
-        machine_folder=folder if kind == "job" else os.path.abspath(study.folder),
+        site_folder=absolute(template.site_scene.folder) if isinstance(template, Job) else folder,
+        machine_folder=folder if kind == "job" else absolute(study.folder),
         package_path=tuple(filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep))),
     )  # fmt: skip
     return made, _inputs(study, template, made)
@@ -116,11 +116,17 @@ def machine_source(name: Any, folder: str | Path) -> str:
     return _source(name, folder)
 
 
+def absolute(path: str | Path) -> str:
+    """A path from ``/`` on without ``..``; links are followed by nobody, since names around them may count."""
+    return os.path.normpath(Path(path).absolute())
+
+
 def _source(name: str, folder: str | Path) -> str:
     if name.startswith("example:"):
         return name
-    beside = os.path.normpath(Path(os.path.abspath(folder), name))
-    return beside if os.path.exists(beside) or not os.path.dirname(name) == "models" else f"example:{Path(name).stem}"
+    beside = absolute(Path(folder, name))
+    is_shipped = Path(name).parent == Path("models") and not Path(beside).exists()
+    return f"example:{Path(name).stem}" if is_shipped else beside
 
 
 def digest_of(template: Template, inputs: Inputs) -> dict[str, Any]:
@@ -134,7 +140,7 @@ def digest_of(template: Template, inputs: Inputs) -> dict[str, Any]:
         files[os.path.relpath(file, template.folder)] = hashlib.sha256(content).hexdigest()
     machines = [[robot.urdf.path.name, robot.urdf.sha256] for robot in inputs.robots]
     return {
-        "template": hashlib.sha256(json.dumps([template.kind, template.content]).encode()).hexdigest(),
+        template.kind: hashlib.sha256(json.dumps([template.kind, template.content]).encode()).hexdigest(),
         "machines": machines,
         "files": files,
         "metrics": [metric.name for metric in template.metrics],
@@ -185,7 +191,7 @@ def _addresses(study: Study, content: dict[str, Any], kind: Kind) -> Iterator[tu
             continue
         try:
             found[name] = _address(name, content, kind)
-        except NoSuchKey as error:
+        except NoSuchKeyError as error:
             raise StudyError(str(error), file=study.file, key=study.place("parameters", name)) from None
     for name, address in found.items():
         for other, beside in found.items():
@@ -201,16 +207,16 @@ def _address(name: str, content: dict[str, Any], kind: Kind) -> Address:
     if kind == "scene":
         try:
             return find_address(name, content, Scene)
-        except NoSuchKey as error:
+        except NoSuchKeyError as error:
             near = nearest_name(name, SETTINGS)
             if near is not None and "did you mean" not in str(error):
-                raise NoSuchKey(name, [*SETTINGS, *Scene.model_fields]) from None
+                raise NoSuchKeyError(name, [*SETTINGS, *Scene.model_fields]) from None
             raise
     first, _, rest = name.partition(".")
     if first == "site" or (first in SITE_KEYS and first not in Job.model_fields):
         inner = rest if first == "site" else name
         if inner.partition(".")[0] not in SITE_KEYS:
-            raise NoSuchKey(inner, SITE_KEYS, within=("site",))
+            raise NoSuchKeyError(inner, SITE_KEYS, within=("site",))
         return ("site", *find_address(inner, content.setdefault("site", {}), Scene))
     return find_address(name, content, Job)
 
@@ -300,4 +306,4 @@ def _inputs(study: Study, template: Scene | Job, made: Template) -> Inputs:
             texts = values.listed or study.parameters[name].get("choice", ())
             found = (Path(made.site_folder if site else made.folder, text) for text in texts if isinstance(text, str))
             files |= {file for file in found if file.is_file()}  # a row whose file is missing says so
-    return Inputs(tuple(robots), tuple(sorted({Path(os.path.abspath(file)) for file in files})))
+    return Inputs(tuple(robots), tuple(sorted({Path(absolute(file)) for file in files})))

@@ -94,7 +94,8 @@ class Study(Record):
             lengths = {name: len(one.listed) for name, one in values.items() if len(one.listed) > 1}
             if len(set(lengths.values())) > 1:
                 raise ValueError(
-                    "combine: zip takes lists of one length; found " + ", ".join(f"{n}: {k}" for n, k in lengths.items())
+                    "combine: zip takes lists of one length; found "
+                    + ", ".join(f"{n}: {k}" for n, k in lengths.items())
                 )
             if self.count is not None and (lengths or not drawn):
                 raise ValueError("count stands beside a list with combine: zip, which has as many rows as the list")

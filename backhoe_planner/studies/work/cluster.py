@@ -67,14 +67,16 @@ def _connect(address: str) -> Any:
         ) from None  # fmt: skip
 
 
-def _plan_all(client: Any, bundle: Bundle, rows: Sequence[StudyRow], distributed: Any) -> Generator[Outcome, None, None]:
+def _plan_all(
+    client: Any, bundle: Bundle, rows: Sequence[StudyRow], distributed: Any
+) -> Generator[Outcome, None, None]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sending large graph", category=UserWarning)
         # as a task, not scattered: Dask makes it again where all workers that had it are lost
         shared = client.submit(_hand_on, bundle, key=f"backhoe-planner-study-{bundle.digest[:16]}")
     left, again = deque(rows), set[int]()
     at_work: dict[Any, StudyRow] = {}
-    finished = distributed.as_completed()
+    finished = distributed.as_completed(loop=client.loop)
 
     def hand_out() -> None:
         ahead = max(_LEAST_AHEAD, _AHEAD * sum(client.nthreads().values()))
@@ -102,7 +104,7 @@ def _plan_all(client: Any, bundle: Bundle, rows: Sequence[StudyRow], distributed
                 raise
             except (OSError, TimeoutError, asyncio.CancelledError, distributed.client.FutureCancelledError) as error:
                 raise _lost(error) from None
-            except Exception as error:
+            except Exception as error:  # noqa: BLE001  whatever a computer of the cluster lacks
                 raise StudyError(
                     f"a worker of the cluster cannot plan: {type(error).__name__}: {error}", key="--scheduler",
                     hint="backhoe_planner must be installed there in the same version",

@@ -27,7 +27,7 @@ from backhoe_planner.studies.work.row_planning import RowPlanner
 _AHEAD = 3  # rows for each process that wait or are planned: enough that none is idle; chosen
 _MOST_IN_VAIN = 3  # pools in a row of which no process plans anything; chosen
 _LOOKS_EVERY = 1.0  # s, at whether the main process is still there; chosen
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def plan_locally(
@@ -54,8 +54,8 @@ def plan_locally(
         if in_vain == _MOST_IN_VAIN:
             raise StudyError("the processes that plan rows end before they begin one", hint="is there memory for them?")
         for row in suspects:
-            alone: deque[StudyRow] = deque([row])
-            yield from _until_one_dies(root, marks, alone, (again := []), 1)
+            alone, again = deque([row]), list[StudyRow]()
+            yield from _until_one_dies(root, marks, alone, again, 1)
             if again:
                 yield crashed(row.number)
         left.extendleft(reversed([row for row in lost if row not in suspects]))
@@ -85,7 +85,7 @@ def _until_one_dies(
                     broken = True
                     left.appendleft(row)
             done = wait(at_work, return_when=FIRST_COMPLETED).done
-            for future in done:
+            for future in sorted(done, key=lambda one: at_work[one].number):
                 row = at_work.pop(future)
                 try:
                     outcome = future.result()
@@ -118,9 +118,8 @@ def _planner(root: str) -> RowPlanner:
 
 
 def _plan_row(root: str, marks: str, row: StudyRow) -> Outcome:
-    mark = os.path.join(marks, str(row.number))
-    os.close(os.open(mark, os.O_CREAT | os.O_WRONLY))
+    mark = Path(marks) / str(row.number)
+    mark.touch()
     outcome = _planner(root).plan(row)
-    os.unlink(mark)
+    mark.unlink()
     return outcome
-

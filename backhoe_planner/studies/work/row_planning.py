@@ -19,7 +19,7 @@ from backhoe_planner.site import scene_from_dict
 from backhoe_planner.studies.results.outcome import Outcome
 from backhoe_planner.studies.rows.drawing import StudyRow
 from backhoe_planner.studies.rows.metrics import sources_of
-from backhoe_planner.studies.rows.template import Template, machine_source
+from backhoe_planner.studies.rows.template import machine_source
 from backhoe_planner.studies.work.bundle import unpacked_template
 
 _BUDGET = 1e7  # s: a plan is ended by its counted work alone, so that it is the same on every computer

@@ -1,0 +1,132 @@
+"""`study`: plan one scene or job many times, with progress, a summary and a page."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import backhoe_planner as bp
+from backhoe_planner import show, studies
+from backhoe_planner.cli.terminal import ERR, FAILED, INTERRUPTED, OUT, VERIFIED
+from backhoe_planner.files.output_file import check_ending, check_output
+
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY", help="A study file (YAML).", show_default=False)]
+
+
+def study(
+    file: StudyFile,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FOLDER", help="Folder for the tables, the page and plans.")
+    ] = Path("results"),
+    jobs: Annotated[int, typer.Option(help="Processes that plan; -1 is one for each core.")] = -1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Plan on the Dask cluster of this scheduler instead.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Where the page goes; by default into the folder.")
+    ] = None,
+    anew: Annotated[bool, typer.Option("--anew", help="Begin anew where the folder holds results.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> int:
+    """Plan a scene or a job many times, with parameters that differ.
+
+    Where the folder holds the same study, interrupted or killed, it goes on where it was.
+    """
+    loaded = bp.load_study(file)
+    if html is not None:
+        check_ending(html, show.PAGE_FORMATS, what="a page")
+        check_output(html, (file,))
+    with _progress(shown=ERR.is_terminal and not as_json) as watch:
+        found = studies.run_study(loaded, output, scheduler=scheduler, jobs=jobs, anew=anew, watch=watch)
+    page = html if html is not None else output / studies.PAGE
+    show.write_study_page(found, page)
+    summary = studies.summarise_study(found)
+    if as_json:
+        _print_json(found, summary, page)
+    else:
+        _print_summary(found, summary, page)
+    if found.interrupted:
+        return INTERRUPTED
+    return VERIFIED if any(one.verdict == "verified" for one in found.outcomes.values()) else FAILED
+
+
+@contextlib.contextmanager
+def _progress(*, shown: bool) -> Iterator[Callable[[bp.StudyStep], None]]:
+    """What is told while a study runs: a bar with rate and remaining time on a terminal, else that it goes on."""
+    if not shown:
+        yield _tell_of_earlier_rows
+        return
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+        TimeElapsedColumn(), TextColumn("elapsed,"), TimeRemainingColumn(), TextColumn("left"),
+    )  # fmt: skip
+    with Progress(*columns, console=ERR, transient=True) as progress:
+        task = progress.add_task("planning", total=None, rate="")
+        begun: list[int] = []
+
+        def watch(step: bp.StudyStep) -> None:
+            if not begun:
+                begun.append(step.done)
+                _tell_of_earlier_rows(step)
+                progress.reset(task, total=step.rows, completed=step.done)
+                return
+            elapsed = progress.tasks[0].elapsed or 0.0
+            rate = f"{(step.done - begun[0]) / elapsed:.1f} a second" if elapsed > 0.0 else ""
+            progress.update(task, completed=step.done, rate=rate)
+
+        yield watch
+
+
+def _tell_of_earlier_rows(step: bp.StudyStep) -> None:
+    if step.row is None and step.done:
+        ERR.print(f"goes on after {step.done} of {step.rows} rows that are done (--anew begins anew)")
+
+
+def _print_summary(found: studies.StudyResult, summary: studies.Summary, page: Path) -> None:
+    total, done = len(found.rows), len(found.outcomes)
+    OUT.print(f"rows          {done}" + ("" if done == total else f" of {total}; the same command goes on"))
+    for ending, count in summary.counts.items():
+        OUT.print(f"  {ending:<28}{count:6d}  {100.0 * count / done:5.1f} %")
+    best = found.template.best
+    if summary.best is not None:
+        which = "least" if best.least is not None else "greatest"
+        OUT.print(f"best          row {summary.best.number}: {best.metric} {summary.best_value:.4g}, the {which}")
+        for name, value in summary.best.values.items():
+            shown = f"{value:.6g}" if isinstance(value, float) else value
+            OUT.print(f"  {name:<28}{shown}")
+    OUT.print(f"table         {found.folder / studies.TABLE}")
+    OUT.print(f"page          {page}")
+
+
+def _print_json(found: studies.StudyResult, summary: studies.Summary, page: Path) -> None:
+    best = summary.best
+    content = {
+        "rows": len(found.rows),
+        "done": len(found.outcomes),
+        "interrupted": found.interrupted,
+        "counts": dict(summary.counts),
+        "best": None
+        if best is None
+        else {
+            "row": best.number, "metric": found.template.best.metric, "value": summary.best_value,
+            "parameters": dict(best.values),
+        },
+        "table": str(found.folder / studies.TABLE),
+        "page": str(page),
+    }  # fmt: skip
+    sys.stdout.write(json.dumps(content, allow_nan=False, indent=2) + "\n")

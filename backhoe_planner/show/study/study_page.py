@@ -1,0 +1,205 @@
+"""One HTML page that says what a study says, without a network and without scripts."""
+
+from __future__ import annotations
+
+import html
+import math
+import os
+
+from backhoe_planner.files.output_file import check_ending, check_writable, whole_file
+from backhoe_planner.show.page.page import PAGE_FORMATS, read_parts
+from backhoe_planner.show.study.scatter import scatter
+from backhoe_planner.studies import Map, Share, StudyResult, Summary, map_of_two, summarise_study, trade_offs
+
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_SHADES = ((0x2F, 0xA8, 0x66), (0xF6, 0xE7, 0xA6), (0xE0, 0x7A, 0x5F))  # good, middling, bad
+_ONE_LINE = 18  # characters; chosen, more do not fit beside a bar on a phone
+_NONE = "#e6ebef"  # where nothing is verified
+
+
+def write_study_page(result: StudyResult, path: str | os.PathLike[str]) -> None:
+    """Write the page of a study, whole or not at all.
+
+    Raises
+    ------
+    OutputError: the name ends neither in .html nor in .htm, or the folder cannot be written.
+    """
+    check_ending(path, PAGE_FORMATS, what="a page")
+    check_writable(path)
+    text = study_page(result)
+    with whole_file(path) as stream:
+        stream.write(text)
+
+
+def study_page(result: StudyResult) -> str:
+    """The page as text."""
+    summary = summarise_study(result)
+    (css,) = read_parts("backhoe_planner.show.study", "study.css")
+    title = result.study.name or "study"
+    body = [f"<h1>{_text(title)}</h1>", _head(result), _endings(summary), _best(result, summary)]
+    body += [_successes(result, summary), _map(result, summary), _trade_offs(result, summary)]
+    return "".join(
+        (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
+            f'<title>{_text(title)}</title>\n<link rel="icon" href="data:,">\n',
+            f"<style>\n{css}</style>\n</head>\n<body>\n",
+            "\n".join(filter(None, body)),
+            "\n</body>\n</html>\n",
+        )
+    )
+
+
+def _head(result: StudyResult) -> str:
+    done, rows = len(result.outcomes), len(result.rows)
+    machine = result.study.machine or "several machines" if result.template.kind == "scene" else "a job"
+    count = f"{rows} plans" if done == rows else f"{done} of {rows} plans are done"
+    parameters = ", ".join(result.study.parameters) or "no parameter"
+    return (
+        f'<p class="soft">{_text(count)} of {_text(machine)}; {_text(result.study.combine)} of {_text(parameters)}</p>'
+    )
+
+
+def _endings(summary: Summary) -> str:
+    total = sum(summary.counts.values())
+    rows = [
+        f"<tr><td>{_text(ending)}</td><td>{_bar(count / total, 'ending')}</td>"
+        f'<td class="number">{count}</td><td class="number">{100.0 * count / total:.1f} %</td></tr>'
+        for ending, count in summary.counts.items()
+    ]
+    return f'<h2>How the plans ended</h2>\n<div class="card"><table>{"".join(rows)}</table></div>'
+
+
+def _best(result: StudyResult, summary: Summary) -> str:
+    best, asked = summary.best, result.template.best
+    which = "least" if asked.least is not None else "greatest"
+    if best is None:
+        return f"<h2>The best row</h2>\n<p>No row is verified and has the metric {_text(asked.metric)}.</p>"
+    values = "".join(
+        f'<tr><td>{_text(name)}</td><td class="number">{_figure(value)}</td></tr>'
+        for name, value in best.values.items()
+    )
+    figures = "".join(
+        f'<tr><td>{_text(name)}</td><td class="number">{_figure(value)}</td></tr>'
+        for name, value in result.outcomes[best.number].metrics.items()
+    )
+    regions = "".join(
+        f"<tr><td>{_text(one.name)}</td><td>{_text(one.best)}</td><td class='soft'>{_text(one.every)}</td></tr>"
+        for one in summary.regions
+    )
+    region = (
+        f'<div class="card"><h3>The best region: where the {summary.in_region} best rows lie</h3>'
+        f"<table><tr><th>parameter</th><th>best rows</th><th>all rows</th></tr>{regions}</table></div>"
+        if regions
+        else ""
+    )
+    return (
+        f"<h2>The best row and the best region</h2>\n<p>Row {best.number} has the {which} {_text(asked.metric)}: "
+        f'<b>{_figure(summary.best_value)}</b></p>\n<div class="cards">'
+        f'<div class="card"><h3>Its parameters</h3><table>{values}</table></div>'
+        f'<div class="card"><h3>Its figures</h3><table>{figures}</table></div>{region}</div>'
+    )
+
+
+def _successes(result: StudyResult, summary: Summary) -> str:
+    if not summary.shares:
+        return ""
+    metric = _text(result.template.best.metric)
+    cards = []
+    for name, shares in summary.shares.items():
+        rows = "".join(_share_row(share) for share in shares)
+        heads = (
+            f'<tr><th></th><th>verified</th><th class="number">of rows</th><th class="number">median {metric}</th></tr>'
+        )
+        cards.append(f'<div class="card"><h3>{_text(name)}</h3><table>{heads}{rows}</table></div>')
+    return f'<h2>Success by parameter</h2>\n<div class="cards">{"".join(cards)}</div>'
+
+
+def _share_row(share: Share) -> str:
+    part = share.verified / share.rows if share.rows else math.nan
+    shown = "-" if math.isnan(part) else f"{100.0 * part:.0f} %"
+    return (
+        f"<tr>{_label(share.label)}<td>{_bar(0.0 if math.isnan(part) else part)}</td>"
+        f'<td class="number">{shown} of {share.rows}</td><td class="number">{_figure(share.best)}</td></tr>'
+    )
+
+
+def _map(result: StudyResult, summary: Summary) -> str:
+    """The two parameters on which most depends, coloured by the median of what is best."""
+    found = map_of_two(summary, result.rows, result.outcomes, result.template.best)
+    if found is None:
+        return ""
+    known = [cell.best for line in found.cells for cell in line if cell is not None and not math.isnan(cell.best)]
+    if not known:
+        return ""
+    low, high, sign = min(known), max(known), result.template.best.sign
+    lines = []
+    for label, cells in zip(found.lines, found.cells, strict=True):
+        shown = "".join(_cell(cell, low, high, sign) for cell in cells)
+        lines.append(f'<tr><th class="line">{_text(label)}</th>{shown}</tr>')
+    heads = "".join(f"<th>{_text(label)}</th>" for label in found.columns)
+    table = f'<table class="map"><tr><th>{_axes(found)}</th>{heads}</tr>{"".join(lines)}</table>'
+    return (
+        f"<h2>{_text(found.down)} and {_text(found.across)}</h2>\n"
+        f'<p class="soft">The two on which most depends. Large: median {_text(result.template.best.metric)} of the '
+        f'verified rows; small: the part that is verified.</p>\n<div class="card scroll">{table}</div>'
+    )
+
+
+def _axes(found: Map) -> str:
+    return f"{_text(found.down)} ↓<br>{_text(found.across)} →"
+
+
+def _cell(cell: Share | None, low: float, high: float, sign: float) -> str:
+    if cell is None:
+        return "<td></td>"
+    part = f"<small>{100.0 * cell.verified / cell.rows:.0f} % of {cell.rows}</small>"
+    if math.isnan(cell.best):
+        return f'<td style="background:{_NONE}">-{part}</td>'
+    at = (cell.best - low) / (high - low) if high > low else 0.0
+    return f'<td style="background:{_shade(at if sign > 0.0 else 1.0 - at)}">{_figure(cell.best)}{part}</td>'
+
+
+def _shade(at: float) -> str:
+    """The colour at a part of the way from the best to the worst."""
+    first, second, mix = (*_SHADES[:2], 2.0 * at) if at < 0.5 else (*_SHADES[1:], 2.0 * at - 1.0)
+    mixed = (round(a + mix * (b - a)) for a, b in zip(first, second, strict=True))
+    return "#" + "".join(f"{one:02x}" for one in mixed)
+
+
+def _trade_offs(result: StudyResult, summary: Summary) -> str:
+    best = result.template.best
+    found = trade_offs(result.template.metrics, result.rows, result.outcomes, best)
+    if not found:
+        return ""
+    cards = []
+    for x_name, y_name, points in found:
+        number = None if summary.best is None else summary.best.number
+        picture = scatter(x_name, y_name, points, best=number, forward=best.sign > 0.0)
+        cards.append(f'<div class="card"><h3>{_text(y_name)} over {_text(x_name)}</h3>{picture}</div>')
+    return (
+        "<h2>What is traded for what</h2>\n"
+        '<p class="soft">Each point is a verified row. Orange: no other row is better in both; a ring marks the best '
+        f'row.</p>\n<div class="cards">{"".join(cards)}</div>'
+    )
+
+
+def _label(text: str) -> str:
+    """A cell with the value of a parameter, on one line where it is short."""
+    kind = ' class="label"' if len(text) <= _ONE_LINE else ""
+    return f"<td{kind}>{_text(text)}</td>"
+
+
+def _bar(part: float, kind: str = "") -> str:
+    return f'<span class="bar {kind}"><span style="width:{100.0 * part:.1f}%"></span></span>'
+
+
+def _figure(value: object) -> str:
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "-"
+    return _text(f"{value:.4g}" if isinstance(value, float) else str(value))
+
+
+def _text(text: str) -> str:
+    return html.escape(text)

@@ -1,0 +1,238 @@
+"""The study file: what a parameter takes, which rows follow, and what is told before anything runs."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import backhoe_planner as bp
+from backhoe_planner.studies import Study, study_from_dict
+from backhoe_planner.studies.rows.drawing import draw_rows
+from backhoe_planner.studies.rows.template import build_template
+from backhoe_planner.studies.schema.values import read_values
+
+ROOT = Path(bp.__file__).resolve().parents[1]
+JOINTS = {"joint1": 1.42, "joint2": 1.86, "joint3": 1.71, "joint4": 1.16}
+SCENE: dict[str, Any] = {
+    "version": 1,
+    "start": {"joints": JOINTS},
+    "task": {"goal": {"position": [0.45, -2.16, 0.0]}},
+    "obstacles": [
+        {"name": "point", "shape": "sphere", "radius": 0.01, "position": [0.63, 0.59, 0.0]},
+        {"name": "pipe no. 2.5", "shape": "sphere", "radius": 0.01, "position": [-3.0, 3.0, 0.0]},
+    ],
+}
+
+
+def study(parameters: dict[str, Any], **keys: Any) -> Study:
+    return study_from_dict(
+        {"version": 1, "machine": "example:planar4", "scene": SCENE, "parameters": parameters, **keys}
+    )
+
+
+def rows(parameters: dict[str, Any], **keys: Any) -> list[dict[str, Any]]:
+    return [dict(row.values) for row in draw_rows(study(parameters, **keys))]
+
+
+@pytest.mark.parametrize(
+    ("given", "listed"),
+    [
+        (0.3, (0.3,)),
+        ("auto", ("auto",)),
+        ([1, 2.5], (1, 2.5)),
+        ({"from": 0.0, "to": 0.4, "count": 3}, (0.0, 0.2, 0.4)),
+        ({"from": 0.1, "to": 0.3, "step": 0.1}, (0.1, 0.2, 0.3)),
+        ({"from": 0.0, "to": 0.35, "step": 0.1}, (0.0, 0.1, 0.2, 0.3)),
+        ({"from": 3, "to": 1, "step": -1}, (3, 2, 1)),
+        ({"from": 2.0, "to": 2.0, "count": 1}, (2.0,)),
+    ],
+)
+def test_values_one_by_one_and_ranges(given: Any, listed: tuple[Any, ...]) -> None:
+    assert read_values(given).listed == listed
+
+
+@pytest.mark.parametrize(
+    ("given", "mean", "low", "high"),
+    [
+        ({"uniform": [2.0, 4.0]}, 3.0, 2.0, 4.0),
+        ({"normal": [1.0, 0.1]}, 1.0, 0.4, 1.6),
+        ({"log_uniform": [0.1, 10.0]}, 9.9 / math.log(100.0), 0.1, 10.0),
+        ({"choice": [1.0, 3.0]}, 2.0, 1.0, 3.0),
+    ],
+)
+def test_distributions_have_their_mean_and_ends(given: Any, mean: float, low: float, high: float) -> None:
+    rng, values = np.random.default_rng(1), read_values(given)
+    drawn = [values.one(rng) for _ in range(4000)]
+    assert min(drawn) >= low
+    assert max(drawn) <= high
+    assert float(np.mean(drawn)) == pytest.approx(mean, rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ([], "empty list"),
+        (None, "has no value"),
+        ({"from": 0.0, "to": 1.0, "count": 0}, "the range is empty"),
+        ({"from": 0.0, "to": 1.0, "step": -0.1}, "the range is empty"),
+        ({"from": 0.0, "to": 1.0}, "one of count and step"),
+        ({"to": 1.0, "count": 2}, "the range has no from"),
+        ({"from": 0.0, "to": 1.0, "count": 2, "stop": 3}, "did you mean 'step'"),
+        ({"unifrom": [0, 1]}, "did you mean 'uniform'"),
+        ({"uniform": [1.0, 1.0]}, "uniform is empty"),
+        ({"uniform": [1.0]}, "not a pair of numbers"),
+        ({"normal": [0.0, -1.0]}, "negative standard deviation"),
+        ({"log_uniform": [0.0, 1.0]}, "allowed: numbers above 0"),
+        ({"choice": []}, "at least one value"),
+        ([0.1, float("nan")], "finite numbers"),
+    ],
+)
+def test_what_is_no_value_is_told_with_its_key(given: Any, said: str) -> None:
+    with pytest.raises(bp.StudyError, match=r"parameters\.clearance: .*" + said):
+        study({"clearance": given})
+
+
+def test_a_grid_has_every_combination_and_the_last_parameter_changes_first() -> None:
+    assert rows({"clearance": [0.1, 0.2], "seed": [0, 1]}) == [
+        {"clearance": clearance, "seed": seed} for clearance in (0.1, 0.2) for seed in (0, 1)
+    ]
+
+
+def test_zip_takes_the_first_of_each_and_one_value_for_all() -> None:
+    found = rows({"clearance": [0.1, 0.2], "seed": [5, 6], "effort": "quick"}, combine="zip")
+    assert found == [{"clearance": 0.1, "seed": 5, "effort": "quick"}, {"clearance": 0.2, "seed": 6, "effort": "quick"}]
+
+
+def test_a_larger_count_adds_rows_and_changes_none() -> None:
+    parameters = {"clearance": {"uniform": [0.1, 0.3]}, "seed": [0, 1, 2]}
+    few, many = (rows(parameters, combine="random", count=count, seed=4) for count in (5, 50))
+    assert many[:5] == few
+    assert {row["seed"] for row in many} == {0, 1, 2}
+    assert rows(parameters, combine="random", count=5, seed=5) != few
+    gridded = {"clearance": {"uniform": [0.1, 0.3]}, "seed": [0, 1]}
+    assert rows(gridded, count=3)[:4] == rows(gridded, count=2)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"combine": "random"}, "count is missing"),
+        ({"count": 3}, "count stands beside a grid of lists"),
+        ({"combine": "zip", "parameters": {"clearance": [0.1, 0.2], "seed": [1, 2, 3]}}, "clearance: 2, seed: 3"),
+        ({"scene": None}, "exactly one of scene, job"),
+        ({"machine": None}, "machine is missing"),
+        ({"parameters": {f"obstacles.point.position.{k}": {"from": 0, "to": 1, "count": 1000} for k in (0, 1, 2)}},
+         "at most 1000000"),
+        ({"metric": ["duration"]}, "did you mean 'metrics'"),
+    ],
+)  # fmt: skip
+def test_studies_that_make_no_rows_are_refused(keys: dict[str, Any], said: str) -> None:
+    content = {"version": 1, "machine": "example:planar4", "scene": SCENE, "parameters": {"clearance": [0.1]}}
+    with pytest.raises(bp.StudyError, match=said):
+        study_from_dict(content | keys)
+
+
+@pytest.mark.parametrize(
+    ("path", "address"),
+    [
+        ("clearance", ("clearance",)),
+        ("obstacles.point.position", ("obstacles", 0, "position")),
+        ("obstacles.pipe no. 2.5.position.1", ("obstacles", 1, "position", 1)),
+        ("obstacles.1.clearance", ("obstacles", 1, "clearance")),
+        ("gains.s_o", ("gains", "s_o")),
+        ("base.position", ("base", "position")),
+        ("base.position.0", ("base", "position", 0)),
+        ("limits.velocity_scale", ("limits", "velocity_scale")),
+        ("limits.acceleration.joint1", ("limits", "acceleration", "joint1")),
+        ("task.goal.position.2", ("task", "goal", "position", 2)),
+        ("start.joints.joint2", ("start", "joints", "joint2")),
+        ("seed", ()),
+    ],
+)
+def test_key_paths_lead_where_the_schema_has_a_key(path: str, address: tuple[Any, ...]) -> None:
+    template, _ = build_template(study({path: [1]}))
+    assert template.addresses[path] == address
+    content, settings = template.filled({path: 7})
+    node: Any = content
+    for part in address:
+        node = node[part]
+    assert (node if address else settings[path]) == 7
+
+
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        ("clearence", "did you mean 'clearance'"),
+        ("efort", "did you mean 'effort'"),
+        ("obstacles.pint.position", "did you mean 'point'"),
+        ("obstacles.2.position", "0 to 1"),
+        ("obstacles.point.length", "there is no key 'length' in obstacles.0"),
+        ("task.goal.position.3", "0 to 2"),
+        ("gains.s_oo", "did you mean 's_o'"),
+        ("clearance.deep", "there is no key 'deep'"),
+    ],
+)
+def test_a_key_path_that_leads_nowhere_is_told_with_the_nearest(path: str, said: str) -> None:
+    with pytest.raises(bp.StudyError, match=said) as caught:
+        build_template(study({path: [1]}))
+    assert caught.value.key == f"parameters.{path}"
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"parameters": {"obstacles.point.position": [[1, 1, 0]], "obstacles.0.position.1": [1]}}, "sets too"),
+        ({"parameters": {"method": ["automatic"]}}, "there is no such method; found automatic"),
+        ({"parameters": {"effort": ["quik"]}}, "did you mean 'quick'"),
+        ({"parameters": {"seed": [-1]}}, "is not a seed"),
+        ({"metrics": ["durration"]}, "did you mean 'duration'"),
+        ({"metrics": ["energy.wrk"]}, "did you mean 'work'"),
+        ({"metrics": ["min_clearance"]}, "is no single figure; allowed: min_clearance.link"),
+        ({"metrics": ["planning_time"]}, "depends on the computer"),
+        ({"best": "findings.way"}, "is no number"),
+        ({"machine": "example:planar5"}, "no such example robot"),
+        ({"scene": SCENE | {"clearence": 1}}, "scene: clearence: there is no such key"),
+    ],
+)
+def test_what_does_not_exist_is_told_before_anything_runs(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(bp.InputError, match=said):
+        build_template(study(**({"parameters": {"clearance": [0.1]}} | keys)))
+
+
+def test_a_file_says_the_line(tmp_path: Path) -> None:
+    file = tmp_path / "study.yaml"
+    text = f"version: 1\nmachine: example:planar4\nscene: {ROOT}/scenes/paper_planar.yaml\nparameters:\n  CLEAR: [1]\n"
+    file.write_text(text.replace("CLEAR", "clearence"))
+    with pytest.raises(bp.StudyError, match=rf"{file}: parameters\.clearence \(line 5\): there is no key"):
+        build_template(bp.load_study(file))
+    file.write_text(text.replace("CLEAR: [1]", "clearance: {from: 1, to: 0, step: 1}"))
+    with pytest.raises(bp.StudyError, match=r"parameters\.clearance \(line 5\): the range is empty"):
+        bp.load_study(file)
+
+
+def test_keys_of_a_job_and_of_its_site() -> None:
+    content = {"version": 1, "job": "scenes/jobs/trench_beside_gas_pipe.yaml"}
+    site = bp.load_job(ROOT / "scenes/jobs/trench_beside_gas_pipe.yaml").site_scene
+    name = site.obstacles[0].name
+    paths = ["dig.trench.depth", "bucket.fill", f"obstacles.{name}.clearance", "base.position.0", "machine", "seed"]
+    values = [1.0, 0.9, 0.3, 0.5, "example:backhoe", 3]
+    given = {path: [value] for path, value in zip(paths, values, strict=True)}
+    template, _ = build_template(study_from_dict(content | {"parameters": given}))
+    assert template.addresses[paths[2]] == ("site", "obstacles", 0, "clearance")
+    filled, settings = template.filled(dict(zip(paths, values, strict=True)))
+    assert (filled["dig"]["trench"]["depth"], filled["site"]["base"]["position"][0], settings["seed"]) == (1.0, 0.5, 3)
+    with pytest.raises(bp.StudyError, match="not a setting of a job"):
+        build_template(study_from_dict(content | {"parameters": {"method": ["auto"]}}))
+
+
+def test_the_studies_that_come_with_the_package_can_be_run() -> None:
+    files = sorted((ROOT / "scenes" / "studies").glob("*.yaml"))
+    assert files
+    for file in files:
+        template, _ = build_template(bp.load_study(file))
+        assert template.metrics
+    assert bp.load_study(Path("scenes/studies") / files[0].name).rows > 1, "from any working directory"
