@@ -15,6 +15,8 @@ import backhoe_planner
 from backhoe_planner.cli import app
 from backhoe_planner.job import job_from_dict
 from backhoe_planner.site import scene_from_dict
+from backhoe_planner.studies import study_from_dict
+from backhoe_planner.studies.rows.template import build_template
 
 ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -56,6 +58,9 @@ def test_scenes_load(page: Path) -> None:
         content = yaml.safe_load(snippet)
         if "version" in content:
             whole = content
+        if "parameters" in whole:
+            build_template(study_from_dict({**whole, **content}, folder=ROOT))
+            continue
         read = job_from_dict if "dig" in whole else scene_from_dict
         read({**whole, **content})
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import PrivateAttr, ValidationError
 
-from backhoe_planner.errors import SceneError, check_kind, check_path
+from backhoe_planner.errors import InputError, SceneError, check_kind, check_path
 from backhoe_planner.files.records import Record, explain
 from backhoe_planner.files.yaml_text import KeyPath
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 
 class FileRecord(Record):
     """A record that is a whole file."""
+
+    wrong: ClassVar[type[InputError]] = SceneError
+    """The class of what is raised where the file is wrong."""
 
     _folder: Path = PrivateAttr(default=Path())
     _file: Path | None = PrivateAttr(default=None)
@@ -48,7 +54,7 @@ class FileRecord(Record):
 
         Raises
         ------
-        SceneError: names the key's path, what was found, and what is allowed.
+        InputError: of the class `wrong`; names the key's path, what was found, and what is allowed.
         """
         check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
         folder = check_path(folder, key="folder")
@@ -56,6 +62,6 @@ class FileRecord(Record):
         try:
             record = cls.model_validate(content)
         except ValidationError as error:
-            raise SceneError(explain(error, content, root=cls, lines=lines), file=file) from None
+            raise cls.wrong(explain(error, content, root=cls, lines=lines), file=file) from None
         record._folder, record._file = folder, file
         return record

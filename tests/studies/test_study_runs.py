@@ -26,6 +26,7 @@ from backhoe_planner.studies.rows.drawing import StudyRow, draw_rows
 from backhoe_planner.studies.rows.template import build_template
 from backhoe_planner.studies.work import local_pool
 from backhoe_planner.studies.work.bundle import build_bundle
+from backhoe_planner.studies.work.row_planning import RowPlanner
 
 pq = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
 pytest.importorskip("pandas", reason="pandas is not installed")
@@ -371,3 +372,22 @@ def test_a_missing_package_is_told_with_what_to_install(whole: StudyResult, monk
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyarrow" else object())
     with pytest.raises(bp.InputError, match=r"studies need pyarrow \(pip install \"backhoe_planner\[studies\]\"\)"):
         bp.study(whole.study)
+
+
+def test_the_notebook_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def plan(bundle: Any, rows: list[StudyRow], *_: Any, **__: Any) -> Iterator[Outcome]:
+        bundle.unpack(tmp_path)
+        yield from map(RowPlanner(tmp_path).plan, rows)
+
+    monkeypatch.setattr(study_run, "plan_locally", plan)
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads((ROOT / "docs" / "studies.ipynb").read_text())
+    assert notebook["nbformat"] == 4
+    assert len({cell["id"] for cell in notebook["cells"]}) == len(notebook["cells"])
+    names: dict[str, Any] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == [], "is kept without outputs"
+            exec(compile("".join(cell["source"]), f"cell {cell['id']}", "exec"), names)
+    assert len(names["frame"]) == 16
+    assert set(names["frame"]["verdict"]) == {"verified"}

@@ -6,8 +6,7 @@ import html
 import math
 import os
 
-from backhoe_planner.files.output_file import check_ending, check_writable, whole_file
-from backhoe_planner.show.page.page import PAGE_FORMATS, read_parts
+from backhoe_planner.show.page.page import read_parts, write_page_file
 from backhoe_planner.show.study.scatter import scatter
 from backhoe_planner.studies import Map, Share, StudyResult, Summary, map_of_two, summarise_study, trade_offs
 
@@ -24,11 +23,8 @@ def write_study_page(result: StudyResult, path: str | os.PathLike[str]) -> None:
     ------
     OutputError: the name ends neither in .html nor in .htm, or the folder cannot be written.
     """
-    check_ending(path, PAGE_FORMATS, what="a page")
-    check_writable(path)
-    text = study_page(result)
-    with whole_file(path) as stream:
-        stream.write(text)
+    inputs = [] if result.study.file is None else [result.study.file]
+    write_page_file(path, lambda: (study_page(result), ()), inputs=inputs)
 
 
 def study_page(result: StudyResult) -> str:

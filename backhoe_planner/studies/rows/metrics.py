@@ -107,8 +107,8 @@ def find_metric(name: str, kind: Kind) -> Metric:
     (type_,) = types if len(types) == 1 else (None,)
     if type_ is None:
         below_it = sorted({one for kind_ in members(annotation) for one in _keys(kind_)} - set(_TIMED))
-        allowed = ", ".join(f"{name}.{one}" for one in below_it) or "a key within it"
-        raise ValueError(f"{name!r} is no single figure; allowed: {allowed}")
+        within = ", ".join(f"{name}.{one}" for one in below_it) or "a key within it"
+        raise ValueError(f"{name!r} is no single figure; allowed: {within}")
     return Metric(name, tuple(keys), type_)
 
 

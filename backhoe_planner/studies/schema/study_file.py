@@ -8,12 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, PrivateAttr, StrictInt, ValidationError, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, StrictInt, model_validator
 
-from backhoe_planner.errors import StudyError, check_kind, check_path
-from backhoe_planner.files.records import Record, exactly_one, explain
+from backhoe_planner.errors import StudyError, check_path
+from backhoe_planner.files.file_record import FileRecord
+from backhoe_planner.files.records import Record, exactly_one
 from backhoe_planner.files.yaml_text import KeyPath, read_yaml
-from backhoe_planner.machine import shipped_folder
+from backhoe_planner.machine import shipped_file
 from backhoe_planner.studies.schema.values import MOST_VALUES, Values, plain, read_values
 
 
@@ -47,8 +48,10 @@ class Best(Record):
         return 1.0 if self.least is not None else -1.0
 
 
-class Study(Record):
+class Study(FileRecord):
     """Many plans of one scene, or of one job."""
+
+    wrong = StudyError
 
     version: Literal[1]
     name: str = ""
@@ -73,8 +76,6 @@ class Study(Record):
     keep_plans: Literal["none", "failed", "all"] = "none"
     """Which plans are written as files too."""
 
-    _folder: Path = PrivateAttr(default=Path())
-    _file: Path | None = PrivateAttr(default=None)
     _lines: Mapping[KeyPath, int] = PrivateAttr(default_factory=dict)
 
     _one = exactly_one("scene", "job")
@@ -106,16 +107,6 @@ class Study(Record):
         if self.rows > MOST_VALUES:
             raise ValueError(f"the study has {self.rows} rows; allowed: at most {MOST_VALUES}")
         return self
-
-    @property
-    def folder(self) -> Path:
-        """Where files named in the study are looked for."""
-        return self._folder
-
-    @property
-    def file(self) -> Path | None:
-        """The file from which it was read, if any."""
-        return self._file
 
     @cached_property
     def values(self) -> dict[str, Values]:
@@ -150,10 +141,7 @@ def load_study(path: str | Path) -> Study:
     ------
     StudyError: names the file, the key's path, what was found, and what is allowed.
     """
-    file = check_path(path, key="path")
-    shipped = shipped_folder("scenes") / "studies" / file.name
-    if not file.exists() and file.parent in (Path("scenes/studies"), Path("scenes"), Path()) and shipped.is_file():
-        file = shipped
+    file = shipped_file(check_path(path, key="path"), "scenes/studies")
     content, lines = read_yaml(file, what="study", keys="version, machine, scene, parameters, ...", error=StudyError)
     return study_from_dict(content, folder=file.parent, file=file, lines=lines)
 
@@ -177,12 +165,6 @@ def study_from_dict(
     ------
     StudyError: names the key's path, what was found, and what is allowed.
     """
-    check_kind(content, Mapping, key="content")  # type: ignore[type-abstract]
-    folder = check_path(folder, key="folder")
-    file = None if file is None else check_path(file, key="file")
-    try:
-        study = Study.model_validate(content)
-    except ValidationError as error:
-        raise StudyError(explain(error, content, root=Study, lines=lines), file=file) from None
-    study._folder, study._file, study._lines = folder, file, lines or {}
+    study = Study.of_content(content, folder=folder, file=file, lines=lines)
+    study._lines = lines or {}
     return study

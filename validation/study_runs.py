@@ -1,0 +1,143 @@
+"""Studies that are killed, sent to a cluster, or timed: whether their table is that of an undisturbed run, and what
+a study costs beside its plans.
+
+The plans are quick ones of the planar arm, of random goals and clearances.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time as clock
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from backhoe_planner.files.output_file import whole_file
+
+_ROOT = Path(__file__).resolve().parents[1]
+_ENDS = 900.0  # s after which a run counts as stuck
+
+
+@dataclass(frozen=True)
+class Timed:
+    """What one run took.
+
+    Attributes
+    ----------
+    rows: how many it planned.
+    wall: [s], from the first row done to the last.
+    whole: [s], with the start of its processes.
+    processor: of all of its processes [s].
+    planning: of its plans [s].
+    """
+
+    rows: int
+    wall: float
+    whole: float
+    processor: float
+    planning: float
+
+
+def write_study(folder: Path, rows: int) -> Path:
+    """A study of that many rows, as a file in a folder."""
+    content: dict[str, Any] = {
+        "version": 1,
+        "name": f"{rows} quick plans of the planar arm",
+        "machine": "example:planar4",
+        "scene": str(_ROOT / "scenes" / "paper_planar.yaml"),
+        "parameters": {
+            "task.goal.position.0": {"uniform": [0.2, 0.7]},
+            "task.goal.position.1": {"uniform": [-2.4, -2.0]},
+            "clearance": {"choice": [0.1, 0.2, 0.3]},
+            "obstacles.point.position.0": {"uniform": [0.4, 1.0]},
+        },
+        "combine": "random",
+        "count": rows,
+    }
+    file = folder / f"study_{rows}.yaml"
+    with whole_file(file) as stream:
+        stream.write(json.dumps(content))
+    return file
+
+
+def begin(study: Path, output: Path, *options: str) -> subprocess.Popen[bytes]:
+    """The command, begun in a group of processes of its own."""
+    command = [sys.executable, "-m", "backhoe_planner", "study", str(study), "-o", str(output), *options]
+    environment = os.environ | {"PYTHONPATH": str(_ROOT)}
+    return subprocess.Popen(command, start_new_session=True, env=environment, stdout=subprocess.DEVNULL)
+
+
+def run_to_its_end(study: Path, output: Path, *options: str) -> Timed:
+    """A run that nothing disturbs, and what it took."""
+    import pyarrow.parquet as pq
+
+    before = journal_rows(output)
+    begun, process = clock.monotonic(), begin(study, output, *options)
+    first = None
+    while first is None and process.poll() is None:
+        clock.sleep(0.02)
+        first = clock.monotonic() if journal_rows(output) > before else None
+    _, status, usage = os.wait4(process.pid, 0) if process.returncode is None else (0, process.returncode, None)
+    ended = clock.monotonic()
+    if status != 0 or usage is None:
+        raise RuntimeError(f"{study} ended with status {status}")
+    planning = sum(pq.read_table(output / "timings.parquet")["processor"].to_pylist())
+    return Timed(
+        journal_rows(output) - before,
+        ended - (first or ended),
+        ended - begun,
+        usage.ru_utime + usage.ru_stime,
+        planning,
+    )
+
+
+def kill_often(study: Path, output: Path, *, kills: int, seed: int, seconds: float) -> list[int]:
+    """Begin a study again and again and kill it -9 with all its processes; how many rows were done each time.
+
+    Parameters
+    ----------
+    seconds: that an undisturbed run takes; each run is killed within a part of it.
+    """
+    rng, done = random.Random(seed), []
+    for _ in range(kills):
+        process = begin(study, output)
+        clock.sleep(rng.uniform(0.05, 0.9) * seconds / kills + 4.0 * rng.random())
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait(_ENDS)
+        done.append(journal_rows(output))
+    return done
+
+
+def run_on_cluster(study: Path, output: Path, *, kill_at: int) -> int:
+    """Run a study on a Dask cluster of two workers, one of which is killed -9 after some rows; the row it was at."""
+    import distributed
+
+    from backhoe_planner.studies import StudyStep, load_study, run_study
+
+    killed: list[int] = []
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+
+        def watch(step: StudyStep) -> None:
+            if step.done >= kill_at and not killed:
+                worker = next(iter(cluster.workers.values()))
+                os.kill(worker.pid, signal.SIGKILL)
+                killed.append(step.done)
+
+        run_study(load_study(study), output, scheduler=cluster.scheduler_address, watch=watch)
+    return killed[0] if killed else -1
+
+
+def journal_rows(folder: Path) -> int:
+    """How many rows the journal of a folder has."""
+    file = folder / "journal.jsonl"
+    return max(0, file.read_bytes().count(b"\n") - 1) if file.exists() else 0
+
+
+def same_table(one: Path, other: Path) -> bool:
+    """Whether the tables of two folders are equal, byte by byte."""
+    return (one / "table.parquet").read_bytes() == (other / "table.parquet").read_bytes()
