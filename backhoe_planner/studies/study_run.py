@@ -140,7 +140,6 @@ def run_study(
             if scheduler is not None:
                 planned = plan_on_cluster(bundle, todo, scheduler)
             else:
-                results.scratch.mkdir(exist_ok=True)
                 planned = plan_locally(bundle, todo, results.scratch, processes=min(processes, len(todo)))
             try:
                 for outcome in planned:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -67,16 +67,14 @@ class Metric:
         return {"float": float, "int": int, "string": str, "bool": bool}[self.type](node)  # type: ignore[no-any-return]
 
 
-def sources_of(plan: Plan | JobPlan) -> dict[str, Any]:
-    """Where the figures of a plan stand."""
+def sources_of(plan: Plan | JobPlan, metrics: Iterable[Metric]) -> dict[str, Any]:
+    """Where the figures of a plan stand, as far as any of `metrics` is there: a bound takes a while to find."""
     if isinstance(plan, JobPlan):
         return {"figures": job_figures(plan)}
-    return {
-        "metrics": plan.metrics,
-        "certificate": CertificateRecord.of(plan.certificate),
-        "bound": plan.bound,
-        "findings": plan.findings,
-    }
+    found: dict[str, Any] = {}
+    for root in dict.fromkeys(metric.keys[0] for metric in metrics):
+        found[root] = CertificateRecord.of(plan.certificate) if root == "certificate" else getattr(plan, root)
+    return found
 
 
 def find_metric(name: str, kind: Kind) -> Metric:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from backhoe_planner.errors import StudyError
+from backhoe_planner.errors import OutputError, StudyError
 from backhoe_planner.files.provenance import installed_versions
 from backhoe_planner.machine import Robot
 from backhoe_planner.studies.rows.template import Inputs, Template
@@ -37,14 +37,22 @@ class Bundle:
     digest: str
 
     def unpack(self, root: Path) -> None:
-        """Write the template and all files into a folder, each below it as it lies below ``/``."""
-        for name, content in self.files.items():
-            file = root / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(content)
-        for folder in (self.template.folder, self.template.site_folder, self.template.machine_folder):
-            (root / folder[1:]).mkdir(parents=True, exist_ok=True)  # so that `..` in a name leads on
-        (root / _TEMPLATE).write_bytes(pickle.dumps(self.template))
+        """Write the template and all files into a folder, each below it as it lies below ``/``.
+
+        Raises
+        ------
+        OutputError: it cannot be written.
+        """
+        try:
+            for name, content in self.files.items():
+                file = root / name
+                file.parent.mkdir(parents=True, exist_ok=True)
+                file.write_bytes(content)
+            for folder in (self.template.folder, self.template.site_folder, self.template.machine_folder):
+                (root / folder[1:]).mkdir(parents=True, exist_ok=True)  # so that `..` in a name leads on
+            (root / _TEMPLATE).write_bytes(pickle.dumps(self.template))
+        except OSError as error:
+            raise OutputError(f"cannot be written: {error.strerror}", file=root) from error
 
 
 def build_bundle(template: Template, inputs: Inputs) -> Bundle:

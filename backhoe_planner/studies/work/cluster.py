@@ -18,7 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from backhoe_planner.errors import StudyError
+from backhoe_planner.errors import OutputError, StudyError
 from backhoe_planner.files.provenance import installed_versions
 from backhoe_planner.studies.results.outcome import Outcome, crashed
 from backhoe_planner.studies.rows.drawing import StudyRow
@@ -100,7 +100,7 @@ def _plan_all(
                     left.append(row)
                     hand_out()
                     continue
-            except StudyError:
+            except (StudyError, OutputError):
                 raise
             except (OSError, TimeoutError, asyncio.CancelledError, distributed.client.FutureCancelledError) as error:
                 raise _lost(error) from None

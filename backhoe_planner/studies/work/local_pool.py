@@ -18,7 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from backhoe_planner.errors import StudyError
+from backhoe_planner.errors import OutputError, StudyError
 from backhoe_planner.studies.results.outcome import Outcome, crashed
 from backhoe_planner.studies.rows.drawing import StudyRow
 from backhoe_planner.studies.work.bundle import Bundle
@@ -39,10 +39,18 @@ def plan_locally(
     ----------
     folder: for the files of the bundle and of the rows at work; to be removed afterwards.
     processes: how many.
+
+    Raises
+    ------
+    OutputError: files cannot be written there.
+    StudyError: no process comes as far as a row.
     """
     root, marks = folder / "files", folder / "rows"
-    root.mkdir(parents=True, exist_ok=True)
-    marks.mkdir(exist_ok=True)
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        marks.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", file=folder) from error
     bundle.unpack(root)
     left, in_vain = deque(rows), 0
     while left:
@@ -119,7 +127,10 @@ def _planner(root: str) -> RowPlanner:
 
 def _plan_row(root: str, marks: str, row: StudyRow) -> Outcome:
     mark = Path(marks) / str(row.number)
-    mark.touch()
+    try:
+        mark.touch()
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", file=mark) from None
     outcome = _planner(root).plan(row)
     mark.unlink()
     return outcome

@@ -6,12 +6,13 @@ import contextlib
 import os
 import socket
 import time as clock
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from backhoe_planner.errors import InputError
+from backhoe_planner.errors import InputError, OutputError
 from backhoe_planner.job import JobPlan, job_from_dict, plan_job
 from backhoe_planner.machine import Robot, load_robot
 from backhoe_planner.planning import Plan, plan
@@ -37,32 +38,36 @@ class RowPlanner:
     def plan(self, row: StudyRow) -> Outcome:
         """What comes of a row; raises nothing that planning it may raise."""
         begun, begun_wall = clock.process_time(), clock.monotonic()
-        found: Plan | JobPlan | None = None
-        try:
-            content, settings = self._template.filled(row.values)
-            found = self._plan_scene(content, settings) if self._template.kind == "scene" else self._plan_job(
-                content, settings
-            )  # fmt: skip
-        except InputError as error:
-            outcome = Outcome(row.number, "invalid", "invalid", self._without_folders(str(error)))
-        except Exception as error:  # noqa: BLE001  a fault is a finding, not the end of the study
-            outcome = Outcome(row.number, "error", "error", self._without_folders(f"{type(error).__name__}: {error}"))
+        outcome = self._outcome(row)
         timing = {
             "processor": clock.process_time() - begun, "wall": clock.monotonic() - begun_wall,
             "host": socket.gethostname(), "process": os.getpid(),
         }  # fmt: skip
-        if found is None:
-            return Outcome(row.number, outcome.verdict, outcome.reason, outcome.message, {}, timing)
-        sources = sources_of(found)
-        return Outcome(
-            row=row.number,
-            verdict=found.verdict,
-            reason=found.reason,
-            message=found.note if isinstance(found, JobPlan) else found.message,
-            metrics={one.name: one.value(sources, verified=found.verified) for one in self._template.metrics},
-            timing=timing,
-            plan=self._written(found),
-        )
+        return replace(outcome, timing=timing)
+
+    def _outcome(self, row: StudyRow) -> Outcome:
+        template = self._template
+        try:
+            content, settings = template.filled(row.values)
+            planned: Callable[[dict[str, Any], Mapping[str, Any]], Plan | JobPlan] = (
+                self._plan_scene if template.kind == "scene" else self._plan_job
+            )
+            found = planned(content, settings)
+            sources = sources_of(found, template.metrics)
+            return Outcome(
+                row=row.number,
+                verdict=found.verdict,
+                reason=found.reason,
+                message=self._without_folders(found.note if isinstance(found, JobPlan) else found.message),
+                metrics={one.name: one.value(sources, verified=found.verified) for one in template.metrics},
+                plan=self._written(found),
+            )
+        except OutputError:
+            raise  # a full disk says nothing of the row
+        except InputError as error:
+            return Outcome(row.number, "invalid", "invalid", self._without_folders(str(error)))
+        except Exception as error:  # noqa: BLE001  a fault is a finding, not the end of the study
+            return Outcome(row.number, "error", "error", self._without_folders(f"{type(error).__name__}: {error}"))
 
     def _plan_scene(self, content: dict[str, Any], settings: Mapping[str, Any]) -> Plan:
         scene = scene_from_dict(content, folder=self._at(self._template.folder))
