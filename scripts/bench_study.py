@@ -25,7 +25,7 @@ def _kills(folder: Path, rows: int, kills: int, seed: int) -> int:
     study = study_runs.write_study(folder, rows)
     whole = study_runs.run_to_its_end(study, folder / "whole")
     print(f"undisturbed: {whole.rows} rows in {whole.whole:.0f} s", flush=True)
-    done = study_runs.kill_often(study, folder / "killed", kills=kills, seed=seed, seconds=whole.whole)
+    done = study_runs.kill_often(study, folder / "killed", kills=kills, rows=rows, seed=seed)
     last = study_runs.run_to_its_end(study, folder / "killed")
     print(f"killed after {done} rows, then {last.rows} to the end", flush=True)
     wrong = 0

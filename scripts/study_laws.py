@@ -14,11 +14,11 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
-from joblib import Parallel, delayed
-
-from validation.law_runs import Run, run_scene, share_table
+from validation.law_runs import run_scene, share_table
+from validation.processes import call_for_all
 from validation.tables import markdown, write_csv
 
 
@@ -30,20 +30,26 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
     parser.add_argument("--save", type=Path, help="write every motion's figures as CSV")
     options = parser.parse_args()
-    calls = (delayed(run_scene)(index, options.seed) for index in range(options.scenes))
-    runs: list[Run] = []
-    for done, found in enumerate(Parallel(n_jobs=options.jobs, return_as="generator")(calls), start=1):
-        runs += found
+
+    def progress(done: int) -> None:
         if sys.stderr.isatty():
             print(f"\r{done} of {options.scenes}", end="", file=sys.stderr)
-    print(f"{options.scenes} scenes, seed {options.seed}\n\n{markdown(share_table(runs))}\n")
+
+    call = partial(run_scene, seed=options.seed)
+    found, interrupted = call_for_all(call, range(options.scenes), jobs=options.jobs, progress=progress)
+    runs = [run for of_scene in found for run in of_scene]
+    if interrupted:
+        print(f"interrupted: {len(found)} scenes are done")
+    if not runs:
+        return 130
+    print(f"{len(found)} scenes, seed {options.seed}\n\n{markdown(share_table(runs))}\n")
     refuted = [run for run in runs if run.refuted]
     print(f"verified plans refuted by the independent check: {len(refuted)}")
     for run in refuted:
         print(f"  scene {run.scene}: {run.refuted}")
     if options.save:
         write_csv([asdict(run) for run in runs], options.save)
-    return int(bool(refuted))
+    return 130 if interrupted else int(bool(refuted))
 
 
 if __name__ == "__main__":

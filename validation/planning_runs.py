@@ -206,7 +206,15 @@ def run(
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[list[Row], bool]:
     """The rows of all sites in the order of the keys, and whether it was interrupted; see `call_for_all`."""
-    return call_for_all(partial(run_site, settings=settings), keys, jobs=jobs, progress=progress)
+    return call_for_all(partial(run_site, settings=settings), keys, jobs=jobs, progress=progress, died=_died)
+
+
+def _died(key: SiteKey) -> Row:
+    """The row of a site at which the process died, twice."""
+    return Row(
+        **asdict(key), form=key.kind, way_known=False, blocked=False, verdict="error", reason="error",
+        message="the process that planned it died, twice", seconds=float("nan"), reference=None,
+    )  # fmt: skip
 
 
 def all_keys(

@@ -1,14 +1,15 @@
-"""One function called for many items, in several processes; Ctrl-C keeps what is done."""
+"""One function called for many items, in the processes of studies; Ctrl-C keeps what is done."""
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-import threading
+import tempfile
+import warnings
 from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from pathlib import Path
 from typing import TypeVar
 
-from joblib import Parallel, delayed
+from backhoe_planner.studies import Died, call_in_processes, process_count
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -20,6 +21,7 @@ def call_for_all(
     *,
     jobs: int = -1,
     progress: Callable[[int], None] = lambda done: None,
+    died: Callable[[T], R] | None = None,
 ) -> tuple[list[R], bool]:
     """The results in the order of the items, and whether it was interrupted before the last.
 
@@ -27,36 +29,33 @@ def call_for_all(
     ----------
     jobs: processes; -1 for one on each core, 1 for this process alone.
     progress: is called with the number of items done.
+    died: the result for an item at which the process dies, twice; by default there is none, with a warning.
     """
     found: list[tuple[int, R]] = []
-    results = _results(call, items, jobs)
-    interrupted = False
-    try:
-        for result in results:
-            found.append(result)
-            progress(len(found))
-    except KeyboardInterrupt:
-        interrupted = len(found) < len(items)
-    finally:
-        results.close()
+    ended, interrupted = 0, False
+    with (
+        tempfile.TemporaryDirectory(prefix="campaign-") as folder,
+        closing(_results(call, items, jobs, folder)) as all_,
+    ):
+        try:
+            for index, result in all_:
+                ended += 1
+                if not isinstance(result, Died):
+                    found.append((index, result))
+                elif died is not None:
+                    found.append((index, died(items[index])))
+                else:
+                    warnings.warn(f"the process died twice at {items[index]}", stacklevel=2)
+                progress(ended)
+        except KeyboardInterrupt:
+            interrupted = ended < len(items)
     return [result for _, result in sorted(found, key=lambda one: one[0])], interrupted
 
 
-def _call_one(call: Callable[[T], R], number: int, item: T) -> tuple[int, R]:
-    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process handles Ctrl-C
-    return number, call(item)
-
-
-def _results(call: Callable[[T], R], items: Sequence[T], jobs: int) -> Generator[tuple[int, R], None, None]:
+def _results(
+    call: Callable[[T], R], items: Sequence[T], jobs: int, folder: str
+) -> Generator[tuple[int, R | Died], None, None]:
     if jobs == 1:
-        yield from (_call_one(call, number, item) for number, item in enumerate(items))
-        return
-    calls = (delayed(_call_one)(call, number, item) for number, item in enumerate(items))
-    try:
-        yield from Parallel(n_jobs=jobs, batch_size=1, return_as="generator_unordered")(calls)
-    except (KeyboardInterrupt, GeneratorExit):
-        from joblib.externals.loky import get_reusable_executor
-
-        get_reusable_executor().shutdown(wait=True, kill_workers=True)
-        raise
+        yield from ((index, call(item)) for index, item in enumerate(items))
+    else:
+        yield from call_in_processes(call, items, Path(folder), processes=min(process_count(jobs), len(items) or 1))

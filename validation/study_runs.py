@@ -96,18 +96,22 @@ def run_to_its_end(study: Path, output: Path, *options: str) -> Timed:
     )
 
 
-def kill_often(study: Path, output: Path, *, kills: int, seed: int, seconds: float) -> list[int]:
+def kill_often(study: Path, output: Path, *, kills: int, rows: int, seed: int) -> list[int]:
     """Begin a study again and again and kill it -9 with all its processes; how many rows were done each time.
 
     Parameters
     ----------
-    seconds: that an undisturbed run takes; each run is killed within a part of it.
+    rows: of the study; each run is killed at a random moment after a random number of them, the first one at its start.
     """
     rng, done = random.Random(seed), []
-    for _ in range(kills):
+    for target in [0, *sorted(rng.randrange(1, rows) for _ in range(kills - 1))]:
         process = begin(study, output)
-        clock.sleep(rng.uniform(0.05, 0.9) * seconds / kills + 4.0 * rng.random())
-        os.killpg(process.pid, signal.SIGKILL)
+        begun = clock.monotonic()
+        while process.poll() is None and journal_rows(output) < target and clock.monotonic() - begun < _ENDS:
+            clock.sleep(0.01)
+        clock.sleep(rng.uniform(0.0, 0.3))
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait(_ENDS)
         done.append(journal_rows(output))
     return done

@@ -13,3 +13,6 @@ from .study_run import StudyResult as StudyResult
 from .study_run import StudyStep as StudyStep
 from .study_run import run_study as run_study
 from .study_run import summarise_study as summarise_study
+from .work.process_pool import Died as Died
+from .work.process_pool import call_in_processes as call_in_processes
+from .work.process_pool import process_count as process_count

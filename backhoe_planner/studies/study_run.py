@@ -24,7 +24,8 @@ from backhoe_planner.studies.rows.template import Template, build_template, dige
 from backhoe_planner.studies.schema.study_file import Study
 from backhoe_planner.studies.work.bundle import build_bundle, check_meshes_travel
 from backhoe_planner.studies.work.cluster import plan_on_cluster
-from backhoe_planner.studies.work.local_pool import plan_locally
+from backhoe_planner.studies.work.local_rows import plan_locally
+from backhoe_planner.studies.work.process_pool import process_count
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def run_study(
         need_package("distributed", extra="dask", what="studies on a cluster")
     for package in ("joblib", "pyarrow", "pandas"):
         need_package(package, extra="studies", what="studies")
-    processes = _processes(jobs)
+    processes = process_count(jobs)
     anew = check_flag(anew, key="anew")
     if watch is not None and not callable(watch):
         raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
@@ -196,13 +197,3 @@ def _write_plan(outcome: Outcome, machine: str, template: Template, results: Res
         raise OutputError(f"cannot be written: {error.strerror}", file=folder) from error
     with whole_file(file) as stream:
         stream.write(json.dumps(content, allow_nan=False) + "\n")
-
-
-def _processes(jobs: int) -> int:
-    if jobs == -1:
-        from joblib import cpu_count
-
-        return int(cpu_count())
-    if not isinstance(jobs, int) or isinstance(jobs, bool) or jobs < 1:
-        raise InputError("is not a number of processes", key="jobs", found=jobs, allowed="1 or more; -1: all cores")
-    return jobs

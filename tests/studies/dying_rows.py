@@ -10,12 +10,9 @@ from backhoe_planner.studies.results.outcome import Outcome
 from backhoe_planner.studies.rows.drawing import StudyRow
 
 
-def dies_at_one(root: str, marks: str, row: StudyRow) -> Outcome:
+def dies_at_one(root: str, row: StudyRow) -> Outcome:
     """The process dies at row 1, each time; every other row is verified."""
     assert Path(root).is_dir()
-    mark = Path(marks) / str(row.number)
-    mark.touch()
     if row.number == 1:
         os.kill(os.getpid(), signal.SIGKILL)
-    mark.unlink()
     return Outcome(row.number, "verified")

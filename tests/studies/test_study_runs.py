@@ -24,7 +24,7 @@ from backhoe_planner.studies.results.journal import Journal
 from backhoe_planner.studies.results.outcome import Outcome
 from backhoe_planner.studies.rows.drawing import StudyRow, draw_rows
 from backhoe_planner.studies.rows.template import build_template
-from backhoe_planner.studies.work import local_pool
+from backhoe_planner.studies.work import local_rows
 from backhoe_planner.studies.work.bundle import build_bundle
 from backhoe_planner.studies.work.row_planning import RowPlanner
 
@@ -287,10 +287,10 @@ def test_begun_anew_all_rows_are_planned(whole: StudyResult, copied: Path, monke
 def test_a_row_at_which_the_process_dies_twice_has_crashed_and_the_others_are_planned(
     whole: StudyResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(local_pool, "_plan_row", dies_at_one)
+    monkeypatch.setattr(local_rows, "_plan_row", dies_at_one)
     bundle = build_bundle(*build_template(whole.study))
     rows = draw_rows(whole.study)[1:3]
-    found = list(local_pool.plan_locally(bundle, rows, tmp_path, processes=1))
+    found = list(local_rows.plan_locally(bundle, rows, tmp_path, processes=1))
     assert sorted((one.row, one.verdict) for one in found) == [(1, "crashed"), (2, "verified")]
 
 

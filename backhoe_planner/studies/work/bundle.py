@@ -44,6 +44,7 @@ class Bundle:
         OutputError: it cannot be written.
         """
         try:
+            root.mkdir(parents=True, exist_ok=True)
             for name, content in self.files.items():
                 file = root / name
                 file.parent.mkdir(parents=True, exist_ok=True)
