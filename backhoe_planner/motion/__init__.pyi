@@ -43,14 +43,13 @@ from .timing.drive import limit_usage as limit_usage
 from .timing.joining import overlap as overlap
 from .timing.joining import slow_where_needed as slow_where_needed
 from .timing.time_optimal import Rows as Rows
-from .timing.time_optimal import TimeLaw as TimeLaw
 from .timing.time_optimal import fastest as fastest
 from .timing.timing import DRIVE_TOLERANCE as DRIVE_TOLERANCE
 from .timing.timing import retime as retime
-from .timing.timing import run_curve as run_curve
 from .timing.timing import slow_tip as slow_tip
 from .timing.timing import time_along as time_along
 from .timing.timing import time_curve as time_curve
+from .timing.timing import time_evenly as time_evenly
 from .timing.timing import time_polyline as time_polyline
 from .timing.timing import time_way as time_way
 from .trajectory import SAMPLE_PERIOD as SAMPLE_PERIOD

@@ -188,6 +188,15 @@ class Objective(ABC, Generic[Parts]):
         v: (T, n) velocities of the joints there [rad/s or m/s].
         """
 
+    def driving(self, v: Array, torque: Array) -> Array | None:
+        """(T, n) what `rate` is the sum of, where only what is positive counts of each; None where that is not so.
+
+        Parameters
+        ----------
+        torque: (T, n) of the joints [N m or N].
+        """
+        return None
+
     def duration(self, dt: Array, a: Parts, b: Parts, machine: LoadedMachine) -> Array:
         """(...) duration of the steps from a to b [s], of which tip and joints need `dt` (...) [s]."""
         return dt
@@ -274,6 +283,9 @@ class Work(_OfTorques):
 
     def rate(self, v: Array, energy: MotionEnergy) -> Array:
         return np.asarray(energy.power)
+
+    def driving(self, v: Array, torque: Array) -> Array:
+        return np.asarray(torque * v)
 
 
 class Hydraulic(Objective[_Forces]):

@@ -41,7 +41,7 @@ class GoalPostures:
 
 
 def find_goal_postures(
-    world: World, goals: Sequence[Goal], *, near: Vector, time: float, more: int = 1
+    world: World, goals: Sequence[Goal], *, near: Vector, time: float, more: int = 1, travel: Vector | None = None
 ) -> GoalPostures | Outcome:
     """Clear postures on any of `goals`; or why there is none.
 
@@ -50,11 +50,12 @@ def find_goal_postures(
     near: (n,) where the joints stand [rad or m].
     time: the obstacles stand where they are at this time [s].
     more: times the usual starting points of the inverse kinematics. Called again, others are drawn.
+    travel: (n,) how far they are from `near` at most [rad or m]; None for anywhere.
     """
     found: list[tuple[Vector, Goal]] = []
     failures: list[Outcome] = []
     for goal in goals:
-        clear = _postures_on(world, goal, near, time, more)
+        clear = _postures_on(world, goal, near, time, more, travel)
         if isinstance(clear, Outcome):
             failures.append(clear)
         else:
@@ -69,19 +70,21 @@ def find_goal_postures(
     return GoalPostures(tuple(q for q, _ in found), tuple(goal for _, goal in found))
 
 
-def _postures_on(world: World, goal: Goal, near: Vector, time: float, more: int) -> tuple[Vector, ...] | Outcome:
+def _postures_on(
+    world: World, goal: Goal, near: Vector, time: float, more: int, travel: Vector | None
+) -> tuple[Vector, ...] | Outcome:
     if goal.q is not None:
         return bad_posture(world, goal.q, goal.name, time=time) or (goal.q,)
     keep, target = world.problem.keep, goal.search_target
     if keep is None:
-        return _on_target(world, target, goal, near, time, more)
+        return _on_target(world, target, goal, near, time, more, travel)
     narrowed = keep.narrowed(target)
-    within = None if narrowed is None else _on_target(world, narrowed, goal, near, time, more)
+    within = None if narrowed is None else _on_target(world, narrowed, goal, near, time, more, travel)
     kept = tuple(q for q in within if keep.holds(q)) if isinstance(within, tuple) else ()
     if kept:
         return kept
     # which of the two is at fault: the goal itself, or what is to be kept there
-    free = _on_target(world, target, goal, near, time, more)
+    free = _on_target(world, target, goal, near, time, more, travel)
     if isinstance(free, Outcome):
         return free
     kept = tuple(q for q in free if keep.holds(q))
@@ -97,11 +100,11 @@ def _postures_on(world: World, goal: Goal, near: Vector, time: float, more: int)
 
 
 def _on_target(
-    world: World, target: TipTarget, goal: Goal, near: Vector, time: float, more: int
+    world: World, target: TipTarget, goal: Goal, near: Vector, time: float, more: int, travel: Vector | None
 ) -> tuple[Vector, ...] | Outcome:
     count = more * world.work.effort.starting_points
     hurried = world.work.effort.dull_searches == 0
-    found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried)
+    found = world.postures.at(target, near=near, count=count, time=time, hurried=hurried, travel=travel)
     if found.best.reached and not found.clear:
         found = world.postures.at(target, near=near, count=_LONG_SEARCH * count, time=time)
     return no_posture(world, found, target, "goal_in_collision", goal.name) or found.clear

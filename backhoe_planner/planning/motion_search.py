@@ -36,7 +36,8 @@ _SPARE = 0.003  # m that a descent keeps beyond every clearance where it looks
 _MORE_SPARE = 0.002  # m that it keeps beside, where its motion could not be proven
 _PROOFS = 3  # tries to prove one motion, each with more spare and looked at twice as densely; chosen
 _ROUNDS = 24  # of a descent at most; chosen, half of them end after 7
-_MORE_ROUNDS = 30  # the same for another cost than the time, which falls for longer; chosen
+_MORE_ROUNDS = 80  # the same for another cost than the time, which falls for longer; chosen
+_ROUNDS_IN_ONE = 2  # rounds of another cost that count as one for the time: no curve is timed in them; measured
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
@@ -52,6 +53,8 @@ _NEARLY = 0.02  # m that a curve may miss at the end of a descent, which then go
 _DEARER = 1.3  # times the best cost: hopeless then
 _LOOKS_FOR_ONE = 3  # motions looked at for one of `Effort.motions`, which are proven elsewhere; a look takes a tenth
 _TRIED_LONGER, _MUCH_DEARER = 12, 1.5  # the same two for another cost than the time; chosen
+# times the bound, from which on a sampled way may look at more motions, and times how many; chosen
+_FAR, _MORE_MOTIONS = 2.0, 2
 _MOTIONS = 2_000  # that one sampled way looks at, where another is known; chosen, a sixth of what the first may take
 _WORTH = 1.4  # times the cost of the cheapest of several sampled ways, up to which others are worth a descent; chosen
 # times the bound, from which on there is more patience, and by which factor; chosen
@@ -59,6 +62,7 @@ _PATIENCE = ((1.4, 4), (1.1, 2))
 _MORE_POSTURES = 4  # times the usual starting points for postures, where the best is that far above the bound; chosen
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
+_SLOWER = 1.5  # times the fastest motion known, that one for another cost than the time may take; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
@@ -120,9 +124,11 @@ class MotionSearch:
             lambda: SampledCheck(world.problem, world.proximity, [start], spare=0.0, time=time, brake=world.work.brake),
         )
         self._bound = 0.0  # no motion is shorter [s]
+        self._fastest = np.inf  # s of the fastest motion known, where the cost is not the time
         work = world.work
         more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
         self._sampling = Work(replace(work.effort, **more), work.brake)
+        self._rounds_in_one = 1 if world.problem.objective.is_time else _ROUNDS_IN_ONE
         self._bests = 0  # how many motions were the best so far
         self._reserved = 0  # rounds of descents that are kept for what comes later
         self._reached: list[Vector] = []  # where sampled ways ended
@@ -164,6 +170,7 @@ class MotionSearch:
         ended = search.ended if search.best is None else [*search.ended, search.best]
         ended = [replace(one, cost=motion_cost(self._problem, one.motion)) for one in ended]
         if search.best is not None:
+            self._fastest = search.best.motion.duration
             self._offer(ended[-1])
         self._reserved = self._world.work.descent_rounds // 2
         for one in sorted(ended, key=lambda one: one.cost)[: self._world.work.effort.ways_at_once]:
@@ -203,10 +210,19 @@ class MotionSearch:
     def _look_for_postures(self) -> None:
         """Look for more postures that can be reached sooner than the best motion ends, and go straight there."""
         found = find_goal_postures(
-            self._world, self._problem.goals, near=self._start, time=self._time, more=_MORE_POSTURES
-        )
+            self._world, self._problem.goals, near=self._start, time=self._time, more=_MORE_POSTURES,
+            travel=self._travel(),
+        )  # fmt: skip
         if not isinstance(found, Outcome):
             self._go_straight(self._take(found))
+
+    def _travel(self) -> Vector | None:
+        """(n,) how far each joint gets in the time of the best motion, from rest to rest [rad or m]; None without."""
+        if self.best is None:
+            return None
+        limits, T = self._problem.limits, self.best.motion.duration
+        peak = np.minimum(limits.velocity, 0.5 * limits.acceleration * T)
+        return np.asarray(peak * (T - peak / limits.acceleration))
 
     def _go_straight(self, order: Sequence[int]) -> None:
         """Descents from straight lines to the first postures of `order`, until one of them does not get clear."""
@@ -302,7 +318,8 @@ class MotionSearch:
         before = self._sampling.motions
         most, longest = None, np.inf
         if self.best is not None:
-            most = min(max(_MOTIONS, self._needed), work.effort.motions_per_search)
+            most = max(_MOTIONS, self._needed) * (_MORE_MOTIONS if self._is_above(_FAR) else 1)
+            most = min(most, work.effort.motions_per_search)
             longest = self._longest_worth(turn) if self._problem.objective.is_time else np.inf
         path = sample_path(
             check,
@@ -394,7 +411,7 @@ class MotionSearch:
             return
         curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
         found = self._bend(
-            curve, best.motion.duration, best.goal, _FINE_ROUNDS,
+            curve, best.motion.duration, best.goal, _FINE_ROUNDS * self._rounds_in_one,
             spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
         )  # fmt: skip
         if found is not None and found.missed <= KEPT_PART * _SPARE:
@@ -410,12 +427,13 @@ class MotionSearch:
         found = descent.run(
             curve, duration, goal,
             most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
+            longest=_SLOWER * (self._fastest if np.isfinite(self._fastest) else duration),
         )  # fmt: skip
-        work.descent_rounds -= descent.rounds - before
+        work.descent_rounds -= -(-(descent.rounds - before) // self._rounds_in_one)
         return found
 
     def _rounds_left(self) -> int:
-        return self._world.work.descent_rounds - self._reserved
+        return (self._world.work.descent_rounds - self._reserved) * self._rounds_in_one
 
     def _is_hopeless(self, here: Timed, rounds: int) -> bool:
         if rounds in _LOOKS and self._goes_where_another_ended(here):
@@ -424,7 +442,9 @@ class MotionSearch:
             return rounds >= _TRIED and here.missed > _FURTHER_OFF
         if self._problem.objective.is_time:
             return here.missed > _FAR_OFF or here.cost > _DEARER * self.best.cost
-        return here.missed > _NEARLY or (rounds >= _TRIED_LONGER and here.cost > _MUCH_DEARER * self.best.cost)
+        if rounds < _TRIED_LONGER:
+            return here.missed > _FAR_OFF
+        return here.missed > _NEARLY or here.cost > _MUCH_DEARER * self.best.cost
 
     def _goes_where_another_ended(self, here: Timed) -> bool:
         """Whether another descent has ended at a curve like this one, and at less cost."""

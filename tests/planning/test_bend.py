@@ -1,21 +1,29 @@
-"""How the cost of a fastest run changes with its curve, and what a descent learns of it."""
+"""How the cost of a curve in its own time changes with it, and what a descent learns of it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import backhoe_planner as bp
-from backhoe_planner.arrays import Matrix
-from backhoe_planner.motion import OBJECTIVES, Problem, build_problem, drive_of, motion_cost, run_curve, time_curve
+from backhoe_planner.arrays import Vector
+from backhoe_planner.machine import Dynamics
+from backhoe_planner.motion import (
+    OBJECTIVES,
+    Problem,
+    build_problem,
+    drive_of,
+    limit_usage,
+    time_evenly,
+)
 from backhoe_planner.planning.descent.bend import Bend
-from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.fastest_run import slope_of_cost
+from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.own_time import OwnTime
 
-PIECES, PLACES = 8, 49
-GRID = np.linspace(0.0, 1.0, 6 * PIECES + 1)
+PIECES, DURATION = 8, 3.0
 
 
 def problem_of(robot: bp.Robot, objective: str) -> Problem:
@@ -34,51 +42,86 @@ def bent_curve(robot: bp.Robot) -> JointCurve:
     return JointCurve(control)
 
 
-def central_differences(problem: Problem, curve: JointCurve) -> Matrix:
-    drive, nudge = drive_of(problem), 2e-3
-
-    def cost(control: Matrix) -> float:
-        motion = time_curve(JointCurve(control), GRID, problem.limits, drive=drive)
-        assert motion is not None
-        return motion_cost(problem, motion)
-
-    found = np.zeros_like(curve.control)
-    for place in np.ndindex(*found[1:-1].shape):
-        moved = np.zeros_like(found)
+def differences(cost: Callable[[JointCurve, float], float], curve: JointCurve, nudge: float) -> Vector:
+    """Central differences of a cost by the control points within, and by the duration."""
+    found = []
+    for place in np.ndindex(PIECES - 1, curve.control.shape[1]):
+        moved = np.zeros_like(curve.control)
         moved[1:-1][place] = nudge
-        found[1:-1][place] = (cost(curve.control + moved) - cost(curve.control - moved)) / (2.0 * nudge)
-    return found
+        sides = (cost(JointCurve(curve.control + sign * moved), DURATION) for sign in (1.0, -1.0))
+        found.append(next(sides) - next(sides))
+    found.append(cost(curve, DURATION + nudge) - cost(curve, DURATION - nudge))
+    return np.array(found) / (2.0 * nudge)
 
 
-@pytest.mark.parametrize("objective", ["kinetic", "velocity_norm"])
-def test_the_slope_of_the_cost_of_the_fastest_run_is_that_of_differences(planar4: bp.Robot, objective: str) -> None:
-    """Differences of timed motions, whose samples and kinks make them wrong by some percent themselves."""
+@pytest.mark.parametrize(("objective", "width"), [("work", 1e-9), ("work", 20.0), ("kinetic", 1.0), ("effort", 1.0)])
+def test_the_slope_of_a_cost_is_that_of_differences(planar4: bp.Robot, objective: str, width: float) -> None:
     problem, curve = problem_of(planar4, objective), bent_curve(planar4)
-    run = run_curve(curve, GRID, problem.limits, drive=drive_of(problem))
-    assert run is not None
-    slope = slope_of_cost(problem, drive_of(problem), curve, run.law, PLACES)[1:-1].ravel()
-    expected = central_differences(problem, curve)[1:-1].ravel()
-    assert slope @ expected > 0.97 * np.linalg.norm(slope) * np.linalg.norm(expected)
-    assert np.linalg.norm(slope) == pytest.approx(np.linalg.norm(expected), rel=0.1)
+    own = OwnTime(problem, drive_of(problem))
+    slope = own.slope(curve, DURATION, slice(1, -1), width=width).slope
+    expected = differences(lambda *at: own.cost(*at, width=width), curve, 1e-5)
+    np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))
+
+
+def test_what_is_known_of_the_curvature_is_that_of_rounded_kinks(planar4: bp.Robot) -> None:
+    """With all powers on the rounded part: p^2 / (2 w), whose slope changes by p' p' / w, and by p p'' / w beside.
+
+    The second part changes its sign with the power, and the width does not matter to either.
+    """
+    problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
+    own, width = OwnTime(problem, drive_of(problem)), 1e6
+    found = own.slope(curve, DURATION, slice(1, -1), width=width)
+    assert np.linalg.eigvalsh(found.curvature).min() > -1e-9 * np.linalg.norm(found.curvature)
+    rng = np.random.default_rng(2)
+    step = 1e-4 * rng.normal(size=curve.control[1:-1].shape)
+    q, v, a = (basis(PIECES, 3 * PIECES + 1, k) @ curve.control / DURATION**k for k in range(3))
+    turn = (basis(PIECES, 3 * PIECES + 1, k)[:, 1:-1] @ step / DURATION**k for k in range(3))
+    before = own.parts(q, v, a)[0]
+    after = own.parts(*(one + by for one, by in zip((q, v, a), turn, strict=True)))[0]
+    share = np.full(len(q), DURATION / (len(q) - 1))
+    share[[0, -1]] *= 0.5
+    expected = np.sum(share[:, None] * np.where(before > 0.0, after - before, 0.0) ** 2) / width
+    x = np.append(step.ravel(), 0.0)
+    assert x @ found.curvature @ x == pytest.approx(expected, rel=1e-2)
+
+
+def test_the_work_of_a_lift_is_what_it_lifts(planar4: bp.Robot) -> None:
+    """Infinitely slow, and one joint alone against its weight, a half of the way: the gain in potential energy."""
+    problem = problem_of(planar4, "work")
+    low, high = planar4.middle.copy(), planar4.middle.copy()
+    high[0] += 0.5
+    gained = abs(Dynamics(planar4).potential_energy(high) - Dynamics(planar4).potential_energy(low))
+    work = OwnTime(problem, drive_of(problem)).cost(JointCurve.straight(low, high, 12), 1e4, width=1e-9)
+    assert work == pytest.approx(gained, rel=1e-3, abs=1e-3)
+
+
+def test_no_limit_is_exceeded_in_the_least_duration(backhoe: bp.Robot) -> None:
+    problem, curve = problem_of(backhoe, "work"), bent_curve(backhoe)
+    T = OwnTime(problem, drive_of(problem)).least_duration(curve, 1.0)
+    motion, faster = (time_evenly(curve, duration) for duration in (T, 0.97 * T))
+    assert np.max(limit_usage(problem, motion).ratio) < 1.05
+    assert np.max(limit_usage(problem, faster).ratio) > 1.0
+    assert time_evenly(curve, 0.97 * T, problem.limits, drive=drive_of(problem)).duration > 0.97 * T
 
 
 def test_a_step_through_a_quadratic_cost_teaches_its_curvature_along_it() -> None:
     rng = np.random.default_rng(0)
-    root = rng.normal(size=(10, 10))
-    true = root @ root.T + np.eye(10)  # cost = x.H.x / 2 + f.x, so that the slope changes by H.step
-    bend = Bend.smooth(rng.normal(size=10), 6, np.array([1.0, 0.5]), 0.25)
+    root, other = rng.normal(size=(2, 11, 11))
+    rest, known = root @ root.T + np.eye(11), other @ other.T  # cost = x.(rest + known).x / 2 + f.x
+    bend = Bend.smooth(rng.normal(size=11), known, 6, np.array([1.0, 0.5]), 0.25, 2.0)
     for _ in range(3):
-        step = rng.normal(size=10)
-        bend = bend.after(step, bend.slope + true @ step)
-        if step @ true @ step >= 0.2 * step @ bend.curvature @ step:
-            np.testing.assert_allclose(bend.curvature @ step, true @ step, rtol=1e-8, atol=1e-8)
+        step = rng.normal(size=11)
+        bend = bend.after(step, bend.slope + (rest + known) @ step, known)
+        if step @ rest @ step >= 0.2 * step @ bend.curvature @ step:
+            np.testing.assert_allclose(bend.curvature @ step, rest @ step, rtol=1e-8, atol=1e-8)
         assert np.linalg.eigvalsh(bend.curvature).min() > 0.0
 
 
 def test_the_curvature_stays_positive_where_the_cost_bends_down() -> None:
     rng = np.random.default_rng(1)
-    bend = Bend.smooth(rng.normal(size=10), 6, np.array([1.0, 0.5]), 0.25)
+    nothing = np.zeros((11, 11))
+    bend = Bend.smooth(rng.normal(size=11), nothing, 6, np.array([1.0, 0.5]), 0.25, 2.0)
     for _ in range(20):
-        step = rng.normal(size=10)
-        bend = bend.after(step, bend.slope - 3.0 * step)
+        step = rng.normal(size=11)
+        bend = bend.after(step, bend.slope - 3.0 * step, nothing)
     assert np.linalg.eigvalsh(bend.curvature).min() > 0.0

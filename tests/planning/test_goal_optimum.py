@@ -68,6 +68,18 @@ def postures(robot: bp.Robot, scene: bp.Scene) -> tuple[Any, ...]:
     return found.at(problem.goals[0].target, near=problem.start_q, count=48).clear
 
 
+def test_starting_points_within_a_travel_find_more_postures_there(planar4: bp.Robot) -> None:
+    """Of as many starting points all lie there, instead of every other one on the way to anywhere."""
+    problem = build_problem(planar4, planar([0.5, -0.6, 0.7, -0.4]))
+    target = bp.TipTarget(bp.Kinematics(planar4).at(np.array([0.5, -0.6, 0.7, -0.4])).tip_position)
+    within = []
+    for travel in (np.full(4, 0.9), None):
+        world = World(problem, seed=0, work=Work(EFFORTS["normal"]))
+        found = world.postures.at(target, near=np.zeros(4), count=96, travel=travel)
+        within.append(sum(np.max(np.abs(q)) <= 0.9 for q in found.clear))
+    assert within[0] > within[1]
+
+
 def test_round_a_wall_a_limit_binds_nearly_all_the_time(backhoe: bp.Robot) -> None:
     plan = bp.plan(backhoe, digger({"position": [3.5, 3.5, 0.2]}, WALL), effort="quick")
     assert plan.verified, plan.message
@@ -107,6 +119,17 @@ def test_least_work_is_not_above_that_of_the_fastest_motion(backhoe: bp.Robot) -
     )
     assert cheap.verified, cheap.message
     assert cheap.metrics.energy["work"] <= fast.metrics.energy["work"] * 1.001
+
+
+def test_with_half_as_much_time_again_the_least_of_the_squared_rate_is_a_lower_trapezium(planar4: bp.Robot) -> None:
+    """1 rad at 1 rad/s and 2 rad/s^2 takes 1.5 s; in 2.25 s, v (T - v / 2) = 1 gives v = 0.5 rad/s, over 0.25 s each.
+
+    So the integral of v^2 is 0.25 (1.75 + 2 * 0.25 / 3) = 0.479; a spline of cubics is not quite a trapezium.
+    """
+    plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], objective="velocity_norm"))
+    assert plan.verified, plan.message
+    assert plan.trajectory.duration <= 1.5 * 1.5 * 1.02
+    assert 0.479 * 0.97 <= plan.metrics.energy["velocity_norm"] <= 0.479 * 1.03
 
 
 def test_less_work_is_done_where_work_is_asked_for(backhoe: bp.Robot) -> None:

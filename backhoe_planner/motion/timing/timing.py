@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from backhoe_planner.machine import BatchKinematics, JointLimits, Robot
 from backhoe_planner.motion.path import SmoothWay, step_lengths
 from backhoe_planner.motion.timing.drive import Drive
 from backhoe_planner.motion.timing.path_limits import PathShape, time_path
-from backhoe_planner.motion.timing.time_optimal import TimeLaw
 from backhoe_planner.motion.trajectory import SAMPLE_PERIOD, Trajectory
 
 _MANY = 5000  # samples, 100 s at the usual period; chosen: a longer motion is thinned out
@@ -107,20 +106,6 @@ def time_along(
     return _slow_to_limits(_slow_to_speed(motion, limits, speed, kinematics), limits, drive)
 
 
-@dataclass(frozen=True, eq=False)
-class CurveRun:
-    """The fastest run along a curve.
-
-    Attributes
-    ----------
-    law: over the grid that was asked for.
-    motion: its samples, slowed where they exceed a limit.
-    """
-
-    law: TimeLaw
-    motion: Trajectory
-
-
 def time_curve(
     curve: Callable[[Vector, int], Matrix], grid: Vector, limits: JointLimits, *, drive: Drive | None = None
 ) -> Trajectory | None:
@@ -138,27 +123,42 @@ def time_curve(
     limits: of the joints.
     drive: what moves the joints; None for no limits but those of the joints.
     """
-    run = run_curve(curve, grid, limits, drive=drive)
-    return None if run is None else run.motion
-
-
-def run_curve(
-    curve: Callable[[Vector, int], Matrix], grid: Vector, limits: JointLimits, *, drive: Drive | None = None
-) -> CurveRun | None:
-    """`time_curve` with the run over the grid."""
-    run = _over_curve(curve, grid, limits, drive)
-    if run is None:
+    motion = _over_curve(curve, grid, limits, drive)
+    if motion is None:
         return None
-    law, motion = run
     if _over(motion, limits) > _COARSE:  # full speed is reached within the first interval
         denser = _over_curve(curve, _denser_at_ends(grid), limits, drive)
-        motion = motion if denser is None else denser[1]
-    return CurveRun(law, _slow_to_limits(motion, limits, drive))
+        motion = motion if denser is None else denser
+    return _slow_to_limits(motion, limits, drive)
+
+
+def time_evenly(
+    curve: Callable[[Vector, int], Matrix],
+    duration: float,
+    limits: JointLimits | None = None,
+    *,
+    drive: Drive | None = None,
+) -> Trajectory:
+    """The motion along a smooth curve at an even pace, slower where it exceeds a limit.
+
+    Parameters
+    ----------
+    curve: gives (K, n) the joints at (K,) values of its parameter from 0 to 1; see `time_curve`.
+    duration: from its begin to its end [s].
+    limits: of the joints; None for no limits at all.
+    drive: what moves the joints; None for no limits but those of the joints.
+    """
+    time = _samples(duration, SAMPLE_PERIOD)
+    motion = Trajectory.from_steps(time, curve(time / time[-1], 0))
+    if limits is None:
+        return motion
+    motion = Trajectory.from_steps(time, np.clip(motion.q, limits.lower, limits.upper))
+    return _slow_to_limits(motion, limits, drive)
 
 
 def _over_curve(
     curve: Callable[[Vector, int], Matrix], grid: Vector, limits: JointLimits, drive: Drive | None
-) -> tuple[TimeLaw, Trajectory] | None:
+) -> Trajectory | None:
     q, slope, bend = (curve(grid, derivative) for derivative in range(3))
     law = time_path(PathShape(grid, q, slope, bend[:-1], bend[1:]), limits, drive=drive, rests=False)
     if law is None:
@@ -170,7 +170,7 @@ def _over_curve(
         _LEAST_CHANGE * SAMPLE_PERIOD * limits.acceleration,
     )
     samples[0], samples[-1] = q[0], q[-1]
-    return law, Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
+    return Trajectory.from_steps(time, np.clip(samples, limits.lower, limits.upper))
 
 
 def _tip_rates(kinematics: BatchKinematics, q: Matrix, rates: Matrix) -> Vector:

@@ -26,15 +26,17 @@ class Bend:
 
     Attributes
     ----------
-    slope: (m,) of the steps of the control points, one after the other [1 per rad or m].
-    curvature: (m, m) symmetric, positive definite.
+    slope: (m,) of the steps of the control points, one after the other [1 per rad or m], and of T [1 per s].
+    curvature: (m, m) symmetric, positive definite: what is learnt.
+    known: (m, m) the same that is known beside, positive semidefinite; it changes with the curve.
     """
 
     slope: Vector
     curvature: Matrix
+    known: Matrix
 
     @classmethod
-    def smooth(cls, slope: Vector, pieces: int, unit: Vector, box: float) -> Bend:
+    def smooth(cls, slope: Vector, known: Matrix, pieces: int, unit: Vector, box: float, duration: float) -> Bend:
         """The first of a descent.
 
         Parameters
@@ -42,25 +44,28 @@ class Bend:
         pieces: of the curve.
         unit: (n,) rad or m of each joint that count alike.
         box: how far a step may move a control point, in these units.
+        duration: T now [s].
         """
-        moving = len(slope) // len(unit)
+        moving = (len(slope) - 1) // len(unit)
         second = basis(pieces, _PLACES_PER_PIECE * pieces + 1, 2)[:, 1 : 1 + moving]
         second = second / np.linalg.norm(second, 2)
         each = second.T @ second + _EVEN * np.eye(moving)
-        curvature = np.kron(each, np.diag(1.0 / unit**2))
+        curvature = np.zeros((len(slope), len(slope)))
+        curvature[:-1, :-1] = np.kron(each, np.diag(1.0 / unit**2))
+        curvature[-1, -1] = _EVEN * moving / duration**2
         length = float(np.sqrt(slope @ np.linalg.solve(curvature, slope)))
-        return cls(slope, np.asarray(curvature * (max(length, 1e-9) / (_BOLD * box))))
+        return cls(slope, np.asarray(curvature * (max(length, 1e-9) / (_BOLD * box))), known)
 
-    def after(self, step: Vector, slope: Vector) -> Bend:
-        """What is known after a step (m,), where the slope is `slope` (m,)."""
-        along = self.curvature @ step
-        expected, seen = float(step @ along), float(step @ (slope - self.slope))
+    def after(self, step: Vector, slope: Vector, known: Matrix) -> Bend:
+        """What is known after a step (m,), where the slope is `slope` (m,) and the curvature `known` (m, m)."""
+        along, turned = self.curvature @ step, slope - self.slope - known @ step
+        expected, seen = float(step @ along), float(step @ turned)
         if not expected > 0.0:
-            return replace(self, slope=slope)
+            return replace(self, slope=slope, known=known)
         part = 1.0 if seen >= _LEAST_CURVED * expected else (1.0 - _LEAST_CURVED) * expected / (expected - seen)
-        change = part * (slope - self.slope) + (1.0 - part) * along
+        change = part * turned + (1.0 - part) * along
         curvature = self.curvature - np.outer(along, along) / expected + np.outer(change, change) / float(step @ change)
-        return Bend(slope, np.asarray(0.5 * (curvature + curvature.T)))
+        return Bend(slope, np.asarray(0.5 * (curvature + curvature.T)), known)
 
     def stiffer(self, factor: float) -> Bend:
         """After a step that was in vain: shorter ones by a factor."""

@@ -2,11 +2,13 @@
 
 Each round linearises clearances and goal about the curve, and takes the step that a quadratic
 program prefers (sequential convex programming, Schulman et al. 2014), within a box that grows
-where a step has lowered the cost and shrinks where not. For the time the program holds the
-limits, linearised, and the duration. For another cost it holds how the cost of the fastest run
-changes, see `fastest_run` and `bend`. What a curve costs is what its fastest run costs, by
-`run_curve`; what it misses of its clearances is dear. A step that misses them is judged after
-another that may take that back, and where none helps, the last clear curve goes on with smaller steps.
+where a step has lowered the cost and shrinks where not. The program holds the limits, linearised,
+with the duration T of the curve's own time t = T s, in which it runs at an even pace. For the time
+T is the cost, and what a curve costs is what its fastest run takes. For another cost T may be as
+long as the descent is told, the program holds how the cost in that time changes, see `own_time`
+and `bend`, and a step that costs more is shortened. What a curve misses of its clearances is dear. A step
+that misses them is judged, for the time, after another that may take that back, and where none
+helps, the last clear curve goes on with smaller steps.
 """
 
 from __future__ import annotations
@@ -19,12 +21,21 @@ import numpy as np
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.law import solve_program
 from backhoe_planner.machine import JointLimits, Kinematics, movable_rows
-from backhoe_planner.motion import SAMPLE_PERIOD, Goal, Problem, TimeLaw, Trajectory, drive_of, motion_cost, run_curve
+from backhoe_planner.motion import (
+    SAMPLE_PERIOD,
+    Goal,
+    Problem,
+    Trajectory,
+    drive_of,
+    motion_cost,
+    time_curve,
+    time_evenly,
+)
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.fastest_run import slope_of_cost
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
+from backhoe_planner.planning.descent.own_time import OwnTime
 from backhoe_planner.planning.search.effort import Brake
 from backhoe_planner.site import ClearanceScreen, Proximity
 
@@ -35,6 +46,13 @@ _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a 
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
 _NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
 _GROW, _SHRINK = 1.5, 0.4
+_SHORTENINGS = 2  # of a step that costs more, where the cost is not the time; chosen, a look takes half of a round
+_SHORTEST = 0.1  # part of a step that one shortening leaves at least; chosen
+# part of the mean cost of a joint and second, by which the cost's kinks are rounded off; chosen
+_SOFT, _SOFTEST = 0.2, 1.5
+_LEAST_WIDTH = 1e-9  # in the objective's unit per second, so that a motion that costs nothing has one
+_LATE = 10.0  # part of the cost that a motion costs more that takes longer than it may, for all of that time; chosen
+_SLOW = 2  # rounds in a row that gain too little, as which a descent for another cost than the time ends; chosen
 _ENOUGH = 2e-3  # part of the cost: a round that gains less ends the descent
 _ENOUGH_HURRIED = (
     0.01  # the same of a descent in a hurry; chosen: its last round gained less, and is a fifth of its time
@@ -57,7 +75,7 @@ class Timed:
     ----------
     curve: over s.
     duration: T of the time t = T s in which limits are linearised [s]; that of the motion may be shorter.
-    motion: the fastest along the curve; law: its run over s.
+    motion: along the curve, the fastest for the time, else over t.
     cost: of the motion, by the problem's objective.
     missed: by how much the clearances with their spare are missed, at most, where it was looked [m]; 0 or more.
     margins: at all places where it was looked.
@@ -66,7 +84,6 @@ class Timed:
     curve: JointCurve
     duration: float
     motion: Trajectory
-    law: TimeLaw
     cost: float
     missed: float
     margins: list[Margin]
@@ -95,14 +112,18 @@ class Descent:
         self._problem, self._proximity, self._kinematics = problem, proximity, kinematics
         self._time, self._brake, self._hurried = time, brake, hurried
         self._drive = drive_of(problem)
+        self._own_time = None if problem.objective.is_time else OwnTime(problem, self._drive)
         rate = problem.limits.velocity
         self._unit = rate / float(np.max(rate))  # rad or m of each joint, of the box
         self._screens: dict[float, ClearanceScreen] = {}  # by the spare
+        self._width = _LEAST_WIDTH  # of kinks of the cost's rate that are rounded off, in its unit per second
+        self._longest = np.inf  # s that the motion of this descent may take
         self.rounds = 0
 
     def run(
         self, curve: JointCurve, duration: float, goal: Goal, *,
         most_rounds: int, spare: float, density: int, box: float, is_hopeless: Callable[[Timed, int], bool],
+        longest: float = np.inf,
     ) -> Timed | None:  # fmt: skip
         """Bend a curve until its cost falls no more.
 
@@ -115,6 +136,7 @@ class Descent:
         spare: to be kept beyond every clearance [m].
         density: places at which clearances are looked at, for each at which limits are.
         box: how far the first step may move a control point [rad or m of the fastest joint].
+        longest: that the motion may take [s], where its time is not the cost.
         is_hopeless: says from a curve and the number of steps so far whether the descent is given up.
 
         Returns
@@ -126,46 +148,111 @@ class Descent:
         OutOfTime: the budget is used up.
         """
         free = goal if goal.q is None else None
-        looks = self._looks(curve, spare, density)
+        looks, self._longest, self._width = self._looks(curve, spare, density), longest, _LEAST_WIDTH
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
         if here is None:
             return None
         price = _MISSED_WORTH * here.cost
         unit = max(here.cost, _NO_COST)
         bend = None
-        if not self._problem.objective.is_time:
-            bend = Bend.smooth(self._slope(here, free) / unit, curve.pieces, self._unit, box)
-        begun, steps, failed = self.rounds, 0, 0
-        clear, box_then = here, box  # the last curve that was clear, and the box of that round
-        while self.rounds - begun < most_rounds and not is_hopeless(here, steps):
+        if self._own_time is not None:
+            here = self._rounded_off(here)
+            bend = Bend.smooth(*self._slope(here, free, unit), curve.pieces, self._unit, box, here.duration)
+        begun, steps, failed, slow = self.rounds, 0, 0, 0
+        clear, box_then, bend_then = here, box, bend  # the last curve that was clear, with box and bend of that round
+        while self.rounds - begun < most_rounds:
+            if is_hopeless(here, steps):
+                if bend is None or here.missed <= looks.allowed or clear.missed > looks.allowed:
+                    break
+                here, box = clear, _SHRINK * min(box, box_then)
+                bend = None if bend_then is None else bend_then.stiffer(1.0 / _SHRINK)
+                continue
             self._brake.check()
+            if bend is not None and self._width > _SOFTEST * self._soft(here):
+                here = self._rounded_off(here)
+                clear = here if clear.missed > looks.allowed or here.missed <= looks.allowed else self._priced(clear)
+                slope, curvature = self._slope(here, free, unit)
+                bend = replace(bend, slope=slope, known=curvature)
             steps, self.rounds = steps + 1, self.rounds + 1
             worst, known = here.cost + price * here.missed, looks.known
             tried = there = self._step(here, free, looks, box, bend, below=worst)
+            part = 1.0
             if there is not None and bend is None and worst <= there.cost + price * there.missed:
                 there = self._mended(there, free, looks, box, below=worst)
+            elif there is not None and bend is not None:
+                tried, part = self._shortened(here, there, free, looks, bend.slope * unit, price)
+                there = tried
             gain = -np.inf if there is None else worst - there.cost - price * there.missed
             if there is None or gain <= 0.0:
                 failed += 1
-                if bend is None and failed >= _STUCK and here.missed > looks.allowed >= clear.missed:
-                    here, box = clear, min(box, box_then)
+                if failed >= _STUCK and here.missed > looks.allowed >= clear.missed:
+                    here, box, bend = clear, min(box, box_then), bend_then
                 looks.widen([] if tried is None else tried.margins)
                 here = here if looks.known == known else self._seen_anew(here, looks)
-                box *= _SHRINK
-                bend = None if bend is None else bend.stiffer(1.0 / _SHRINK)
+                box *= part * _SHRINK
+                bend = None if bend is None else bend.stiffer(1.0 / (part * _SHRINK))
                 if box < (_SMALLEST_BOX if bend is None else _SMALLEST_BENT):
                     break
                 continue
             if bend is None:
                 there = self._in_its_own_time(there, price, looks)
             else:
-                bend = bend.after(self._moved(here, there, free), self._slope(there, free) / unit)
-            here, box, failed = there, min(_GROW * box, _LARGEST_BOX), 0
+                bend = bend.after(self._moved(here, there, free), *self._slope(there, free, unit))
+            here, box, failed = there, min(_GROW * part * box, _LARGEST_BOX), 0
             if here.missed <= looks.allowed:
-                clear, box_then = here, box
-            if gain < self._enough(bend) * here.cost and here.missed <= _KEPT:
+                clear, box_then, bend_then = here, box, bend
+            slow = slow + 1 if gain < self._enough(bend) * here.cost else 0
+            if slow >= (1 if bend is None else _SLOW) and here.missed <= _KEPT:
                 break
-        return clear if here.missed > looks.allowed >= clear.missed else here
+        return self._as_sampled(clear if here.missed > looks.allowed >= clear.missed else here)
+
+    def _soft(self, here: Timed) -> float:
+        return max(_SOFT * here.cost / here.duration / len(self._unit), _LEAST_WIDTH)
+
+    def _rounded_off(self, here: Timed) -> Timed:
+        """The same with the cost's kinks rounded off as suits it."""
+        self._width = self._soft(here)
+        return self._priced(here)
+
+    def _priced(self, here: Timed) -> Timed:
+        return replace(here, cost=self._own_cost(here.curve, here.duration))
+
+    def _own_cost(self, curve: JointCurve, duration: float) -> float:
+        """What a curve costs in its own time, more where that is longer than it may be."""
+        assert self._own_time is not None
+        late = max(duration / self._longest - 1.0, 0.0)
+        return self._own_time.cost(curve, duration, width=self._width) * (1.0 + _LATE * late)
+
+    def _as_sampled(self, found: Timed) -> Timed:
+        """The same with the motion within all limits, and what that costs."""
+        if self._own_time is None:
+            return found
+        motion = time_evenly(found.curve, found.duration, self._problem.limits, drive=self._drive)
+        return replace(found, motion=motion, cost=motion_cost(self._problem, motion))
+
+    def _shortened(
+        self, here: Timed, there: Timed, goal: Goal | None, looks: Looks, slope: Vector, price: float
+    ) -> tuple[Timed, float]:
+        """The curve `there`, or one nearer to `here` where that costs more; and the part of the step that is left.
+
+        The part is where the parabola through both costs with the slope `here` (m,) is least.
+        """
+        worst, whole, part = here.cost + price * here.missed, there, 1.0
+        for _ in range(_SHORTENINGS):
+            worse = there.cost + price * there.missed - worst
+            if worse < 0.0:
+                break
+            falls = min(part * float(slope @ self._moved(here, whole, goal)), 0.0)
+            least = -0.5 * falls / (worse - falls) if worse > falls else 0.0
+            part *= float(np.clip(least, _SHORTEST, _SHRINK))
+            control = here.curve.control + part * (whole.curve.control - here.curve.control)
+            duration = here.duration + part * (whole.duration - here.duration)
+            self.rounds += 1
+            shorter = self._on_goal(control, duration, goal, looks, below=worst)
+            if shorter is None:
+                break
+            there = shorter
+        return there, part
 
     def _enough(self, bend: Bend | None) -> float:
         """Part of the cost: a round that gains less ends the descent."""
@@ -175,7 +262,7 @@ class Descent:
 
     def _mended(self, there: Timed, goal: Goal | None, looks: Looks, box: float, *, below: float) -> Timed | None:
         """The curve after one more step, which takes back what the one before has missed where that is little."""
-        if there.missed >= _MENDED:
+        if there.missed >= _MENDED or there.cost >= below:
             return there
         self.rounds += 1
         return self._step(there, goal, looks, box, None, below=below)
@@ -184,16 +271,17 @@ class Descent:
         least, margins = looks.find_margins(here.curve)
         return replace(here, missed=max(-least, 0.0), margins=margins)
 
-    def _slope(self, here: Timed, goal: Goal | None) -> Vector:
-        """How the cost changes with the control points that may move, one after the other."""
-        slope = slope_of_cost(
-            self._problem, self._drive, here.curve, here.law, PLACES_PER_PIECE * here.curve.pieces + 1
-        )
-        return slope[1 : here.curve.pieces + (goal is not None)].ravel()
+    def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix]:
+        """How the cost over `unit` changes with the control points that may move, and T: slope and known curvature."""
+        assert self._own_time is not None
+        moving = slice(1, here.curve.pieces + (goal is not None))
+        found = self._own_time.slope(here.curve, here.duration, moving, width=self._width)
+        return found.slope / unit, found.curvature / unit
 
     def _moved(self, here: Timed, there: Timed, goal: Goal | None) -> Vector:
         """The step from one curve to another, as for `_slope`."""
-        return (there.curve.control - here.curve.control)[1 : here.curve.pieces + (goal is not None)].ravel()
+        moved = (there.curve.control - here.curve.control)[1 : here.curve.pieces + (goal is not None)]
+        return np.append(moved.ravel(), there.duration - here.duration)
 
     def _in_its_own_time(self, here: Timed, price: float, looks: Looks) -> Timed:
         """The same curve over the time of its fastest motion, where that is much shorter than T and costs no more."""
@@ -208,19 +296,25 @@ class Descent:
     def _step(
         self, here: Timed, goal: Goal | None, looks: Looks, box: float, bend: Bend | None, *, below: float
     ) -> Timed | None:
-        """The curve after the best small step; None where that does not cost less than `below`."""
+        """The curve after the best small step, see `_timed`; None where there is none."""
         curve = here.curve
         model = LinearModel(self._problem, curve, here.duration, end_moves=goal is not None, box=box * self._unit)
-        if bend is None:  # else the fastest run keeps them, and its cost counts
-            model.keep_joint_limits()
-            model.keep_drive_limits(self._drive)
+        model.keep_joint_limits()
+        model.keep_drive_limits(self._drive)
         model.keep_clear(here.margins, looks.places)
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
-        solution = solve_program(model.program(_MISSED_PRICE, bend=bend), most_iterations=_ITERATIONS)
+        solution = solve_program(
+            model.program(_MISSED_PRICE, bend=bend, longest=self._longest), most_iterations=_ITERATIONS
+        )
         if solution is None:
             return None
-        control, duration = model.step(solution.x)
+        return self._on_goal(*model.step(solution.x), goal, looks, below=below)
+
+    def _on_goal(
+        self, control: Matrix, duration: float, goal: Goal | None, looks: Looks, *, below: float
+    ) -> Timed | None:
+        """The curve with its end moved onto the goal, see `_timed`; None where that cannot be."""
         if goal is not None:
             end = self._onto(goal, control[-1])
             if end is None:
@@ -231,14 +325,25 @@ class Descent:
         return self._timed(JointCurve(control), duration, looks, below=below)
 
     def _timed(self, curve: JointCurve, duration: float, looks: Looks, *, below: float = np.inf) -> Timed | None:
-        """The curve with its fastest motion; None where it has none, or where that does not cost less than `below`."""
-        grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
-        run = run_curve(curve, grid, self._problem.limits, drive=self._drive)
-        cost = np.inf if run is None else motion_cost(self._problem, run.motion)
-        if run is None or cost >= below:
+        """The curve with its fastest motion; None where it has none.
+
+        Where that does not cost less than `below`, its clearances are not looked at.
+        """
+        motion: Trajectory | None
+        if self._own_time is None:
+            grid = np.linspace(0.0, 1.0, _GRID_PER_PIECE * curve.pieces + 1)
+            motion = time_curve(curve, grid, self._problem.limits, drive=self._drive)
+            cost = np.inf if motion is None else motion.duration
+        else:
+            duration = self._own_time.least_duration(curve, duration)
+            cost = self._own_cost(curve, duration)
+            motion = time_evenly(curve, duration)
+        if motion is None:
             return None
+        if cost >= below:
+            return Timed(curve, duration, motion, cost, 0.0, [])
         least, margins = looks.find_margins(curve)
-        return Timed(curve, duration, run.motion, run.law, cost, max(-least, 0.0), margins)
+        return Timed(curve, duration, motion, cost, max(-least, 0.0), margins)
 
     def _looks(self, curve: JointCurve, spare: float, density: int) -> Looks:
         if spare not in self._screens:

@@ -155,26 +155,29 @@ class LinearModel:
 
     # --- what is to be small -----------------------------------------------------------
 
-    def program(self, slack_price: float, *, bend: Bend | None = None) -> QuadraticProgram:
+    def program(self, slack_price: float, *, bend: Bend | None = None, longest: float = np.inf) -> QuadraticProgram:
         """The program whose solution is the best step.
 
         Parameters
         ----------
         slack_price: of a missed metre, as a part of the cost.
-        bend: how the cost changes with the control points that may move; None where it is the duration.
+        bend: how the cost changes with the control points that may move, and with T; None where it is the duration.
+        longest: T [s], with a bend; where it is longer, it does not grow.
         """
-        T, free_time = self._T, bend is None
+        T = self._T
         f = np.zeros(self._steps + 2)
-        f[-2], f[-1] = free_time / T, slack_price
+        f[-2], f[-1] = 1.0 / T, slack_price
         price = np.concatenate((_KEEP_STILL / (self._box**2 * len(self._moving)), [_KEEP_STILL / T**2, 1e-2]))
         H = np.diag(price)
         if bend is not None:
-            f[:-2] = bend.slope
-            H[:-2, :-2] += bend.curvature
+            f[:-1] = bend.slope
+            H[:-1, :-1] += bend.curvature + bend.known
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
         lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
-        low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T * free_time, 0.0]))
-        high = np.concatenate((np.maximum(np.minimum(self._box, upper), 0.0), [2.0 * T * free_time, 1.0]))
+        low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T, 0.0]))
+        high = np.concatenate(
+            (np.maximum(np.minimum(self._box, upper), 0.0), [min(2.0 * T, max(longest - T, 0.0)), 1.0])
+        )
         return QuadraticProgram(np.asarray(H), f, low, high, tuple(self._rows))
 
     def step(self, x: Vector) -> tuple[Matrix, float]:

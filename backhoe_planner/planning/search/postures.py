@@ -61,6 +61,7 @@ class Postures:
         count: int = 24,
         time: float = 0.0,
         hurried: bool = False,
+        travel: Vector | None = None,
     ) -> PostureResult:
         """Clear configurations that put the tip on `target`.
 
@@ -71,6 +72,7 @@ class Postures:
         count: starting points of the inverse kinematics.
         time: the obstacles stand where they are at this time [s].
         hurried: whether the inverse kinematics takes fewer steps from each starting point.
+        travel: (n,) how far from `near` the joints of a starting point are at most [rad or m]; None for anywhere.
         """
         robot = self._problem.robot
         near = robot.middle if near is None else near
@@ -79,6 +81,9 @@ class Postures:
         part = np.ones(count - 1)
         part[::2] = self._rng.random(len(part[::2]))
         guesses = np.vstack((near, near + part[:, None] * (anywhere - near)))
+        if travel is not None:
+            low, high = np.maximum(near - travel, robot.limits.lower), np.minimum(near + travel, robot.limits.upper)
+            guesses[1:] = self._rng.uniform(low, high, (count - 1, robot.n))
         iterations = _ITERATIONS_HURRIED if hurried else _ITERATIONS
         ends, reached = solve_batch(self._batch, TargetBatch.of([target] * count), guesses, iterations=iterations)
         ends = ends[reached]

@@ -117,8 +117,11 @@ def plan(
 
 
 def _describe_unused_limits(problem: Problem, motion: Trajectory) -> str:
-    """That a motion to a goal comes near no limit at any time, so that a faster one exists; empty where it does."""
-    if not problem.goals or problem.is_dynamic or motion.duration < _SHORT:
+    """That a motion to a goal comes near no limit at any time, so that a faster one exists; empty where it does.
+
+    Motions for another cost than the time need not be fast.
+    """
+    if not problem.goals or problem.is_dynamic or motion.duration < _SHORT or not problem.objective.is_time:
         return ""
     used = float(np.max(limit_usage(problem, motion).ratio))
     return "" if used >= _BINDS else f"the motion uses at most {100.0 * used:.0f} % of any limit: it could be faster"
