@@ -19,7 +19,9 @@ from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.site import ClearanceScreen, Proximity
 
-ENTRY, LEAVE = 1.4, 1.2  # rad: 80 degrees as of the cuts; and 69, chosen: a steeper edge pushes the soil out again
+# rad: 80 degrees, and 69 as a steeper edge pushes the soil out again; chosen: with 86 and 80 a trench of 3 m has
+# 0.15 m^3 less left at its ends, and takes 21 cuts instead of 14
+ENTRY, LEAVE = 1.4, 1.2
 _STEP = 0.025  # m of radius: half of a cell of 5 cm
 _ACROSS = 7  # places across the blade; chosen, less than two cells of 5 cm apart
 _PITCHES = np.linspace(-2.7, -0.6, 12)  # rad at which teeth may dig: from nearly level to a plate that points down
