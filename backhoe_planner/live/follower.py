@@ -119,10 +119,11 @@ class PlanFollower:
     Raises
     ------
     InputError: the plan failed, and that is not allowed, or it has no motion; it is for other joints
-        than the machine's; the machine carries something in a leg of it; the seed is negative.
+        than the machine's; the machine carries something in a leg of it that the servo's scene does not know; the
+        seed is negative.
 
     Along the plan of a sequence, obstacles that are there for some legs only are put there and taken away with
-    these legs, and what is to be kept is that of the leg.
+    these legs, the machine carries what it carries in the leg, and what is to be kept is that of the leg.
 
     `step` raises nothing. `close`, or the end of a ``with`` block, ends the follower's own thread
     once a running search is over.

@@ -1,4 +1,4 @@
-"""The site of a sequence that is followed: what is there for some legs only comes and goes with them."""
+"""The site of a sequence that is followed: what is there or carried in some legs only comes and goes with them."""
 
 from __future__ import annotations
 
@@ -6,30 +6,29 @@ from backhoe_planner.errors import InputError
 from backhoe_planner.live.servo.servo import Servo
 from backhoe_planner.planning import Plan, PlannedLeg
 
+_AHEAD = 0.3  # s before a leg from which on its load is measured; chosen, 60 pairs at steps of 20 ms
+
 
 class LegSite:
     """Puts the obstacles that are there for some legs only, and takes them away, as the plan goes on.
 
-    Whatever else is put there or taken away by hand stays as it is.
+    So it does with what the machine carries. Whatever else is put there or taken away by hand stays as it is.
 
     Parameters
     ----------
-    servo: whose surroundings are kept in step with the plan.
+    servo: whose surroundings and load are kept in step with the plan.
     plan: of a sequence.
 
     Raises
     ------
-    InputError: the machine carries something in a leg: a servo does not know its shape.
+    InputError: the machine carries something in a leg, and the servo's scene has no leg of that name with the same.
     """
 
     def __init__(self, servo: Servo, plan: Plan) -> None:
-        for leg in plan.legs:
-            if leg.problem.robot.carried is not None:
-                raise InputError(
-                    "a plan in which the machine carries something is not followed: the servo knows the machine alone",
-                    key="plan", found=f"{leg.problem.robot.carried[0]} in leg {leg.name!r}",
-                )  # fmt: skip
         self._servo, self._legs = servo, plan.legs
+        self._carries = any(leg.problem.robot.carried is not None for leg in plan.legs)
+        if self._carries:
+            _check_loads(servo, plan)
         self._some = {one.name: one for one in plan.problem.obstacles if one.spec.legs is not None and one.zone is None}
         self._away: set[str] = set()
         self._index = -1
@@ -42,17 +41,33 @@ class LegSite:
     def enter(self, clock: float) -> bool:
         """Let the site be that of the leg at `clock` of the plan [s]; whether it is another leg than before."""
         index = sum(leg.begins <= clock for leg in self._legs) - 1
+        if self._carries and index + 1 < len(self._legs) and self._legs[index + 1].begins - clock < _AHEAD:
+            self._servo.prepare_to_carry(self._legs[index + 1].name)
         if index == self._index:
             return False
         self._index = index
-        name = self._legs[index].name
-        for obstacle in self._some.values():
-            here = name in (obstacle.spec.legs or ())
-            if here and obstacle.name in self._away:
-                self._away.discard(obstacle.name)
-                if obstacle.name not in self._servo.obstacles:
-                    self._servo.add(obstacle)
-            elif not here and obstacle.name in self._servo.obstacles:
-                self._servo.remove(obstacle.name)
-                self._away.add(obstacle.name)
+        name, servo = self._legs[index].name, self._servo
+        here = {one.name: name in (one.spec.legs or ()) for one in self._some.values()}
+        for obstacle in [one for one in self._some if not here[one] and one in servo.obstacles]:
+            servo.remove(obstacle)
+            self._away.add(obstacle)
+        if self._carries:
+            servo.carry(name)
+        for obstacle in [one for one in self._some if here[one] and one in self._away]:
+            self._away.discard(obstacle)
+            if obstacle not in servo.obstacles:
+                servo.add(self._some[obstacle])
         return True
+
+
+def _check_loads(servo: Servo, plan: Plan) -> None:
+    """A servo knows the shapes that its own scene names."""
+    known = {leg.name: leg.carries for leg in servo.scene.task.sequence or ()}
+    for leg in plan.scene.task.sequence or ():
+        same_files = plan.scene.folder == servo.scene.folder or not hasattr(leg.carries, "file")
+        if leg.name not in known or known[leg.name] != leg.carries or not same_files:
+            carried = "nothing" if leg.carries is None else leg.carries.name
+            raise InputError(
+                "the servo's scene does not have what the machine carries in a leg", key="plan",
+                found=f"{carried} in leg {leg.name!r}", allowed="a servo of the plan's own scene",
+            )  # fmt: skip

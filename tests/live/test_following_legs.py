@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from backhoe_planner import InputError, Plan, PlanFollower, Robot, Scene, Servo, Trajectory, plan, scene_from_dict
+from backhoe_planner import Plan, PlanFollower, Robot, Scene, Servo, Trajectory, plan, scene_from_dict
 from backhoe_planner.live import plan_from_recording
 from backhoe_planner.motion import limit_usage
 from backhoe_planner.planning import export_plan
@@ -48,14 +48,6 @@ def test_what_is_there_for_one_leg_is_gone_when_the_next_is_followed(backhoe: Ro
     assert state.behind < 0.1
     assert seen[True] < 0.05
     assert seen[False] == pytest.approx(done.legs[1].begins, abs=0.05)
-
-
-def test_a_plan_in_which_something_is_carried_is_not_followed(backhoe: Robot) -> None:
-    load = {"name": "stone", "shape": "sphere", "radius": 0.2}
-    found = plan(backhoe, scene_of([LEGS[0] | {"carries": load}]), effort="quick")
-    assert found.verified, found.message
-    with pytest.raises(InputError, match="stone in leg 'reach'"):
-        PlanFollower(Servo(backhoe, found.scene, dt=0.02), found)
 
 
 def test_exports_say_the_leg_of_every_sample(done: Plan, tmp_path: Path) -> None:

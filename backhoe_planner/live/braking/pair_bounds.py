@@ -25,6 +25,8 @@ CLOSE = 0.10  # m of margin within which planes are renewed more often, and the 
 _NEAR_RENEWED_EVERY = 2  # steps, where something is within `CLOSE`; chosen, one measurement costs some 20 us
 _FAR_RENEWED_EVERY = 4 * _NEAR_RENEWED_EVERY  # steps, where nothing is
 _AT_ONCE = 2048  # pairs; chosen, so that their gaps along a path take some 10 MB
+_PREPARED_WITHIN = 1.0  # m of margin within which pairs of a load are measured before it is carried; chosen
+_PREPARED_AT_ONCE = 4  # pairs in a step, some 20 us each; chosen, a tenth of a step of 1 ms
 _URGENT = 0.02  # m of margin: chosen, nearer than that pairs are renewed about equally often
 
 
@@ -146,6 +148,42 @@ class PairBounds:
         self.required[pairs] = np.minimum(separation.clearance[pairs], bound)
         self.find_inside()
 
+    # --- what is carried -----------------------------------------------------------------
+
+    def carry(self, pairs: Indices, path: BrakingPath) -> Indices:
+        """What is carried has changed: the pairs of a load that is no longer carried do not count from now on.
+
+        Parameters
+        ----------
+        pairs: (K,) of the load that is carried now.
+        path: the present braking path.
+
+        Returns
+        -------
+        Those of `pairs` of which too little is known: they must be measured before the next step.
+        """
+        separation = self._separation
+        self.required = np.minimum(self.required, separation.clearance)
+        self._within = separation.clearance + self._reach
+        bound = self.lower()[pairs] - separation.travel.dot(np.abs(path.delta))[separation.classes[pairs]]
+        clear = self.stands[pairs] & (bound >= separation.clearance[pairs] + BUFFER)
+        known = pairs[clear]
+        self.set_proven(known, bound[clear])
+        self.required[known] = separation.clearance[known]
+        self.find_inside()
+        return np.asarray(pairs[~clear])
+
+    def prepare(self, pairs: Indices, at: Placements, step: int) -> None:
+        """Measure a few of the pairs (K,) of a load that is carried soon, those that were measured longest ago first.
+
+        Only those that may be near, by the placements' row 0.
+        """
+        separation = self._separation
+        near = pairs[self.lower()[pairs] < separation.full_clearance[pairs] + _PREPARED_WITHIN]
+        for pair in near[np.argsort(self._renewed_at[near], kind="stable")[:_PREPARED_AT_ONCE]].tolist():
+            self.set_distance(np.array([pair]), np.array([separation.renew(pair, at, 0)]))
+            self._renewed_at[pair] = step
+
     def find_boxes(
         self, one: ClusterPairs, at: Placements, *, reach: float, path: BrakingPath | None = None, step: int = 0
     ) -> None:
@@ -181,7 +219,7 @@ class PairBounds:
         """
         most, urgency = None, 1.0
         odometers, needs = self._start_odometer.tolist(), needed.tolist()
-        for one in self._separation.clusters:
+        for one in self._separation.counting_clusters:
             found = one.urgency(odometers[one.classes], needs[one.classes], time)
             if found >= urgency:
                 most, urgency = one, found

@@ -15,7 +15,7 @@ for a plane that moves with the link, and the corners of the obstacle.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.live.braking.braking_path import BrakingPath, Placements
 from backhoe_planner.live.braking.cluster_pairs import SLOTS, ClusterPairs
 from backhoe_planner.live.braking.gaps import Gaps, Memory
+from backhoe_planner.live.braking.own_pieces import NO_LOAD, own_pieces, rows_on
 from backhoe_planner.live.braking.plane_sets import PlaneSets
 from backhoe_planner.machine import (
     Cluster,
@@ -30,8 +31,6 @@ from backhoe_planner.machine import (
     bend_weights,
     covering_balls,
     reach_ball,
-    self_pairs,
-    self_pieces,
     tracking_room,
     travel_bounds,
 )
@@ -40,6 +39,7 @@ from backhoe_planner.site import Obstacle
 
 MACHINE = -1  # owner of the pairs of the machine with itself
 FAR = 1e3  # m: beyond any site; the bound -FAR says nothing
+_NOT_COUNTING = -1e9  # m: clearance of the pairs of what is not carried now; far below any bound of a distance
 _MOST_CORNERS = 64  # of an obstacle's piece that is looked at from the link's side; chosen, to bound the work
 _PLANES = 4  # measured along a path that is looked at closely; chosen, each costs some 20 us
 _BLENDED = 0.1  # m: chosen, corners that are this much further away have no part in the nearest point
@@ -76,12 +76,17 @@ class Separation:
     robot: the machine.
     q: (n,) where it stands at the beginning. It may be outside of the limits; from there it only comes back.
     self_collision: whether the machine is also kept clear of itself.
+    laden: the same machine with each load that it may carry. None of them counts until `carry`.
 
     Attributes
     ----------
-    own_pieces: the robot's `self_pieces`; those of `Robot.pieces` where it is not kept clear of itself.
+    own_pieces: the robot's `self_pieces`, or those of `Robot.pieces` where it is not kept clear of itself; and its
+        loads'.
     owner: (P,) number that the obstacle was added with; `MACHINE` for pairs of the machine with itself.
-    clearance: (P,) distance to be kept, with what the machine's tracking error can take [m].
+    clearance: (P,) distance to be kept, with what the machine's tracking error can take [m]; of a load that is not
+        carried now so little that the pair never counts.
+    full_clearance: (P,) the same, of a load as if it were carried [m].
+    load: (P,) number of the load that the pair is of, `NO_LOAD` of the machine's own.
     piece, other_piece: (P,) rows of `own_pieces`: the one that comes near, and, for a pair of the
         machine with itself, the one that must not be touched; -1 else.
     classes: (P,) row of `travel` that holds for the pair.
@@ -92,49 +97,57 @@ class Separation:
     travel: (C, n) how far a point of the link can travel per joint, see `travel_bounds`.
     furthest: (n,) the largest of `travel` for each joint.
     turning: (n,) 1 for hinges, 0 for slides.
-    clusters: the links' pairs with obstacles of thousands of cells.
+    clusters: the links' pairs with obstacles of thousands of cells; `counting_clusters` without those of loads that
+        are not carried now.
     measured: how many distances were measured so far.
     """
 
-    def __init__(self, robot: Robot, q: Vector | None = None, *, self_collision: bool = True) -> None:
-        self.robot = robot
+    def __init__(
+        self, robot: Robot, q: Vector | None = None, *, self_collision: bool = True, laden: Sequence[Robot] = ()
+    ) -> None:
+        self.robot, self._laden, self._carried = robot, tuple(laden), NO_LOAD
         self.measured = 0
         self._gauge = shapes.Gauge()
-        own_pieces = self.own_pieces = self_pieces(robot) if self_collision else robot.pieces
-        self._moving = [row for row, piece in enumerate(robot.pieces) if piece.joint > 0]
-        # corners of the pieces that move, with a 1 behind each; those of the others are never used
-        that_move = [row for row, piece in enumerate(own_pieces) if piece.joint > 0]
-        most = max((len(own_pieces[row].piece.hull) for row in that_move), default=1)
-        self._corners4 = np.full((len(own_pieces), most, 4), np.nan)
-        for row in that_move:
-            hull = own_pieces[row].piece.hull
-            self._corners4[row] = (*hull[0], 1.0)  # the first again, where others have more
-            self._corners4[row, : len(hull), :3] = hull
-        self._columns4 = np.ascontiguousarray(self._corners4.transpose(0, 2, 1))
-        self._fat = np.array([piece.piece.radius for piece in own_pieces])
-        self._joint_of = np.array([piece.joint for piece in own_pieces], dtype=np.intp)
-        self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in own_pieces]
-        radii = travel_bounds(robot, q, pieces=own_pieces)
         posture = None
         if q is not None and np.any((q < robot.limits.lower) | (q > robot.limits.upper)):
             posture = tuple(q.tolist())
-        pairs = self_pairs(robot, posture).kept if self_collision else ()
-        rows = [*radii[self._moving]]
+        self._own = own_pieces(robot, self._laden, posture, self_collision=self_collision)
+        own, pairs = self._own.pieces, self._own.pairs
+        self.own_pieces = own
+        moving = self._rows_on(None)
+        # corners of the pieces that move, with a 1 behind each; those of the others are never used
+        that_move = [row for row, piece in enumerate(own) if piece.joint > 0]
+        most = max((len(own[row].piece.hull) for row in that_move), default=1)
+        self._corners4 = np.full((len(own), most, 4), np.nan)
+        for row in that_move:
+            hull = own[row].piece.hull
+            self._corners4[row] = (*hull[0], 1.0)  # the first again, where others have more
+            self._corners4[row, : len(hull), :3] = hull
+        self._columns4 = np.ascontiguousarray(self._corners4.transpose(0, 2, 1))
+        self._fat = np.array([piece.piece.radius for piece in own])
+        self._joint_of = np.array([piece.joint for piece in own], dtype=np.intp)
+        self._own_shapes = [(piece.piece.shape, np.array(piece.piece.placement.homogeneous)) for piece in own]
+        radii = travel_bounds(robot, q, pieces=own)
+        rows = [*radii[moving]]
         for outer, inner in pairs:
-            shared = robot.support[own_pieces[inner].joint] > 0.0
+            shared = robot.support[own[inner].joint] > 0.0
             rows.append(np.where(shared, 0.0, radii[outer]))
         self.travel, classes = np.unique(np.array(rows).reshape(-1, robot.n), axis=0, return_inverse=True)
         classes = classes.reshape(-1)
-        self._class_of_piece = np.zeros(len(robot.pieces), dtype=np.intp)
-        self._class_of_piece[self._moving] = classes[: len(self._moving)]
+        self._class_of_piece = np.zeros(len(own), dtype=np.intp)
+        self._class_of_piece[moving] = classes[: len(moving)]
         self.furthest: Vector = self.travel.max(axis=0, initial=0.0)
         self.turning = np.where(robot.prismatic, 0.0, 1.0)
         self.owner = np.full(len(pairs), MACHINE, dtype=np.intp)
-        self.classes = np.asarray(classes[len(self._moving) :], dtype=np.intp)
+        self.classes = np.asarray(classes[len(moving) :], dtype=np.intp)
         self.piece = np.array([outer for outer, _ in pairs], dtype=np.intp)
-        self._room_of_piece = tracking_room(robot, robot.pieces, radii[: len(robot.pieces)])
-        own_rows = [own_pieces[row] for row in self.piece.tolist()]
-        self.clearance = tracking_room(robot, own_rows, self.travel[self.classes])
+        self._room_of_piece = tracking_room(robot, own, radii)
+        own_rows = [own[row] for row in self.piece.tolist()]
+        self.full_clearance = tracking_room(robot, own_rows, self.travel[self.classes])
+        self.load = np.array(self._own.load_of_pair, dtype=np.intp)
+        self._load_of_piece = np.full(len(own), NO_LOAD, dtype=np.intp)
+        for row, load in self._own.load_of_rows().items():
+            self._load_of_piece[row] = load
         self.other_piece = np.array([inner for _, inner in pairs], dtype=np.intp)
         self._body: list[_Stand | None] = [None] * len(pairs)
         self._stands_of: dict[int, list[_Stand]] = {}
@@ -144,7 +157,7 @@ class Separation:
         self.clusters: list[ClusterPairs] = []
         self._shifts: dict[int, Vector] = {}
         self._planes_of = PlaneSets()
-        self._ball = reach_ball(robot, q)
+        self._ball = max((reach_ball(one, q) for one in (robot, *self._laden)), key=lambda ball: ball[1])
         self._refresh()
 
     def __len__(self) -> int:
@@ -158,12 +171,10 @@ class Separation:
 
     def add_all(self, obstacles: Mapping[int, Obstacle]) -> Indices:
         """The same of several obstacles by their numbers at once: the work does not grow with their square."""
-        owner, clearance, piece, velocity = [self.owner], [self.clearance], [self.piece], [self.velocity]
+        owner, clearance, piece, velocity = [self.owner], [self.full_clearance], [self.piece], [self.velocity]
         first = len(self)
         for number, obstacle in obstacles.items():
-            links = [
-                row for row in self._moving if obstacle.links is None or self.robot.pieces[row].link in obstacle.links
-            ]
+            links = self._rows_on(obstacle.links)
             places = len(obstacle.pieces) if obstacle.cluster is None else SLOTS
             count = len(links) * places
             pieces = np.array(links * places, dtype=np.intp)
@@ -177,10 +188,11 @@ class Separation:
             if obstacle.cluster is not None:
                 self._body.extend([None] * count)
                 self._add_cluster(number, obstacle, obstacle.cluster, links)
-        self.owner, self.clearance = np.concatenate(owner), np.concatenate(clearance)
+        self.owner, self.full_clearance = np.concatenate(owner), np.concatenate(clearance)
         self.piece, self.velocity = np.concatenate(piece), np.concatenate(velocity)
         added = len(self) - first
         self.classes = np.append(self.classes, self._class_of_piece[self.piece[first:]])
+        self.load = np.append(self.load, self._load_of_piece[self.piece[first:]])
         self.other_piece = np.append(self.other_piece, np.full(added, -1, dtype=np.intp))
         self.planes = np.concatenate((self.planes, _no_planes(added)))
         self.drift = np.append(self.drift, np.zeros(added))
@@ -190,7 +202,9 @@ class Separation:
     def remove(self, number: int) -> Flags:
         """Forget an obstacle by its number, and return which pairs are left, (P,)."""
         kept = self.owner != number
-        for name in ("owner", "clearance", "classes", "piece", "other_piece", "planes", "velocity", "drift"):
+        for name in (
+            "owner", "full_clearance", "load", "classes", "piece", "other_piece", "planes", "velocity", "drift",
+        ):  # fmt: skip
             setattr(self, name, getattr(self, name)[kept])
         del self._stands_of[number]
         self._shifts.pop(number, None)
@@ -198,6 +212,29 @@ class Separation:
         self.clusters = [one for one in self.clusters if one.number != number]
         self._refresh()
         return np.asarray(kept)
+
+    def carry(self, load: int) -> None:
+        """Let the pairs of the load of this number count, and those of no other; `NO_LOAD` for none."""
+        self._carried = load
+        self._count()
+
+    def pairs_of_load(self, load: int) -> tuple[Indices, Indices]:
+        """The indices of a load's pairs, none for `NO_LOAD`: those with a plane each, and those of clusters."""
+        if load == NO_LOAD:
+            return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
+        of_load, of_cluster = self.load == load, np.isin(self.owner, [one.number for one in self.clusters])
+        return (of_load & ~of_cluster).nonzero()[0], (of_load & of_cluster).nonzero()[0]
+
+    def _count(self) -> None:
+        """Which pairs count."""
+        counts = (self.load == NO_LOAD) | (self.load == self._carried)
+        self.clearance = np.where(counts, self.full_clearance, _NOT_COUNTING)
+        self.counting_clusters = [
+            one for one in self.clusters if self._load_of_piece[one.piece] in (NO_LOAD, self._carried)
+        ]
+
+    def _rows_on(self, links: Collection[str] | None) -> list[int]:
+        return rows_on(self.robot, self._laden, self._own, links)
 
     def place_at(self, number: int, shift: Vector) -> None:
         """Tell coal that an obstacle stands `shift` (3,) from where it was built [m]; planes stay where they are.
@@ -212,7 +249,7 @@ class Separation:
         speed = float(np.linalg.norm(obstacle.velocity))
         cluster.prepare_boxes(self._ball)  # which takes longer than a step may
         for link in links:
-            own = self.robot.pieces[link].piece
+            own = self.own_pieces[link].piece
             classes = int(self._class_of_piece[link])
             kept = float(obstacle.clearance + self._room_of_piece[link])
             one = ClusterPairs(number, cluster, link, own, classes, kept, self._ball, covering_balls(own), speed)
@@ -268,6 +305,7 @@ class Separation:
         self.mask = self.robot.support[self.joint] - self.robot.support[self.other]
         self.some_relative = bool(self.other.any())
         self._fat_of_pair = self._fat[self.piece]
+        self._count()
 
     # --- measuring -------------------------------------------------------------------
 
