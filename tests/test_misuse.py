@@ -407,6 +407,8 @@ def calls() -> dict[str, Call]:
         "Servo.remove": call(servo().remove, name=("none", TEXT), lists=False),
         "Servo.move": call(servo().move, name=("rock", TEXT), by=(np.zeros(3), vector(3))),
         "Servo.set_velocity": call(servo().set_velocity, name=("rock", TEXT), velocity=(np.zeros(3), vector(3))),
+        "Servo.carry": call(servo().carry, leg=(None, optional(TEXT)), lists=False),
+        "Servo.prepare_to_carry": call(servo().prepare_to_carry, leg=(None, optional(TEXT)), lists=False),
         "Servo.shift_of": call(servo().shift_of, name=("rock", TEXT)),
         "Servo.step": call(servo().step, lists=False),  # raises nothing, see below
         "Feedback": call(

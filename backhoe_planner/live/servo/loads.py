@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from backhoe_planner.errors import InputError
+from backhoe_planner.errors import InputError, check_kind
 from backhoe_planner.live.braking.own_pieces import NO_LOAD
 from backhoe_planner.machine import Robot
 from backhoe_planner.site import Scene, with_carried
@@ -35,7 +35,7 @@ class Loads:
         """
         if leg is None:
             return NO_LOAD
-        if leg not in self._number:
+        if check_kind(leg, str, key="leg") not in self._number:
             allowed = ", ".join(self._number) or "none: the scene has no sequence"
             raise InputError("the scene has no such leg", key="leg", found=leg, allowed=allowed)
         return self._number[leg]
