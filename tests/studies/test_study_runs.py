@@ -136,6 +136,27 @@ def test_a_row_is_the_plan_that_the_library_makes(whole: StudyResult, given: Pat
     assert kept.scene.folder.samefile(given.parent / "site")
 
 
+def test_a_worker_needs_none_of_the_files(whole: StudyResult, given: Path, tmp_path: Path) -> None:
+    """A machine whose mesh is named by its package, and a scene whose mesh is beside it."""
+    here, there = tmp_path / "here", tmp_path / "there"
+    shutil.copytree(given.parent, here / "arms")
+    (here / "arms" / "meshes").mkdir()
+    (here / "arms" / "meshes" / "post.stl").write_text(MESH)
+    mesh = '<geometry><mesh filename="package://arms/meshes/post.stl" scale="0.01 0.01 0.01"/></geometry></visual>'
+    urdf = here / "arms" / "arm.urdf"
+    assert urdf.read_text().count('<link name="base">') == 1
+    urdf.write_text(urdf.read_text().replace('<link name="base">', f'<link name="base"><visual>{mesh}'))
+    bundle = build_bundle(*build_template(bp.load_study(here / "arms" / "study.yaml")))
+    assert {Path(name).name for name in bundle.files} == {"arm.urdf", "post.stl", "rock.stl"}
+    shutil.rmtree(here)
+    bundle.unpack(there)
+    found = RowPlanner(there).plan(whole.rows[0])
+    assert (found.verdict, found.metrics) == ("verified", whole.outcomes[0].metrics)
+    (there / urdf.relative_to("/")).unlink()
+    lost = RowPlanner(there).plan(whole.rows[0])
+    assert (lost.verdict, lost.message.partition(";")[0]) == ("invalid", "arm.urdf: no such URDF file")
+
+
 def test_the_summary_and_the_page_show_the_best_row(whole: StudyResult, tmp_path: Path) -> None:
     summary = summarise_study(whole)
     assert summary.counts == {"failed: start_in_collision": 2, "invalid": 2, "verified": 2}
@@ -364,6 +385,9 @@ def test_the_library_gives_a_data_frame(
     robot = bp.load_robot(given.parent / "arm.urdf")
     made = bp.study(robot, scene, parameters={"clearance": [0.1, 0.2]}, folder=tmp_path / "r", metrics=["duration"])
     assert made["clearance"].tolist() == [0.1, 0.2]
+    job = bp.load_job("scenes/jobs/drain_with_a_fall.yaml")
+    dug = bp.study(job, parameters={"bucket.fill": [0.8, 0.9]}, metrics=["bank"])
+    assert dug["bucket.fill"].tolist() == [0.8, 0.9]
     assert (tmp_path / "r" / "table.parquet").is_file()
 
 

@@ -13,7 +13,7 @@ import tempfile
 import threading
 import warnings
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -45,18 +45,32 @@ def plan_on_cluster(bundle: Bundle, rows: Sequence[StudyRow], address: str) -> G
     """
     import distributed
 
-    client = _connect(address)
+    with _quiet():
+        client = _connect(address)
+        try:
+            yield from _plan_all(client, bundle, rows, distributed)
+        finally:
+            with contextlib.suppress(Exception):  # of a scheduler that is gone
+                client.close(timeout=2)
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Dask logs nothing meanwhile: what is wrong is said once, by this program."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "distributed.core")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
     try:
-        yield from _plan_all(client, bundle, rows, distributed)
+        yield
     finally:
-        with contextlib.suppress(Exception):  # of a scheduler that is gone
-            client.close(timeout=2)
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 def _connect(address: str) -> Any:
     import distributed
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is wrong is said once, by this program
     try:
         return distributed.Client(address, timeout=_CONNECTED_WITHIN, set_as_default=False)
     except (OSError, TimeoutError, ValueError, asyncio.TimeoutError) as error:
