@@ -128,6 +128,7 @@ def test_a_larger_count_adds_rows_and_changes_none() -> None:
         ({"parameters": {f"obstacles.point.position.{k}": {"from": 0, "to": 1, "count": 1000} for k in (0, 1, 2)}},
          "at most 1000000"),
         ({"metric": ["duration"]}, "did you mean 'metrics'"),
+        ({"best": {"lest": "duration"}}, r"^best\.lest: there is no such key; did you mean 'least'"),
     ],
 )  # fmt: skip
 def test_studies_that_make_no_rows_are_refused(keys: dict[str, Any], said: str) -> None:
@@ -189,11 +190,13 @@ def test_a_key_path_that_leads_nowhere_is_told_with_the_nearest(path: str, said:
         ({"parameters": {"method": ["automatic"]}}, "there is no such method; found automatic"),
         ({"parameters": {"effort": ["quik"]}}, "did you mean 'quick'"),
         ({"parameters": {"seed": [-1]}}, "is not a seed"),
+        ({"parameters": {"seed": {"uniform": [0, 9]}}}, "not whole"),
         ({"metrics": ["durration"]}, "did you mean 'duration'"),
         ({"metrics": ["energy.wrk"]}, "did you mean 'work'"),
         ({"metrics": ["min_clearance"]}, "is no single figure; allowed: min_clearance.link"),
         ({"metrics": ["planning_time"]}, "depends on the computer"),
         ({"best": "findings.way"}, "is no number"),
+        ({"scene": "no_such.yaml"}, "scene: no_such.yaml: no such scene file"),
         ({"machine": "example:planar5"}, "no such example robot"),
         ({"scene": SCENE | {"clearence": 1}}, "scene: clearence: there is no such key"),
     ],
@@ -211,6 +214,9 @@ def test_a_file_says_the_line(tmp_path: Path) -> None:
         build_template(bp.load_study(file))
     file.write_text(text.replace("CLEAR: [1]", "clearance: {from: 1, to: 0, step: 1}"))
     with pytest.raises(bp.StudyError, match=r"parameters\.clearance \(line 5\): the range is empty"):
+        bp.load_study(file)
+    file.write_text("version: 1\ntask: {}\nstart: {}\n")
+    with pytest.raises(bp.StudyError, match="is a scene, not a study"):
         bp.load_study(file)
 
 

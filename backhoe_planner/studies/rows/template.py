@@ -87,9 +87,8 @@ def build_template(study: Study) -> tuple[Template, Inputs]:
 
     Raises
     ------
-    StudyError: a key path, a metric, a method or an effort does not exist; two parameters set the same place.
-    SceneError: the scene or the job of the template is wrong.
-    RobotError: a machine cannot be loaded.
+    StudyError: the scene or the job is wrong, or a machine; a key path, a metric, a method or an effort does not exist;
+        two parameters set the same place.
     """
     template = _job_template(study) if study.job is not None else _scene_template(study)
     kind: Kind = "scene" if isinstance(template, Scene) else "job"
@@ -151,24 +150,24 @@ def digest_of(template: Template, inputs: Inputs) -> dict[str, Any]:
 
 def _scene_template(study: Study) -> Scene:
     given = study.scene
-    if isinstance(given, str):
-        return load_scene(_shipped_or(study.folder, given))
-    assert given is not None
     try:
-        return scene_from_dict(given, folder=study.folder, file=study.file)
+        if isinstance(given, str):
+            return load_scene(_shipped_or(study.folder, given))
+        assert given is not None
+        return scene_from_dict(given, folder=study.folder)
     except SceneError as error:
-        raise SceneError(error.problem, file=study.file, key=study.place("scene")) from None
+        raise StudyError(str(error), file=study.file, key=study.place("scene")) from None
 
 
 def _job_template(study: Study) -> Job:
     given = study.job
-    if isinstance(given, str):
-        return load_job(_shipped_or(study.folder, given))
-    assert given is not None
     try:
-        return job_from_dict(given, folder=study.folder, file=study.file)
+        if isinstance(given, str):
+            return load_job(_shipped_or(study.folder, given))
+        assert given is not None
+        return job_from_dict(given, folder=study.folder)
     except SceneError as error:
-        raise SceneError(error.problem, file=study.file, key=study.place("job")) from None
+        raise StudyError(str(error), file=study.file, key=study.place("job")) from None
 
 
 def _shipped_or(folder: Path, name: str) -> Path:
@@ -239,6 +238,11 @@ def _check_settings(study: Study) -> None:
                     key=study.place("parameters", name),
                 )  # fmt: skip
     seeds = study.values.get("seed")
+    if seeds is not None and seeds.draw is not None and "choice" not in study.parameters["seed"]:
+        raise StudyError(
+            "is drawn from numbers that are not whole", file=study.file, key=study.place("parameters", "seed"),
+            allowed="a list, a range of whole numbers, or {choice: [...]}",
+        )  # fmt: skip
     for value in () if seeds is None else seeds.listed:
         if type(value) is not int or not 0 <= value < 2**32:
             raise StudyError(
@@ -249,11 +253,7 @@ def _check_settings(study: Study) -> None:
 
 def _metrics(study: Study, kind: Kind) -> tuple[tuple[Metric, ...], Best]:
     """What is kept, with the one by which rows are compared, and how they are."""
-    best, key = study.best, ("best",)
-    if isinstance(best, str):
-        best = Best(least=best)
-    if best is None:
-        best = _default_best(study, kind)
+    best, key = study.best or _default_best(study, kind), ("best",)
     names = dict.fromkeys(DEFAULTS[kind] if study.metrics is None else study.metrics)
     found = {}
     for name in (*names, best.metric):
@@ -295,8 +295,8 @@ def _inputs(study: Study, template: Scene | Job, made: Template) -> Inputs:
         try:
             robots.append(load_machine(source, template.site_scene if isinstance(template, Job) else template))
         except RobotError as error:
-            key = "parameters.machine" if "machine" in study.parameters else "machine"
-            raise StudyError(str(error), file=study.file, key=key) from None
+            keys = ("parameters", "machine") if "machine" in study.parameters else ("machine",)
+            raise StudyError(str(error), file=study.file, key=study.place(*keys)) from None
     files = {file for robot in robots if not robot.urdf.source.startswith("example:") for file in robot.files}
     own = {template.file, template.site_scene.file if isinstance(template, Job) else None}  # their content is known
     files |= {file for file in template.files if file not in own}

@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, PrivateAttr, StrictInt, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, StrictInt, model_validator
 
 from backhoe_planner.errors import StudyError, check_path
 from backhoe_planner.files.file_record import FileRecord
@@ -24,6 +24,7 @@ def _readable(found: Any) -> Any:
     return found
 
 
+_OTHERS = {"scene": "task", "job": "dig"}  # files that are no study, and a key by which they are known
 Spec = Annotated[Any, AfterValidator(_readable)]
 
 
@@ -46,6 +47,10 @@ class Best(Record):
     def sign(self) -> float:
         """1 where less is better, -1 where more is."""
         return 1.0 if self.least is not None else -1.0
+
+
+def _compared(found: Any) -> Any:
+    return {"least": found} if isinstance(found, str) else found
 
 
 class Study(FileRecord):
@@ -71,7 +76,7 @@ class Study(FileRecord):
     """Of what is drawn at random."""
     metrics: Annotated[tuple[str, ...], Field(min_length=1)] | None = None
     """Which figures of each plan are kept; by default the usual ones."""
-    best: str | Best | None = None
+    best: Annotated[Best | None, BeforeValidator(_compared)] = None
     """By which figure the best row is found: a metric that is to be least, or {greatest: METRIC}."""
     keep_plans: Literal["none", "failed", "all"] = "none"
     """Which plans are written as files too."""
@@ -126,7 +131,7 @@ class Study(FileRecord):
     def place(self, *keys: str | int) -> str:
         """A key as messages name it, with its line where the file is known."""
         line = self._lines.get(keys)
-        name = ".".join(map(str, keys))
+        name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
         return name if line is None else f"{name} (line {line})"
 
     def to_dict(self) -> dict[str, Any]:
@@ -143,6 +148,11 @@ def load_study(path: str | Path) -> Study:
     """
     file = shipped_file(check_path(path, key="path"), "scenes/studies")
     content, lines = read_yaml(file, what="study", keys="version, machine, scene, parameters, ...", error=StudyError)
+    other = next((kind for kind, key in _OTHERS.items() if key in content and "parameters" not in content), None)
+    if other is not None:
+        raise StudyError(
+            f"is a {other}, not a study", file=file, allowed=f"a file with {other}: {file.name}, and parameters"
+        )
     return study_from_dict(content, folder=file.parent, file=file, lines=lines)
 
 
