@@ -43,11 +43,16 @@ class ResultsFolder:
             raise OutputError(f"cannot be written: {error.strerror}", file=path) from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             self._lock.close()
             raise StudyError(
                 "another run writes its results here", file=path, hint="wait for it, or choose another folder"
             ) from None
+        except OSError as error:
+            self._lock.close()
+            raise OutputError(
+                f"cannot be kept from other runs: {error.strerror}", file=path, hint="choose a folder on a local disk"
+            ) from error
         if (path / TABLE).exists() and not self.journal.exists():
             self._lock.close()
             raise OutputError(
