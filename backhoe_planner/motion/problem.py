@@ -26,6 +26,7 @@ from backhoe_planner.site import (
     Waypoint,
     build_obstacles,
     check_joint_names,
+    check_standing,
     joint_positions,
     leg_key,
     leg_of,
@@ -108,7 +109,7 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
     Raises
     ------
     SceneError: the machine has no such joint or link, or lacks what a pitch, soil or the
-        objective needs; a file of the scene cannot be used.
+        objective needs; a file of the scene cannot be used; or its base puts the machine into an obstacle.
     RobotError: the scene's tip is not a link of the machine, or no link that moves has a shape.
     """
     robot = machine_on_site(robot, scene)
@@ -118,7 +119,9 @@ def build_problem(robot: Robot, scene: Scene) -> Problem:
             file=robot.urdf.path,
             key="link",
         )
-    whole = _build(robot, scene, build_obstacles(scene, robot))
+    obstacles = build_obstacles(scene, robot)
+    check_standing(robot, scene, obstacles)
+    whole = _build(robot, scene, obstacles)
     return whole if scene.task.sequence is None else replace(whole, legs=_legs(whole))
 
 

@@ -13,6 +13,7 @@ import backhoe_planner as bp
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Base, Kinematics, Robot, self_pairs
 from backhoe_planner.motion import build_problem
+from backhoe_planner.site import Standing, stands_in
 
 AT, HEADING = (12.5, -3.0), 0.7  # m, rad
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
@@ -130,3 +131,42 @@ def test_a_place_that_is_none_is_an_error_that_names_its_key(base: dict[str, Any
 def test_a_base_of_other_than_finite_numbers_is_misuse() -> None:
     with pytest.raises(InputError, match=r"base\.position"):
         Base((math.nan, 0.0))
+
+
+def _standing(*obstacles: dict[str, Any], clearance: float = 0.05) -> bp.Scene:
+    """A machine that stands with its swing axis at x 10 m and looks along -x: its tractor lies from x 10 to 15.2 m."""
+    return bp.scene_from_dict(
+        {
+            "version": 1, "start": {"joints": START}, "task": {"goal": {"joints": START}}, "clearance": clearance,
+            "base": {"position": [10.0, 0.0], "heading": math.pi}, "obstacles": list(obstacles),
+        }
+    )  # fmt: skip
+
+
+def test_a_machine_that_is_put_into_an_obstacle_is_refused_by_link_and_obstacle(backhoe: Robot) -> None:
+    wall = {"name": "house", "shape": "box", "size": [1.0, 4.0, 3.0], "position": [15.2, 0.0, 1.5]}
+    with pytest.raises(SceneError, match="puts loader of the machine into house"):
+        build_problem(backhoe, _standing(wall))
+    build_problem(backhoe, _standing(wall | {"position": [15.76, 0.0, 1.5]}))  # the bucket ends at x 15.24 m
+
+
+@pytest.mark.parametrize(
+    "ground",
+    [
+        {"shape": "halfspace", "point": [0, 0, 0], "normal": [0, 0, 1]},
+        {"shape": "box", "size": [60, 60, 1], "position": [10, 0, -0.5]},
+        {"shape": "capsule", "from": [0, 1, -0.3], "to": [20, 1, -0.3], "radius": 0.2},
+    ],
+)
+def test_the_ground_that_carries_a_machine_is_not_in_its_way(backhoe: Robot, ground: dict[str, Any]) -> None:
+    problem = build_problem(backhoe, _standing({"name": "ground"} | ground, clearance=0.2))
+    assert stands_in(problem.robot, problem.obstacles, with_clearance=True) is None
+
+
+def test_parts_that_do_not_move_keep_the_clearance_where_it_is_asked_for(backhoe: Robot) -> None:
+    """The cab's roof is at 2.8 m: a line at 6 m whose clearance is 3.05 m is 3.2 m away, and one at 5.8 m is 3.0 m."""
+    line = {"name": "line", "shape": "halfspace", "normal": [0, 0, -1], "clearance": 3.05}
+    high, low = (build_problem(backhoe, _standing(line | {"point": [0.0, 0.0, height]})) for height in (6.0, 5.8))
+    assert stands_in(high.robot, high.obstacles, with_clearance=True) is None
+    assert stands_in(low.robot, low.obstacles, with_clearance=True) == Standing("cab", "line")
+    assert stands_in(low.robot, low.obstacles) is None

@@ -1,0 +1,100 @@
+"""The parts of a machine that do not move, and what stands in their way on a site.
+
+The ground that carries the machine touches it and is not in its way. What is, is still there where the
+machine is lifted a little: an obstacle counts where a part is too near to it both as it stands and
+lifted. So nothing has to say which obstacles are ground: height maps, scans and half-spaces may be both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.errors import SceneError
+from backhoe_planner.machine import Robot
+from backhoe_planner.machine.shape import shapes
+from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.scene_file import Scene
+
+_LIFT = 0.25  # m: what is lower passes under a machine; chosen, loaders have 0.28 to 0.35 m below the chassis
+_OVERLAP = 1e-3  # m: less is touching
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A part of the machine that is where it cannot be.
+
+    Attributes
+    ----------
+    link: of the machine, which does not move.
+    obstacle: by its name.
+    """
+
+    link: str
+    obstacle: str
+
+
+def stands_in(robot: Robot, obstacles: Sequence[Obstacle], *, with_clearance: bool = False) -> Standing | None:
+    """The first part of a machine that does not move and overlaps an obstacle, where the machine stands; None for none.
+
+    Obstacles that move or come later, and those that hold for some links only, are left out; so are zones, which
+    are about how the arm moves.
+
+    Parameters
+    ----------
+    robot: where it stands, see `Robot.with_base`.
+    with_clearance: whether a part must keep the obstacle's clearance too.
+    """
+    for obstacle in obstacles:
+        if obstacle.moves or obstacle.appears_at > 0.0 or obstacle.links is not None or obstacle.zone is not None:
+            continue
+        margin = obstacle.clearance if with_clearance else -_OVERLAP
+        lifts = (0.0, _LIFT + max(margin, 0.0))
+        too_near = [_too_near(robot, obstacle, margin, lift) for lift in lifts]
+        if all(too_near):
+            return Standing(too_near[0], obstacle.name)
+    return None
+
+
+def check_standing(robot: Robot, scene: Scene, obstacles: Sequence[Obstacle]) -> None:
+    """Check that a machine that a scene puts somewhere does not stand in an obstacle.
+
+    Raises
+    ------
+    SceneError: names the link and the obstacle.
+    """
+    if "base" not in scene.model_fields_set:
+        return
+    found = stands_in(robot, obstacles)
+    if found is not None:
+        raise SceneError(
+            f"puts {found.link} of the machine into {found.obstacle}", file=scene.file, key="base",
+            found=f"position {list(scene.base.position)}, heading {scene.base.heading:g}",
+            allowed="a place where no part of the machine that does not move overlaps an obstacle",
+        )  # fmt: skip
+
+
+def _too_near(robot: Robot, obstacle: Obstacle, margin: float, lift: float) -> str:
+    """The first link that does not move and is within `margin` [m] of an obstacle, of a machine that is lifted [m].
+
+    Empty where none is.
+    """
+    raised, gauge = pin.SE3(np.eye(3), np.array([0.0, 0.0, lift])), shapes.Gauge()
+    there = [(one.shape, _transform(one.placement)) for one in obstacle.pieces]
+    for part in robot.pieces:
+        if part.joint > 0:
+            continue
+        at = _transform(raised * part.piece.placement)
+        if any(gauge.measure(part.piece.shape, at, shape, T)[0] < margin for shape, T in there):
+            return part.link
+        if obstacle.cluster is not None and obstacle.cluster.measure(part.piece, raised, margin) is not None:
+            return part.link
+    return ""
+
+
+def _transform(T: pin.SE3) -> Any:
+    return shapes.transform(T.rotation, T.translation)
