@@ -103,3 +103,10 @@ from .studies import load_study as load_study
 from .studies import study as study
 
 __version__: str
+from .standing import Place as Place
+from .standing import RankedPlace as RankedPlace
+from .standing import SiteMap as SiteMap
+from .standing import Spot as Spot
+from .standing import StandPlan as StandPlan
+from .standing import StandStep as StandStep
+from .standing import stand as stand

@@ -19,7 +19,8 @@ ROOT = Path(backhoe_planner.__file__).resolve().parents[1]
 PACKAGE = ROOT / "backhoe_planner"
 FLOORS = [
     "errors", "arrays", "files",
-    "machine", "site", "motion", "proof", "law", "planning", "live", "job", "studies", "show", "cli", "__main__",
+    "machine", "site", "motion", "proof", "law", "planning", "live", "job", "standing", "studies", "show", "cli",
+    "__main__",
 ]  # fmt: skip
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -80,7 +81,7 @@ SUITES = {
     "live": ["braking", "recovery", "servo", ""],
     "job": ["schema", "ground", "cuts", "worksite", "result", "cycles", ""],
     "studies": ["schema", "rows", "results", "work", ""],
-    "show": ["drawing", "plots", "page", "job", "study", "viewer", "teleop"],
+    "show": ["drawing", "plots", "page", "job", "standing", "study", "viewer", "teleop"],
 }
 
 

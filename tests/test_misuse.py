@@ -464,6 +464,11 @@ def calls() -> dict[str, Call]:
             terrain=(None, optional(THING)), resume=(None, optional(THING)),
             watch=(None, only("text", {"a": 1}, OBJECT, [], 3.0)), lists=False,
         ),
+        "stand": call(
+            bp.stand, job=(buried_job(), THING), count=(1, Kind((*COUNT.bad, 0))), effort=("quick", TEXT),
+            seed=(0, COUNT), watch=(None, only("text", {"a": 1}, OBJECT, [], 3.0)), lists=False,
+        ),
+        "StandPlan.save": call(lambda path: stand_plan().save(path), path=("no/such/folder/a.json", PATH), lists=False),
         # studies
         "load_study": call(bp.load_study, path=("no/such/study", PATH), lists=False),
         "study": call(
@@ -513,6 +518,12 @@ def job_plan() -> bp.JobPlan:
 
 
 @cache
+def stand_plan() -> bp.StandPlan:
+    grid = np.zeros((0, 0))
+    return bp.StandPlan(job(), (), (), bp.SiteMap((), grid, grid, (0.1, 0.1), np.array([1.0, 0.0]), grid), ())
+
+
+@cache
 def cycle() -> bp.Cycle:
     none = np.zeros(0)
     return bp.Cycle(
@@ -536,6 +547,7 @@ RESULTS = {
     "LegCertificate", "Obstruction", "StudyStep", "Piece", "Plan", "PlannedLeg",
     "PlannerStep", "Problem", "Reaction", "Robot", "ServoState", "Shielded", "SpotTurn",
     "Cycle", "CycleLeg", "Digging", "JobPlan", "JobStep", "Load", "PatternEstimate", "Undug",
+    "Place", "RankedPlace", "SiteMap", "Spot", "StandPlan", "StandStep",
     "Step", "TaskInverse", "Tracking", "Transgression", "WaypointStep", "Wish",
 }  # fmt: skip
 PUBLIC = {name: getattr(bp, name) for name in dir(bp) if not name.startswith("_")}

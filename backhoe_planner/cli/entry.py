@@ -15,7 +15,14 @@ from typing import Annotated, NoReturn
 import typer
 
 import backhoe_planner as bp
-from backhoe_planner.cli import inspect_command, job_command, plan_commands, study_command, teleop_command
+from backhoe_planner.cli import (
+    inspect_command,
+    job_command,
+    plan_commands,
+    stand_command,
+    study_command,
+    teleop_command,
+)
 from backhoe_planner.cli.terminal import BAD_INPUT, ERR, INTERRUPTED, OUT, VERIFIED, print_error
 
 app = typer.Typer(
@@ -45,6 +52,7 @@ def _options(
 for command in (
     plan_commands.plan,
     job_command.job,
+    stand_command.stand,
     study_command.study,
     plan_commands.view,
     plan_commands.check,

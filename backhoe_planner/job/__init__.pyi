@@ -4,6 +4,7 @@ from .cuts.cut import NoCut as NoCut
 from .cuts.digger import Digger as Digger
 from .cuts.finding import find_cut as find_cut
 from .cuts.profile import Profile as Profile
+from .cycles.dumping import postures_over as postures_over
 from .ground.heaps import Refusal as Refusal
 from .ground.heaps import deposited as deposited
 from .ground.heaps import heap_room as heap_room
@@ -15,6 +16,8 @@ from .ground.sweep import Sweep as Sweep
 from .ground.sweep import swept as swept
 from .ground.terrain import Terrain as Terrain
 from .ground.truck_bed import Bed as Bed
+from .job_estimate import JobEstimate as JobEstimate
+from .job_estimate import estimate_job as estimate_job
 from .planner import DEFAULT_EFFORT as DEFAULT_EFFORT
 from .planner import JobStep as JobStep
 from .planner import plan_job as plan_job
@@ -39,5 +42,9 @@ from .schema.job_file import SITE_KEYS as SITE_KEYS
 from .schema.job_file import Job as Job
 from .schema.job_file import job_from_dict as job_from_dict
 from .schema.job_file import load_job as load_job
+from .schema.work import Trench as Trench
+from .worksite.lanes import LEAVE as LEAVE
+from .worksite.lanes import lanes_of as lanes_of
+from .worksite.worksite import Worksite as Worksite
 from .worksite.worksite import build_worksite as build_worksite
 from .worksite.worksite import read_ground as read_ground

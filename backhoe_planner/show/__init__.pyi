@@ -26,6 +26,8 @@ from .page.page import write_page as write_page
 from .plots.envelope_plot import plot_envelope as plot_envelope
 from .plots.figure_file import FIGURE_FORMATS as FIGURE_FORMATS
 from .plots.plots import plot_plan as plot_plan
+from .standing.stand_page import write_stand_page as write_stand_page
+from .standing.stand_plot import plot_stand as plot_stand
 from .study.study_page import write_study_page as write_study_page
 from .teleop.changes import Change as Change
 from .teleop.changes import describe_changes as describe_changes

@@ -1,5 +1,5 @@
 from .clearance_screen import ClearanceScreen as ClearanceScreen
-from .fixed_parts import Standing as Standing
+from .fixed_parts import InTheWay as InTheWay
 from .fixed_parts import check_standing as check_standing
 from .fixed_parts import stands_in as stands_in
 from .ground import Ground as Ground

@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.errors import SceneError
-from backhoe_planner.machine import Robot
+from backhoe_planner.machine import Base, Robot
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site.obstacles import Obstacle
 from backhoe_planner.site.scene_file import Scene
@@ -25,7 +25,7 @@ _OVERLAP = 1e-3  # m: less is touching
 
 
 @dataclass(frozen=True)
-class Standing:
+class InTheWay:
     """A part of the machine that is where it cannot be.
 
     Attributes
@@ -38,7 +38,9 @@ class Standing:
     obstacle: str
 
 
-def stands_in(robot: Robot, obstacles: Sequence[Obstacle], *, with_clearance: bool = False) -> Standing | None:
+def stands_in(
+    robot: Robot, obstacles: Sequence[Obstacle], *, base: Base | None = None, with_clearance: bool = False
+) -> InTheWay | None:
     """The first part of a machine that does not move and overlaps an obstacle, where the machine stands; None for none.
 
     Obstacles that move or come later, and those that hold for some links only, are left out; so are zones, which
@@ -46,17 +48,18 @@ def stands_in(robot: Robot, obstacles: Sequence[Obstacle], *, with_clearance: bo
 
     Parameters
     ----------
-    robot: where it stands, see `Robot.with_base`.
+    base: where it stands; by default where it does, see `Robot.with_base`.
     with_clearance: whether a part must keep the obstacle's clearance too.
     """
+    moved = pin.SE3.Identity() if base is None else base.placement * robot.base.placement.inverse()
     for obstacle in obstacles:
         if obstacle.moves or obstacle.appears_at > 0.0 or obstacle.links is not None or obstacle.zone is not None:
             continue
         margin = obstacle.clearance if with_clearance else -_OVERLAP
         lifts = (0.0, _LIFT + max(margin, 0.0))
-        too_near = [_too_near(robot, obstacle, margin, lift) for lift in lifts]
+        too_near = [_too_near(robot, obstacle, margin, moved, lift) for lift in lifts]
         if all(too_near):
-            return Standing(too_near[0], obstacle.name)
+            return InTheWay(too_near[0], obstacle.name)
     return None
 
 
@@ -78,12 +81,14 @@ def check_standing(robot: Robot, scene: Scene, obstacles: Sequence[Obstacle]) ->
         )  # fmt: skip
 
 
-def _too_near(robot: Robot, obstacle: Obstacle, margin: float, lift: float) -> str:
-    """The first link that does not move and is within `margin` [m] of an obstacle, of a machine that is lifted [m].
+def _too_near(robot: Robot, obstacle: Obstacle, margin: float, moved: pin.SE3, lift: float) -> str:
+    """The first link that does not move and is within `margin` [m] of an obstacle; empty where none is.
 
-    Empty where none is.
+    Parameters
+    ----------
+    moved: from where the machine stands to where it is looked at; and by how much it is lifted there [m].
     """
-    raised, gauge = pin.SE3(np.eye(3), np.array([0.0, 0.0, lift])), shapes.Gauge()
+    raised, gauge = pin.SE3(np.eye(3), np.array([0.0, 0.0, lift])) * moved, shapes.Gauge()
     there = [(one.shape, _transform(one.placement)) for one in obstacle.pieces]
     for part in robot.pieces:
         if part.joint > 0:

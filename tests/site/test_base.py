@@ -13,7 +13,7 @@ import backhoe_planner as bp
 from backhoe_planner.errors import InputError, SceneError
 from backhoe_planner.machine import Base, Kinematics, Robot, self_pairs
 from backhoe_planner.motion import build_problem
-from backhoe_planner.site import Standing, stands_in
+from backhoe_planner.site import InTheWay, stands_in
 
 AT, HEADING = (12.5, -3.0), 0.7  # m, rad
 START = {"swing": 0.0, "boom": 0.4, "stick": -1.6, "bucket": -0.9}
@@ -168,5 +168,5 @@ def test_parts_that_do_not_move_keep_the_clearance_where_it_is_asked_for(backhoe
     line = {"name": "line", "shape": "halfspace", "normal": [0, 0, -1], "clearance": 3.05}
     high, low = (build_problem(backhoe, _standing(line | {"point": [0.0, 0.0, height]})) for height in (6.0, 5.8))
     assert stands_in(high.robot, high.obstacles, with_clearance=True) is None
-    assert stands_in(low.robot, low.obstacles, with_clearance=True) == Standing("cab", "line")
+    assert stands_in(low.robot, low.obstacles, with_clearance=True) == InTheWay("cab", "line")
     assert stands_in(low.robot, low.obstacles) is None

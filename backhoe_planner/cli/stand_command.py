@@ -1,0 +1,141 @@
+"""`stand`: where a machine is to stand for a job, with progress and a table."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+import backhoe_planner as bp
+from backhoe_planner import show, standing
+from backhoe_planner.cli.job_command import JobFile
+from backhoe_planner.cli.terminal import DEGREES, ERR, FAILED, OUT, VERIFIED
+from backhoe_planner.files.output_file import check_ending, check_output
+
+
+def stand(
+    file: JobFile,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Answer to write; beside it, for each place, its job, its plan and the ground it begins on.",
+        ),
+    ] = Path("stand.json"),
+    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the map as a page.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write the map as a picture: .png, .svg or .pdf.")
+    ] = None,
+    effort: Annotated[
+        str, typer.Option(help="quick, normal or thorough: how many places are estimated, and the effort of all plans.")
+    ] = "quick",
+    count: Annotated[
+        int, typer.Option(metavar="N", help="How many places are planned in full beside the given one.")
+    ] = 2,
+    seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON (without the map).")] = False,
+) -> int:
+    """Find where to stand: the place, or the fewest places in order, from which a job is dug in least time or work."""
+    targets = [target for target in (output, html, plot) if target is not None]
+    if len({target.resolve() for target in targets}) < len(targets):
+        raise bp.OutputError("is where another output goes too", file=targets[-1])
+    loaded = bp.load_job(file)
+    for each in targets:
+        check_output(each, loaded.files)
+    if html is not None:
+        check_ending(html, show.PAGE_FORMATS, what="a page")
+    if plot is not None:
+        check_ending(plot, show.FIGURE_FORMATS, what="a figure")
+    with _progress(as_json) as told:
+        found = bp.stand(loaded, count=count, effort=effort, seed=seed, watch=told)
+    found.save(output)
+    if html is not None:
+        show.write_stand_page(found, html)
+    if plot is not None:
+        show.plot_stand(found, plot)
+    if as_json:
+        content = standing.stand_to_dict(found)
+        del content["map"]
+        sys.stdout.write(json.dumps(content | {"file": str(output)}, allow_nan=False, indent=2) + "\n")
+    else:
+        print_stand(found, output)
+        for name, written in (("page", html), ("map", plot)):
+            if written is not None:
+                OUT.print(f"{name:<14}{written}")
+    return VERIFIED if found.verified else FAILED
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[bp.StandStep], None]]:
+    """A progress bar, on a terminal only."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"))
+    hidden = quiet or not ERR.is_terminal
+    with Progress(*columns, TimeElapsedColumn(), console=ERR, transient=True, disable=hidden) as bar:
+        task = bar.add_task("", total=1)
+        yield lambda step: bar.update(task, description=step.what, completed=step.done, total=step.total)
+
+
+def print_stand(plan: bp.StandPlan, output: Path) -> None:
+    """Print the answer and what was compared.
+
+    Parameters
+    ----------
+    output: the file to which it was written.
+    """
+    OUT.print(Text(*("verified", "bold green") if plan.verified else (f"failed: {plan.reason}", "bold red")))
+    if plan.note:
+        OUT.print(f"  {plan.note}")
+    unit, scale = ("s/m^3", 1.0) if plan.job.objective == "time" else ("kJ/m^3", 1e-3)
+    _print_ranking(plan, unit, scale)
+    if plan.places:
+        OUT.print(f"place   x [m]   y [m]  heading [deg]  cycles  bank [m^3]  time [s]  {unit:>7}  section, travel")
+    for number, place in enumerate(plan.places, start=1):
+        (x, y), own = place.base.position, place.plan
+        part = "all of it"
+        if place.section is not None:
+            (x0, y0), (x1, y1) = place.section
+            part = f"from {x0:.2f}, {y0:.2f} to {x1:.2f}, {y1:.2f} m"
+            part += f", {place.travel:.2f} m from the last place" if number > 1 else ""
+        OUT.print(
+            f"{number:5d}  {x:6.2f}  {y:6.2f}  {DEGREES * place.base.heading:13.0f}  {len(own.cycles):6d}  "
+            f"{own.bank:10.2f}  {own.duration:8.0f}  {scale * own.cost:7.1f}  {part}"
+        )
+    if plan.places:
+        OUT.print(f"soil          {plan.bank:.2f} m^3 bank")
+        moved = f", without the machine's own travel of {plan.travel:.1f} m" if plan.travel else ""
+        OUT.print(f"cost          {scale * plan.cost:.1f} {unit}{moved}")
+    if math.isfinite(plan.gain):
+        OUT.print(f"gain          {100.0 * plan.gain:.1f} % less than from the given place")
+    for number, place in enumerate(plan.places, start=1):
+        for one in place.plan.undug:
+            OUT.print(f"undug         from place {number}: {one.words}")
+    OUT.print(f"planned in    {plan.planning_time:.0f} s of the processor")
+    OUT.print(f"answer        {output}")
+
+
+def _print_ranking(plan: bp.StandPlan, unit: str, scale: float) -> None:
+    if not plan.ranking:
+        return
+    OUT.print(f"compared [{unit}]")
+    OUT.print(" x [m]   y [m]  heading [deg]   rough  estimated  planned  bank [m^3]")
+    for one in plan.ranking:
+        x, y = one.base.position
+        rough, estimated, planned = (
+            f"{scale * cost:.1f}" if math.isfinite(cost) else "-" for cost in (one.rough, one.estimated, one.planned)
+        )
+        marks = [text for text in ("given" if one.given else "", one.note) if text]
+        OUT.print(
+            f"{x:6.2f}  {y:6.2f}  {DEGREES * one.base.heading:13.0f}  {rough:>6}  {estimated:>9}  {planned:>7}  "
+            f"{one.bank:10.2f}  {': '.join(marks)}".rstrip()
+        )

@@ -1,0 +1,224 @@
+"""The site from above, with what every place costs: what the picture and the page draw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.job import Terrain
+from backhoe_planner.machine import Base
+from backhoe_planner.site import Obstacle, build_obstacles
+from backhoe_planner.standing import Place, Spot, StandPlan
+
+COSTS = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to dear; the ends differ in brightness too
+WHY = {  # why a machine cannot stand somewhere: a colour and words; places out of reach or off the line are not drawn
+    "edge": ("#e9d3cf", "on the dig, or too near its edge"),
+    "dump": ("#e3e7ec", "no place to dump in reach"),
+    "heap": ("#d9cdb8", "on the heap or the truck"),
+    "obstacle": ("#cfc6dd", "an obstacle in the way"),
+    "ground": ("#d8d8cf", "not level there, or not known"),
+}
+DIG, OBSTACLE, HEAP, MACHINE, GIVEN = "#8a6a4a", "#7d8894", "#b99b6b", "#1d2731", "#5d6b78"
+_LAID = 0.05  # m of loose soil that is drawn as a heap
+_DEAREST = 0.9  # of the costs from the least: the dearest tenth has one colour, so that a few do not stretch the scale
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A place of the map.
+
+    Attributes
+    ----------
+    corners: (4, 2) of its cell [m].
+    spot: what was found there.
+    """
+
+    corners: Matrix
+    spot: Spot
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """A machine at a place.
+
+    Attributes
+    ----------
+    outlines: (k, 2) of the parts that do not move [m].
+    axis: (2,) where it swings [m].
+    digs: (2,) the middle of what it digs [m].
+    label: its number among the places; empty for the place of the job's file.
+    """
+
+    outlines: tuple[Matrix, ...]
+    axis: Vector
+    digs: Vector
+    label: str
+
+
+@dataclass(frozen=True, eq=False)
+class Sketch:
+    """The site from above; lengths in m, world.
+
+    Attributes
+    ----------
+    cells: places that are worth a colour.
+    digs: outlines of what is dug, section by section.
+    obstacles: names and outlines.
+    heaps: outlines of the heaps at the end, of trucks their beds.
+    machines: at the places of the answer.
+    given: at the place of the job's file; None where that is the answer.
+    low, high: (2,) corners of all that is drawn.
+    range: least and greatest cost of the colours.
+    unit, scale: of the costs, and by what they are multiplied for it.
+    """
+
+    cells: tuple[Cell, ...]
+    digs: tuple[Matrix, ...]
+    obstacles: tuple[tuple[str, Matrix], ...]
+    heaps: tuple[Matrix, ...]
+    machines: tuple[Machine, ...]
+    given: Machine | None
+    low: Vector
+    high: Vector
+    range: tuple[float, float]
+    unit: str
+    scale: float
+
+
+def sketch_of(plan: StandPlan) -> Sketch:
+    """What there is to draw of an answer."""
+    found = plan.map
+    cells = tuple(
+        Cell(_cell(plan, np.array([x, y])), spot)
+        for row, xs, ys in zip(found.spots, found.x, found.y, strict=True)
+        for spot, x, y in zip(row, xs, ys, strict=True)
+        if np.isfinite(spot.cost) or spot.reason in WHY
+    )
+    machines = tuple(_machine(plan, place, number) for number, place in enumerate(plan.places, start=1))
+    here = plan.job.site_scene.base
+    base = Base(here.position, here.heading)
+    is_answer = len(plan.places) == 1 and plan.places[0].base == base
+    own = None if is_answer else Machine(_outlines(plan, base), np.array(base.position), _middle(plan.map.outline), "")
+    digs = tuple(_section(place) for place in plan.places if place.section is not None) or (found.outline,)
+    heaps = _heaps(plan)
+    robot_obstacles = _obstacles(plan)
+    drawn = [found.outline, *digs, *heaps, *(outline for one in (*machines, own) if one for outline in one.outlines)]
+    drawn += [cell.corners for cell in cells if np.isfinite(cell.spot.cost)]
+    every = np.vstack(drawn)
+    low, high = every.min(axis=0) - 0.7, every.max(axis=0) + 0.7
+    costs = np.sort(np.array([cell.spot.cost for cell in cells if np.isfinite(cell.spot.cost)]))
+    limits = (float(costs[0]), float(costs[int(_DEAREST * (len(costs) - 1))])) if len(costs) else (0.0, 1.0)
+    time = plan.job.objective == "time"
+    return Sketch(
+        cells, digs, robot_obstacles, heaps, machines, own, low, high, limits,
+        "s/m³" if time else "kJ/m³", 1.0 if time else 1e-3,
+    )  # fmt: skip
+
+
+def name_place(sketch: Sketch, outline: Matrix) -> tuple[float, float] | None:
+    """Where the name of an obstacle is written, x, y [m]; None where it lies beyond what is drawn."""
+    low, high = np.maximum(outline.min(axis=0), sketch.low), np.minimum(outline.max(axis=0), sketch.high)
+    if (low >= high).any():
+        return None
+    x, y = (0.5 * (low + high)).tolist()
+    return x, y
+
+
+def colour(sketch: Sketch, cost: float) -> str:
+    """The colour of a cost, as ``#rrggbb``."""
+    least, most = sketch.range
+    part = float(np.clip((cost - least) / max(most - least, 1e-9), 0.0, 1.0)) * (len(COSTS) - 1)
+    below = min(int(part), len(COSTS) - 2)
+    one, other = (np.array([int(COSTS[i][k : k + 2], 16) for k in (1, 3, 5)]) for i in (below, below + 1))
+    mixed = np.round(one + (part - below) * (other - one)).astype(int)
+    return "#" + "".join(f"{value:02x}" for value in mixed.tolist())
+
+
+def _cell(plan: StandPlan, middle: Vector) -> Matrix:
+    along = plan.map.along
+    left = np.array([-along[1], along[0]])
+    u, v = (0.5 * size for size in plan.map.cell)
+    return np.array([middle + a * u * along + b * v * left for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+
+
+def _outlines(plan: StandPlan, base: Base) -> tuple[Matrix, ...]:
+    cosine, sine = np.cos(base.heading), np.sin(base.heading)
+    turn = np.array([[cosine, sine], [-sine, cosine]])
+    return tuple(outline @ turn + base.position for outline in plan.footprints)
+
+
+def _machine(plan: StandPlan, place: Place, number: int) -> Machine:
+    digs = _middle(plan.map.outline if place.section is None else place.section)
+    return Machine(_outlines(plan, place.base), np.array(place.base.position), digs, str(number))
+
+
+def _middle(points: Matrix) -> Vector:
+    return np.asarray(points.mean(axis=0))
+
+
+def _section(place: Place) -> Matrix:
+    trench = place.job.dig.trench
+    assert trench is not None
+    a, b = np.array(trench.start), np.array(trench.end)
+    ahead = (b - a) / np.linalg.norm(b - a)
+    left = 0.5 * trench.width * np.array([-ahead[1], ahead[0]])
+    return np.array([a - left, b - left, b + left, a + left])
+
+
+def _heaps(plan: StandPlan) -> tuple[Matrix, ...]:
+    truck = plan.job.dump.truck
+    if truck is not None:
+        cosine, sine = np.cos(truck.bed.yaw), np.sin(truck.bed.yaw)
+        turn = np.array([[cosine, sine], [-sine, cosine]])
+        half = 0.5 * np.array(truck.bed.size[:2])
+        corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return (corners @ turn + np.array(truck.bed.position[:2]),)
+    return _laid(plan.places[-1].plan.end) if plan.places else ()
+
+
+def _laid(ground: Terrain) -> tuple[Matrix, ...]:
+    """Convex outlines of what lies loose on the ground."""
+    from scipy.ndimage import label
+    from scipy.spatial import ConvexHull
+
+    numbers, count = label(ground.loose > _LAID)
+    nodes = np.stack(np.meshgrid(ground.x, ground.y), axis=-1)
+    found = []
+    for number in range(1, count + 1):
+        points = nodes[numbers == number]
+        if np.ptp(points, axis=0).min() > 2.0 * ground.cell:
+            found.append(points[ConvexHull(points).vertices])
+    return tuple(found)
+
+
+def _obstacles(plan: StandPlan) -> tuple[tuple[str, Matrix], ...]:
+    """Names and outlines of the obstacles that have one from above."""
+    robot: Any = plan.places[0].plan.robot if plan.places else None
+    if robot is None:
+        return ()
+    found = []
+    for obstacle in build_obstacles(plan.job.site_scene, robot):
+        outline = None if obstacle.zone is not None else _outline(obstacle)
+        if outline is not None:
+            found.append((obstacle.name, outline))
+    return tuple(found)
+
+
+def _outline(obstacle: Obstacle) -> Matrix | None:
+    from scipy.spatial import ConvexHull
+
+    if obstacle.cluster is not None:
+        return None
+    points = []
+    for piece in obstacle.pieces:
+        if len(piece.hull):
+            angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+            ball = max(piece.radius, 1e-3) * np.column_stack((np.cos(angle), np.sin(angle)))
+            points.append((piece.hull[:, None, :2] + ball).reshape(-1, 2))
+    if not points:
+        return None
+    every = np.vstack(points)
+    return np.asarray(every[ConvexHull(every).vertices])

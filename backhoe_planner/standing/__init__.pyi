@@ -1,0 +1,12 @@
+from .finding_places import StandStep as StandStep
+from .finding_places import spot_finder as spot_finder
+from .finding_places import stand as stand
+from .machine_footprint import MachineFootprint as MachineFootprint
+from .result import Place as Place
+from .result import RankedPlace as RankedPlace
+from .result import StandPlan as StandPlan
+from .sections import layout as layout
+from .site_map import SiteMap as SiteMap
+from .site_map import Spot as Spot
+from .site_map import site_map as site_map
+from .stand_file import stand_to_dict as stand_to_dict

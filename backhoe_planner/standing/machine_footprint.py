@@ -1,0 +1,92 @@
+"""The ground that a machine covers: how far any point is from the parts that do not move, seen from above."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.machine import Base, Robot
+
+_CELL = 0.05  # m of the grid of distances: that of the ground
+_AROUND = 3.0  # m around the machine that the grid covers; chosen, farther is far enough
+_HALF_DIAGONAL = 0.5 * 2.0**0.5  # of a cell: by so much a distance that is looked up may be off
+
+
+class MachineFootprint:
+    """What a machine covers of the ground: tractor, stabilizers, and all else that does not move.
+
+    Parameters
+    ----------
+    robot: the machine, wherever it stands.
+
+    Attributes
+    ----------
+    outlines: of its parts, (k, 2) corners of a convex area each [m], in the axes of its root link.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        here = robot.at_origin
+        fixed = [one.piece for one in here.pieces if one.joint == 0 and len(one.piece.hull)]
+        self.outlines: tuple[Matrix, ...] = tuple(_outline(np.asarray(one.hull)[:, :2], one.radius) for one in fixed)
+        self._low = np.zeros(2)
+        self._distance = np.full((1, 1), _AROUND)
+        if self.outlines:
+            self._measure()
+
+    def _measure(self) -> None:
+        from scipy.ndimage import distance_transform_edt
+
+        corners = np.vstack(self.outlines)
+        self._low = np.floor((corners.min(axis=0) - _AROUND) / _CELL) * _CELL
+        count = np.ceil((corners.max(axis=0) + _AROUND - self._low) / _CELL).astype(int) + 1
+        x, y = (self._low[axis] + _CELL * np.arange(count[axis]) for axis in (0, 1))
+        nodes = np.stack(np.meshgrid(x, y), axis=-1)
+        covered = np.zeros(nodes.shape[:2], dtype=bool)
+        for outline in self.outlines:
+            edges = np.roll(outline, -1, axis=0) - outline
+            off = nodes[:, :, None, :] - outline
+            covered |= np.all(edges[:, 0] * off[..., 1] - edges[:, 1] * off[..., 0] >= -1e-9, axis=-1)
+        self._distance = _CELL * np.asarray(distance_transform_edt(~covered))
+
+    def distances(self, base: Base, points: Array) -> Array:
+        """(...) how far points (..., 2) [m], world, are at least from the machine that stands at `base` [m].
+
+        Right to 4 cm, never too much; at most 3 m.
+        """
+        own = _in_axes_of(base, points)
+        last = np.array(self._distance.shape[::-1]) - 1
+        place = np.round((own - self._low) / _CELL).astype(int)
+        beyond = ((place < 0) | (place > last)).any(axis=-1)
+        column, row = np.moveaxis(np.clip(place, 0, last), -1, 0)
+        found = np.maximum(self._distance[row, column] - _HALF_DIAGONAL * _CELL, 0.0)
+        return np.where(beyond, _AROUND, found)
+
+    def placed(self, base: Base) -> tuple[Matrix, ...]:
+        """The `outlines` of the machine that stands at `base` [m], world."""
+        cosine, sine = np.cos(base.heading), np.sin(base.heading)
+        turn = np.array([[cosine, sine], [-sine, cosine]])
+        return tuple(outline @ turn + base.position for outline in self.outlines)
+
+
+def _in_axes_of(base: Base, points: Array) -> Array:
+    off = np.asarray(points, dtype=float) - base.position
+    cosine, sine = np.cos(base.heading), np.sin(base.heading)
+    return np.asarray(off @ np.array([[cosine, -sine], [sine, cosine]]))
+
+
+def _outline(points: Matrix, radius: float) -> Matrix:
+    """(k, 2) the corners of the convex hull of points (m, 2), and of a square of half its edge around each [m].
+
+    Counter-clockwise.
+    """
+    from scipy.spatial import ConvexHull
+
+    around = max(radius, 1e-3) * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    every = (points[:, None, :] + around).reshape(-1, 2)
+    hull = ConvexHull(every)
+    return np.asarray(every[hull.vertices])
+
+
+def axis_offset(axis: Vector, base: Base) -> Vector:
+    """(2,) the swing axis [m], in the axes of the root link at `base`, of an axis (2,) in the world [m]."""
+    return np.asarray(_in_axes_of(base, axis))

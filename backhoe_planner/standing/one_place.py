@@ -1,0 +1,125 @@
+"""One place for a whole job: the best of the map are estimated, the best of these and the given place planned."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from backhoe_planner.errors import InputError
+from backhoe_planner.job import Job, JobPlan, estimate_job, plan_job
+from backhoe_planner.machine import Base
+from backhoe_planner.standing.moved_job import job_with
+from backhoe_planner.standing.result import RankedPlace
+from backhoe_planner.standing.site_map import SAME_SHARE, SiteMap, Spot, SpotFinder
+
+_APART = 0.35  # m between places that are estimated; chosen, so that these are not all next to each other
+_SAME_BANK = 0.01  # of the soil: what an answer may dig less than the given place
+_NOTED = 0.005  # m^3 of what stays undug: less is not worth a word
+_FEW = 0.98  # of the most soil by the estimates: places that dig less are planned last
+
+
+def best_spots(found: SiteMap, count: int) -> list[Spot]:
+    """The best places of a map, apart from each other, of those that reach the most."""
+    every = [spot for row in found.spots for spot in row if math.isfinite(spot.cost)]
+    most = max((spot.share for spot in every), default=0.0)
+    kept: list[Spot] = []
+    for spot in sorted((one for one in every if one.share >= most - SAME_SHARE), key=lambda one: one.cost):
+        if all(math.dist(spot.base.position, other.base.position) >= _APART for other in kept):
+            kept.append(spot)
+        if len(kept) == count:
+            break
+    return kept
+
+
+def job_at(job: Job, spot: Spot, finder: SpotFinder) -> Job:
+    """A job with its machine at a place, and the heaps that are used from there."""
+    heaps = None
+    if job.dump.heap is not None:
+        heaps = [finder.dumps[number].place.tolist() for number in spot.dumps]
+    return job_with(job, base=spot.base, heaps=heaps)
+
+
+def rank(
+    job: Job, spots: Sequence[Spot], finder: SpotFinder, *, count: int, effort: str, seed: int,
+    told: Callable[[str, int, int], object],
+) -> list[RankedPlace]:  # fmt: skip
+    """Places, the best first; that of the job's file is one of them.
+
+    Parameters
+    ----------
+    spots: to be estimated.
+    count: how many of them are planned in full, beside the given place.
+    told: called with what is done, how much of it is, and of how much.
+    """
+    own = finder.at(finder.site.plane.axis)
+    here = job.site_scene.base
+    given = Base(here.position, here.heading)
+    jobs = [job, *(job_at(job, spot, finder) for spot in spots)]
+    rough = [own.cost, *(spot.cost for spot in spots)]
+    bases = [given, *(spot.base for spot in spots)]
+    ranked = []
+    for number, (one, cost, base) in enumerate(zip(jobs, rough, bases, strict=True)):
+        told("estimating places", number, len(jobs))
+        ranked.append(_estimated(one, RankedPlace(base, number == 0, cost)))
+    most = max((one.bank for one in ranked if math.isfinite(one.estimated)), default=0.0)
+    order = sorted(
+        (number for number in range(1, len(jobs)) if math.isfinite(ranked[number].estimated)),
+        key=lambda number: (ranked[number].bank < _FEW * most, ranked[number].estimated),
+    )
+    wanted = [0, *order[:count]]
+    for index, number in enumerate(wanted):
+        told("planning in full", index, len(wanted))
+        ranked[number] = _planned(jobs[number], ranked[number], finder, effort=effort, seed=seed)
+    told("planning in full", len(wanted), len(wanted))
+    return _in_order(ranked)
+
+
+def _in_order(ranked: list[RankedPlace]) -> list[RankedPlace]:
+    """The best first: what is verified, digs as much as the given place and costs least, then the rest."""
+    given = next(one for one in ranked if one.given)
+    least = (1.0 - _SAME_BANK) * given.bank if given.plan is not None and given.plan.verified else 0.0
+
+    def key(one: RankedPlace) -> tuple[bool, bool, bool, float]:
+        plan = one.plan
+        verified = plan is not None and plan.verified
+        cost = one.planned if plan is not None else one.estimated
+        return plan is None, not verified, one.bank < least, cost if math.isfinite(cost) else math.inf
+
+    return sorted(ranked, key=key)
+
+
+def _estimated(job: Job, place: RankedPlace) -> RankedPlace:
+    try:
+        found = estimate_job(job, few=True)
+    except InputError as error:
+        return replace(place, note=_briefly(error))
+    best = found.best
+    return replace(place, estimated=best.cost if math.isfinite(best.cost) else math.nan, bank=best.bank)
+
+
+def _planned(job: Job, place: RankedPlace, finder: SpotFinder, *, effort: str, seed: int) -> RankedPlace:
+    try:
+        plan = plan_job(job, effort=effort, seed=seed)
+    except InputError as error:
+        return replace(place, note=_briefly(error))
+    note = plan.note if plan.failure else "; ".join(one.words for one in plan.undug if one.volume >= _NOTED)
+    if reaches_machine(plan, place.base, finder):
+        plan = replace(plan, failure="blocked", note="the heap reaches the machine")
+        note = plan.note
+    return replace(place, plan=plan, bank=plan.bank, note=note)
+
+
+def reaches_machine(plan: JobPlan, base: Base, finder: SpotFinder) -> bool:
+    """Whether loose soil comes to lie on the ground that the machine covers."""
+    end = plan.end
+    fresh = end.loose - plan.start.loose > end.cell
+    nodes = np.stack(np.meshgrid(end.x, end.y), axis=-1)[fresh]
+    return bool(len(nodes)) and float(finder.footprint.distances(base, nodes).min()) <= 0.0
+
+
+def _briefly(error: InputError) -> str:
+    found = "" if error.found is None else f": {error.found}"
+    return f"{error.problem}{found}"

@@ -1,0 +1,321 @@
+"""The site map: what a cubic metre costs from every place, at its best heading, or why no machine can stand there."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Matrix, Vector
+from backhoe_planner.job import Job, Worksite
+from backhoe_planner.machine import Base
+from backhoe_planner.site import build_obstacles, stands_in
+from backhoe_planner.standing.dig_area import DigArea
+from backhoe_planner.standing.machine_footprint import MachineFootprint, axis_offset
+from backhoe_planner.standing.reach_map import DumpTable, ReachMap, dump_table
+
+LINE_STEP, GRID_STEP = 0.1, 0.4  # m between places on a trench's line, and on a grid; chosen
+_HEADINGS = 13  # at a place; chosen, 13 degrees apart for a swing of 180
+_SPARE = 0.03  # rad from the ends of the swing
+_HEAP = 0.5  # m that a heap is high on the average, as the estimates of jobs have it
+_TRUCK = 0.3  # m between the machine and a truck; chosen
+_LEVEL = 0.15  # m by which the ground under the machine may be higher or lower than it stands; chosen, jacks level that
+SAME_SHARE = 0.02  # of what is dug: places that dig so much less count as equal
+_SAME_COST = 0.02  # of it: then the heading counts from which more dumps are reached; the map is no finer than that
+_ENOUGH_DUMPS = 3  # that are reached from a heading: more is no reason to turn the machine; chosen
+_REASONS = ("line", "reach", "dump", "edge", "ground", "heap", "obstacle")  # the later, the nearer to a place
+_WORDS = {
+    "line": "not in line with the trench",
+    "reach": "out of reach",
+    "dump": "no dump in reach",
+    "edge": "on the dig, or too near its edge",
+    "ground": "the ground is not level there, or not known",
+    "heap": "on the heap or the truck",
+    "obstacle": "in",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Spot:
+    """A place that was looked at.
+
+    Attributes
+    ----------
+    base: of the machine, at its best heading; where it cannot stand, any.
+    cost: about, of the objective per bank m^3 [s/m^3 or J/m^3]; nan where the machine cannot stand.
+    share: of the soil that the teeth reach from there.
+    dumps: numbers of the places to dump that are used from there.
+    reason: why the machine cannot stand there; empty where it can.
+    why: the same in words.
+    """
+
+    base: Base
+    cost: float
+    share: float
+    dumps: tuple[int, ...]
+    reason: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class DumpPlace:
+    """A place to dump.
+
+    Attributes
+    ----------
+    place: (2,) [m].
+    table: emptying the bucket there.
+    keep_off: (k, 2) points [m] that the machine keeps `distance` [m] away from.
+    """
+
+    place: Vector
+    table: DumpTable
+    keep_off: Matrix
+    distance: float
+
+
+class SpotFinder:
+    """Says what a place is worth.
+
+    Parameters
+    ----------
+    job: whose machine is to be placed.
+    site: the same without obstacles.
+    area: what is dug.
+    reach: of the machine.
+    """
+
+    def __init__(self, job: Job, site: Worksite, area: DigArea, reach: ReachMap) -> None:
+        self.area, self.reach, self.site = area, reach, site
+        self.footprint = MachineFootprint(site.robot)
+        self._job, self._obstacles = job, build_obstacles(job.site_scene, site.robot)
+        plane, base = site.plane, site.robot.base
+        self._offset = axis_offset(plane.axis, base)
+        self._zero = plane.heading(0.0) - base.heading
+        self._sense = math.copysign(1.0, plane.heading(1.0) - plane.heading(0.0)) if plane.swings else 1.0
+        self.dumps = _dump_places(job, site, float(area.soil.sum()), area.ground)
+
+    def for_area(self, area: DigArea) -> SpotFinder:
+        """The same for another part of what is dug."""
+        found = copy.copy(self)
+        found.area = area
+        foot = _heap_foot(self._job, float(area.soil.sum()))
+        if self._job.dump.heap is not None:
+            found.dumps = tuple(replace(dump, distance=foot) for dump in self.dumps)
+        return found
+
+    def at(self, axis: Vector, *, toward: Vector | None = None, dumps: Sequence[int] | None = None,
+           keep_off: Matrix | None = None) -> Spot:  # fmt: skip
+        """The best heading of a machine whose swing axis is at `axis` (2,) [m].
+
+        Parameters
+        ----------
+        toward: (2,) the direction in which is dug; by default to the middle of what is dug.
+        dumps: numbers of the places to dump that may be used; by default all.
+        keep_off: (k, 2) points besides on which no machine may stand [m].
+        """
+        area, reach = self.area, self.reach
+        ahead = area.middle - axis if toward is None else toward
+        target = math.atan2(ahead[1], ahead[0])
+        off = area.points - axis
+        r = np.hypot(off[:, 0], off[:, 1])
+        angle = np.arctan2(off[:, 1], off[:, 0])
+        reached = reach.reaches(r, area.z + self._job.dig.tolerance) & area.covered(axis)
+        none = Base(tuple(axis - self._offset), 0.0)
+        if not reached.any():
+            return Spot(none, math.nan, 0.0, (), "reach", _WORDS["reach"])
+        numbers = tuple(range(len(self.dumps))) if dumps is None else tuple(dumps)
+        each = [self._dump_cost(axis, r, angle, number) for number in numbers]
+        cost = np.array([one[0] for one in each]).reshape(len(numbers), len(r))
+        bearing = np.array([one[1] for one in each])
+        usable = np.isfinite(cost[:, reached]).any(axis=1) if len(numbers) else np.zeros(0, dtype=bool)
+        best: Spot | None = None
+        worst = Spot(none, math.nan, 0.0, (), "dump", _WORDS["dump"])
+        lower, upper = float(reach.swings[0]) + _SPARE, float(reach.swings[1]) - _SPARE
+        if lower >= upper:  # of a machine that does not swing
+            lower, upper = -_SPARE, _SPARE
+        for swing in _swings_between(lower, upper):
+            heading = _wrapped(target - self._zero - self._sense * float(swing))
+            turn = np.array([[math.cos(heading), -math.sin(heading)], [math.sin(heading), math.cos(heading)]])
+            base = Base(tuple(axis - turn @ self._offset), heading)
+            own = self._swings(angle, heading)
+            within = reached & (own >= lower) & (own <= upper)
+            there = self._swings(bearing, heading)
+            can = usable & (there >= lower) & (there <= upper)
+            share = float(area.soil[within].sum() / area.soil.sum())
+            if share <= 0.0:
+                worst = _later(worst, Spot(base, math.nan, 0.0, (), "reach", _WORDS["reach"]))
+                continue
+            if not can.any():
+                worst = _later(worst, Spot(base, math.nan, share, (), "dump", _WORDS["dump"]))
+                continue
+            reason, name, clear = self._stands(base, [n for n, ok in zip(numbers, can, strict=True) if ok], keep_off)
+            if reason:
+                why = f"{_WORDS[reason]} {name}".strip()
+                worst = _later(worst, Spot(base, math.nan, share, (), reason, why))
+                continue
+            rows = [row for row, number in enumerate(numbers) if can[row] and number in clear]
+            least = np.min(cost[rows], axis=0)
+            fine = within & np.isfinite(least)
+            value = float(area.soil[fine] @ least[fine] / area.soil[fine].sum()) if fine.any() else math.nan
+            spot = Spot(base, value, share, tuple(numbers[row] for row in rows))
+            if math.isfinite(value) and (best is None or _is_better(spot, best)):
+                best = spot
+        return worst if best is None else best
+
+    def _swings(self, angle: Array, heading: float) -> Array:
+        return self._sense * ((angle - heading - self._zero + np.pi) % (2.0 * np.pi) - np.pi)
+
+    def _dump_cost(self, axis: Vector, r: Vector, angle: Vector, number: int) -> tuple[Vector, float]:
+        """(C,) cost per m^3 of soil that goes to a dump, and the dump's bearing [rad]."""
+        dump = self.dumps[number]
+        x, y = dump.place - axis
+        bearing = math.atan2(y, x)
+        turn = (angle - bearing + np.pi) % (2.0 * np.pi) - np.pi
+        time, work = self.reach.cycle(r, turn, dump.table, math.hypot(x, y))
+        return (time if self._job.objective == "time" else work), bearing
+
+    def _stands(self, base: Base, dumps: Sequence[int], keep_off: Matrix | None) -> tuple[str, str, tuple[int, ...]]:
+        """Why the machine cannot stand at a base, with the obstacle's name; and the dumps that it is clear of."""
+        area, footprint = self.area, self.footprint
+        near = footprint.distances(base, area.keep_off).min() if len(area.keep_off) else math.inf
+        if near <= area.distance:
+            return "edge", "", ()
+        if keep_off is not None and len(keep_off) and footprint.distances(base, keep_off).min() <= 0.0:
+            return "edge", "", ()
+        if not self._is_level(base):
+            return "ground", "", ()
+        clear = tuple(
+            number for number in dumps
+            if footprint.distances(base, self.dumps[number].keep_off).min() > self.dumps[number].distance
+        )  # fmt: skip
+        if not clear:
+            return "heap", "", ()
+        found = stands_in(self.site.robot, self._obstacles, base=base, with_clearance=True)
+        if found is not None:
+            return "obstacle", f"the way of {found.obstacle}, with its {found.link}", ()
+        return "", "", clear
+
+    def _is_level(self, base: Base) -> bool:
+        """Whether the ground under the machine is known, and as high as the machine stands."""
+        if not self.footprint.outlines:
+            return True
+        points = np.vstack(self.footprint.placed(base))
+        heights = self.site.ground.height_at(points)
+        if self._job.ground.file is None:
+            heights = np.where(np.isfinite(heights), heights, self._job.ground.level or 0.0)
+        return bool(np.isfinite(heights).all() and np.abs(heights).max() <= _LEVEL)
+
+
+def _later(one: Spot, other: Spot) -> Spot:
+    """Of two places where the machine cannot stand, the one that comes nearer to one where it can."""
+    return other if _REASONS.index(other.reason) > _REASONS.index(one.reason) else one
+
+
+def _is_better(spot: Spot, best: Spot) -> bool:
+    """Whether a heading is better than another at the same place: by its reach, else by cost, else by its dumps."""
+    if abs(spot.share - best.share) > SAME_SHARE:
+        return spot.share > best.share
+    if abs(spot.cost - best.cost) > _SAME_COST * best.cost:
+        return spot.cost < best.cost
+    return min(len(spot.dumps), _ENOUGH_DUMPS) > min(len(best.dumps), _ENOUGH_DUMPS)
+
+
+def _swings_between(lower: float, upper: float) -> Vector:
+    """Swing angles at which may be dug [rad], the straightest first."""
+    if upper <= 2.0 * _SPARE:
+        return np.zeros(1)
+    found = np.linspace(lower, upper, _HEADINGS)
+    return np.asarray(found[np.argsort(np.abs(found), kind="stable")])
+
+
+def _wrapped(angle: float) -> float:
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def _dump_places(job: Job, site: Worksite, bank: float, ground: float) -> tuple[DumpPlace, ...]:
+    heap, truck = job.dump.heap, job.dump.truck
+    if heap is not None:
+        # the place that is reached soonest takes all that has room: each may become the whole heap
+        foot = _heap_foot(job, bank)
+        table = dump_table(site, ground + _HEAP)
+        return tuple(DumpPlace(np.array(at), table, np.array([at]), foot) for at in heap.places)
+    assert truck is not None
+    x, y, z = truck.bed.position
+    length, width, height = truck.bed.size
+    ahead = np.array([math.cos(truck.bed.yaw), math.sin(truck.bed.yaw)])
+    left = np.array([-ahead[1], ahead[0]])
+    u, v = (np.linspace(-0.5, 0.5, max(int(size / 0.2), 2)) * size for size in (length, width))
+    bed = (np.array([x, y]) + u[:, None, None] * ahead + v[None, :, None] * left).reshape(-1, 2)
+    table = dump_table(site, z + height)
+    return tuple(
+        DumpPlace(np.array([x, y]) + part * length * ahead, table, bed, _TRUCK) for part in (0.0, -0.25, 0.25)
+    )  # fmt: skip
+
+
+def _heap_foot(job: Job, bank: float) -> float:
+    """The radius of a heap of all the soil that is dug [m]."""
+    return float((3.0 * bank * job.soil.swell / (math.pi * math.tan(job.soil.repose))) ** (1.0 / 3.0))
+
+
+@dataclass(frozen=True, eq=False)
+class SiteMap:
+    """Costs by place on a grid that lies along what is dug.
+
+    Attributes
+    ----------
+    spots: (rows, columns) places; rows run across what is dug, columns along it.
+    x, y: (rows, columns) of the swing axis [m].
+    cell: between columns [m].
+    along: (2,) unit vector along the columns.
+    outline: (k, 2) corners of a convex area around what is dug [m].
+    """
+
+    spots: tuple[tuple[Spot, ...], ...]
+    x: Matrix
+    y: Matrix
+    cell: tuple[float, float]
+    along: Vector
+    outline: Matrix
+
+    @property
+    def cost(self) -> Matrix:
+        """(rows, columns) about, per bank m^3 [s/m^3 or J/m^3]; nan where the machine cannot stand."""
+        return np.array([[spot.cost for spot in row] for row in self.spots])
+
+    @property
+    def share(self) -> Matrix:
+        """(rows, columns) of the soil that is reached."""
+        return np.array([[spot.share for spot in row] for row in self.spots])
+
+
+def site_map(finder: SpotFinder, told: Callable[[int, int], object]) -> SiteMap:
+    """Look at all places around what is dug.
+
+    Parameters
+    ----------
+    told: called with how many are done, and of how many.
+    """
+    area = finder.area
+    far = float(finder.reach.r[finder.reach.floor < area.ground - 1e-6].max(initial=1.0))
+    step = LINE_STEP if area.in_line else GRID_STEP
+    half_u, half_v = 0.5 * area.length + far, 0.5 * area.width + far
+    u = step * np.arange(-math.ceil(half_u / step), math.ceil(half_u / step) + 1)
+    v = GRID_STEP * np.arange(-math.ceil(half_v / GRID_STEP), math.ceil(half_v / GRID_STEP) + 1)
+    left = np.array([-area.direction[1], area.direction[0]])
+    grid = area.middle + u[None, :, None] * area.direction + v[:, None, None] * left
+    rows = []
+    for index, row in enumerate(grid):
+        if area.in_line and abs(v[index]) > 1e-9:
+            rows.append(tuple(_off_line(axis) for axis in row))
+        else:
+            rows.append(tuple(finder.at(axis) for axis in row))
+        told(index + 1, len(grid))
+    return SiteMap(tuple(rows), grid[..., 0], grid[..., 1], (step, GRID_STEP), area.direction, area.outline)
+
+
+def _off_line(axis: Vector) -> Spot:
+    return Spot(Base(tuple(axis), 0.0), math.nan, 0.0, (), "line", _WORDS["line"])

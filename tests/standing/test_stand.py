@@ -1,0 +1,174 @@
+"""Where to stand: what the map says is known from the geometry of the site."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_jobs import small_job
+
+import backhoe_planner as bp
+from backhoe_planner.job import Job, load_job_plan
+from backhoe_planner.machine import Base, Robot
+from backhoe_planner.standing import MachineFootprint, SiteMap, layout, site_map, spot_finder, stand_to_dict
+
+TRENCH = {"width": 0.6, "depth": 0.3}
+AT = (30.0, -12.0)  # m, to where machine and site are moved together
+
+
+def nobody(*_: object) -> None:
+    """Tell nobody."""
+
+
+def _job(**keys: Any) -> Job:
+    """A trench of 1.2 m on the x axis, on coarse ground without obstacles, with a heap on either side."""
+    content = {
+        "site": {}, "ground": {"cell": 0.1}, "dig": {"trench": {"from": [4.4, 0.0], "to": [3.2, 0.0], **TRENCH}},
+        "dump": {"heap": {"at": [[3.8, -3.0], [3.8, 3.0]]}},
+    }  # fmt: skip
+    return small_job(**(content | keys))
+
+
+def _map(job: Job) -> SiteMap:
+    return site_map(spot_finder(job, nobody), nobody)
+
+
+@pytest.fixture(scope="module")
+def plain() -> SiteMap:
+    return _map(_job())
+
+
+@pytest.fixture(scope="module")
+def answer() -> bp.StandPlan:
+    job = _job(
+        ground={"cell": 0.1, "low": [0.5, -4.5], "high": [6.0, 1.5]}, dump={"heap": {"at": [2.5, -3.0]}},
+        dig={"trench": {"from": [4.4, 0.0], "to": [3.7, 0.0], **TRENCH}},
+    )  # fmt: skip
+    return bp.stand(job, count=1)
+
+
+def test_a_trench_as_wide_as_the_bucket_is_dug_from_its_own_line(plain: SiteMap) -> None:
+    stands = np.isfinite(plain.cost)
+    assert stands.any()
+    assert np.abs(plain.y[stands]).max() < 1e-9
+    for row in plain.spots:
+        for spot in row:
+            if math.isfinite(spot.cost):
+                away = abs(spot.base.position[0] - 3.8)
+                # the trench ends 0.6 m from its middle, the stabilizers stay 0.6 m off it and may be turned away
+                # by 0.4 m; the greatest reach of the data sheet is 5.65 m
+                assert 0.8 < away < 5.65 + 0.6
+
+
+def test_a_site_that_is_symmetric_costs_the_same_from_both_sides(plain: SiteMap) -> None:
+    """The heaps lie beside the middle of the trench."""
+    np.testing.assert_allclose(plain.cost, plain.cost[:, ::-1], rtol=1e-9)
+    np.testing.assert_allclose(plain.share, plain.share[:, ::-1], atol=1e-9)
+
+
+def test_a_site_that_is_moved_has_the_same_map(plain: SiteMap) -> None:
+    def moved(x: float, y: float) -> list[float]:
+        return [AT[0] - y, AT[1] + x]  # a quarter turn, then moved
+
+    job = _job(
+        site={"base": {"position": list(AT), "heading": math.pi / 2.0}},
+        dig={"trench": {"from": moved(4.4, 0.0), "to": moved(3.2, 0.0), **TRENCH}},
+        dump={"heap": {"at": [moved(3.8, -3.0), moved(3.8, 3.0)]}},
+    )
+    there = _map(job)
+    np.testing.assert_allclose(there.cost, plain.cost, rtol=1e-6)
+    np.testing.assert_allclose(there.x, AT[0] - plain.y, atol=1e-9)
+    np.testing.assert_allclose(there.y, AT[1] + plain.x, atol=1e-9)
+
+
+def test_a_machine_does_not_stand_where_an_obstacle_is(plain: SiteMap) -> None:
+    """A wall crosses the line at x 7.6 m: the tractor that looks along -x would stand in it, or ends before it."""
+    wall = {"name": "wall", "shape": "box", "size": [0.3, 20.0, 2.0], "position": [7.6, 0.0, 1.0]}
+    walled = _map(_job(site={"obstacles": [wall]}))
+    line = len(plain.spots) // 2
+    for before, spot in zip(plain.spots[line], walled.spots[line], strict=True):
+        x = spot.base.position[0]
+        if math.isfinite(before.cost) and 3.8 < x < 7.5:
+            assert spot.reason == "obstacle"
+            assert "wall" in spot.why
+        elif math.isfinite(before.cost) and x < 3.8:
+            assert spot.cost == pytest.approx(before.cost)
+
+
+def test_the_ground_that_the_machine_covers_is_that_of_its_fixed_parts(backhoe: Robot) -> None:
+    """By the model: the stabilizers reach 1.43 m to either side, the loader 5.24 m back, and nothing ahead of x 0."""
+    footprint = MachineFootprint(backhoe)
+    base = Base((2.0, 1.0), math.pi / 2.0)  # looks along y: its x axis is the world's y
+    points = np.array([[2.0 + 1.3, 0.9], [2.0, 1.0 - 5.0], [2.0, 3.0], [2.0 + 2.43, 0.9]])
+    distances = footprint.distances(base, points)
+    assert distances[:2] == pytest.approx([0.0, 0.0])
+    assert 1.9 <= distances[2] <= 2.3  # from the rear plate, which ends at x -0.24 m, or the feet at x 0
+    assert distances[3] == pytest.approx(1.0, abs=0.1)
+    corners = np.vstack(footprint.placed(base))
+    assert corners.max(axis=0) == pytest.approx([3.43, 1.0], abs=0.02)
+
+
+def test_nine_metres_take_several_places_whose_sections_cover_all() -> None:
+    trench = {"from": [4.0, 0.0], "to": [-5.0, 0.0], "width": 0.6, "depth": 0.3, "slope": -0.02}
+    heaps = [[x, -3.4] for x in (4.5, 3.0, 1.5, 0.0, -1.5, -3.0, -4.5)]
+    job = _job(dig={"trench": trench}, dump={"heap": {"at": heaps, "edge_distance": 0.6}})
+    finder = spot_finder(job, nobody)
+    sections = layout(job, finder)
+    assert not isinstance(sections, str)
+    assert 2 <= len(sections) <= 3  # 9 m of at most 4.4 m each, less what overlaps
+    assert sections[0].start == 0.0
+    assert sections[-1].end == pytest.approx(9.0)
+    begin = np.array(sections[0].dig["trench"]["from"])
+    forth = np.allclose(begin, [4.0, 0.0])
+    for before, after in itertools.pairwise(sections):
+        assert after.start < before.end < after.end  # the slope that is left belongs to the next one
+    for one in sections:
+        own = one.dig["trench"]
+        assert np.linalg.norm(np.subtract(own["from"], begin)) == pytest.approx(one.start, abs=1e-5)
+        # the bottom is that of the whole trench: 0.3 m deep at x 4 m, and 2 cm less every metre
+        assert own["depth"] == pytest.approx(0.3 - 0.02 * (4.0 - own["from"][0]), abs=1e-5)
+        assert own["slope"] == (-0.02 if forth else 0.02)
+        ahead = 1.0 if not forth else -1.0
+        for spot in one.spots:
+            gap = ahead * (spot.base.position[0] - own["to"][0])
+            assert gap >= 0.6  # it stands beyond the section, on ground that is not dug yet
+            assert abs(spot.base.position[1]) < 1e-9
+
+
+def test_a_job_whose_dump_no_place_reaches_says_so() -> None:
+    """The trench lies 20 m from the heap, and the machine reaches 5.65 m to either side."""
+    found = bp.stand(_job(dump={"heap": {"at": [24.0, 0.0]}}))
+    assert (found.verdict, found.reason, found.places) == ("failed", "unreachable", ())
+    assert "no dump in reach" in found.note
+
+
+def test_the_answer_costs_no_more_than_the_given_place(answer: bp.StandPlan) -> None:
+    given = answer.given
+    assert answer.verified
+    assert given is not None
+    assert given.plan is not None
+    assert answer.cost <= given.planned
+    assert answer.bank >= 0.99 * given.bank
+    assert answer.gain == pytest.approx(1.0 - answer.cost / given.planned)
+    assert len(answer.places) == 1
+    assert sum(one.plan is not None for one in answer.ranking) == 2
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        answer.note = ""  # type: ignore[misc]
+
+
+def test_an_answer_is_written_with_jobs_and_plans_that_are_taken_again(answer: bp.StandPlan, tmp_path: Path) -> None:
+    answer.save(tmp_path / "stand.json")
+    content = json.loads((tmp_path / "stand.json").read_text())
+    assert content["verdict"] == "verified"
+    job, plan, ground = (tmp_path / name for name in content["places"][0]["files"])
+    again = bp.load_job(job)
+    assert again.site_scene.base.position == pytest.approx(answer.places[0].base.position)
+    assert load_job_plan(plan).cost == pytest.approx(answer.cost)
+    assert np.loadtxt(ground, delimiter=",").shape == answer.places[0].plan.start.shape
+    assert stand_to_dict(answer)["cost"] == pytest.approx(answer.cost)
