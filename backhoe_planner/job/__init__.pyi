@@ -16,7 +16,6 @@ from .ground.sweep import Sweep as Sweep
 from .ground.sweep import swept as swept
 from .ground.terrain import Terrain as Terrain
 from .ground.truck_bed import Bed as Bed
-from .job_estimate import JobEstimate as JobEstimate
 from .job_estimate import estimate_job as estimate_job
 from .planner import DEFAULT_EFFORT as DEFAULT_EFFORT
 from .planner import JobStep as JobStep
