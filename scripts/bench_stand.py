@@ -45,6 +45,16 @@ def main() -> None:
                 f"  place {number}: x {x:.2f}, y {y:.2f} m, heading {place.base.heading:.2f} rad, "
                 f"{len(place.plan.cycles)} cycles, {place.plan.bank:.2f} m^3, moved by {place.travel:.1f} m"
             )
+        given_plan = None if plan.given is None else plan.given.plan
+        if given_plan is not None and given_plan.bank > 0.0:
+            before, after = (
+                (one.duration - waits) / one.bank
+                for one, waits in (
+                    (given_plan, given_plan.waits),
+                    (plan, sum(place.plan.waits for place in plan.places)),
+                )
+            )
+            print(f"  time: {after:.1f} s/m^3, at the given place {before:.1f}")
         gain = "" if math.isnan(plan.gain) else f", {100.0 * plan.gain:.1f} % less than the given place"
         print(
             f"  answer: {scale * plan.cost:.1f} {unit}{gain}; {plan.planning_time:.0f} s of the processor", flush=True

@@ -22,6 +22,7 @@ WHY = {  # why a machine cannot stand somewhere: a colour and words; places out 
     "ground": ("#d8d8cf", "not level there, or not known"),
 }
 DIG, OBSTACLE, HEAP, MACHINE, GIVEN = "#8a6a4a", "#7d8894", "#b99b6b", "#1d2731", "#5d6b78"
+WHOLE = 0.98  # of the soil, from which on a place counts as reaching all of it; as of the search
 _LAID = 0.05  # m of loose soil that is drawn as a heap
 _DEAREST = 0.9  # of the costs from the least: the dearest tenth has one colour, so that a few do not stretch the scale
 

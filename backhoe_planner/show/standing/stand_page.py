@@ -16,6 +16,7 @@ from backhoe_planner.show.standing.site_sketch import (
     HEAP,
     MACHINE,
     OBSTACLE,
+    WHOLE,
     WHY,
     Machine,
     Sketch,
@@ -77,10 +78,13 @@ def _drawing(sketch: Sketch) -> str:
         shade = colour(sketch, spot.cost) if finite else WHY[spot.reason][0]
         heading = f"{math.degrees(spot.base.heading):.0f}°"
         words = f"{sketch.scale * spot.cost:.1f} {sketch.unit} about, heading {heading}" if finite else spot.why
-        if finite and spot.share < 0.995:
+        if finite and spot.share < WHOLE:
             words += f", {100.0 * spot.share:.0f} % in reach"
         told = html.escape(f"x {x:.2f}, y {y:.2f} m: {words}")
-        parts.append(f'<polygon class="cell" points="{_points(cell.corners)}" fill="{shade}" data-told="{told}"/>')
+        part = " part" if finite and spot.share < WHOLE else ""
+        parts.append(
+            f'<polygon class="cell{part}" points="{_points(cell.corners)}" fill="{shade}" data-told="{told}"/>'
+        )
     parts += [f'<polygon points="{_points(one)}" fill="{HEAP}" fill-opacity=".6"/>' for one in sketch.heaps]
     parts += [f'<polygon class="dig" points="{_points(one)}" fill="{DIG}"/>' for one in sketch.digs]
     for name, outline in sketch.obstacles:
@@ -147,6 +151,8 @@ def _legend(sketch: Sketch) -> str:
     seen = {cell.spot.reason for cell in sketch.cells if cell.spot.reason}
     keys = [(shade, words) for reason, (shade, words) in WHY.items() if reason in seen]
     keys += [(DIG, "dug"), (HEAP, "heap or truck")]
+    if any(cell.spot.share < WHOLE for cell in sketch.cells if math.isfinite(cell.spot.cost)):
+        keys.append(("rgba(95,174,123,.35)", "pale: reaches a part only"))
     given = '<li><i class="dashed"></i>the given place</li>' if sketch.given is not None else ""
     return (
         f"<section><h2>Cost from there, about [{html.escape(sketch.unit)}]</h2>"

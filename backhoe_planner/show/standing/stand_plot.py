@@ -15,6 +15,7 @@ from backhoe_planner.show.standing.site_sketch import (
     HEAP,
     MACHINE,
     OBSTACLE,
+    WHOLE,
     WHY,
     Machine,
     Sketch,
@@ -67,7 +68,8 @@ def _draw(axes: Axes, sketch: Sketch) -> None:
     for cell in sketch.cells:
         finite = np.isfinite(cell.spot.cost)
         shade = colour(sketch, cell.spot.cost) if finite else WHY[cell.spot.reason][0]
-        axes.add_patch(Polygon(cell.corners, facecolor=shade, edgecolor=shade, linewidth=0.2, zorder=1))
+        pale = finite and cell.spot.share < WHOLE
+        axes.add_patch(Polygon(cell.corners, facecolor=shade, edgecolor="none", alpha=0.35 if pale else 1.0, zorder=1))
     for outline in sketch.heaps:
         axes.add_patch(Polygon(outline, facecolor=HEAP, edgecolor="none", alpha=0.6, zorder=2))
     for outline in sketch.digs:
