@@ -140,6 +140,6 @@ def test_the_reach_of_a_level_arm_is_seen_from_above(planar4: Robot, tmp_path: P
 
 def test_without_matplotlib_the_extra_is_named(backhoe: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(InputError, match=r"pip install backhoe_planner\[plots\]"):
+    with pytest.raises(InputError, match=r'pip install "backhoe_planner\[plots\]"'):
         plot_envelope(backhoe, tmp_path / "envelope.png")
     assert not list(tmp_path.iterdir())
