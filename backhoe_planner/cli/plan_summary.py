@@ -56,7 +56,11 @@ def _print_legs(found: bp.Plan) -> None:
         work = planning.describe_quantity(leg.metrics.energy["work"], "J")
         wrong = "" if leg.certificate.verified else ", not verified"
         error = f", tip error {1e3 * leg.certificate.tracking.max_error:.2f} mm"
-        OUT.print(f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s, {work}{near}{error}{wrong}")
+        load = leg.problem.robot.carried
+        carried = "" if load is None else f", carries {load[0]}"
+        OUT.print(
+            f"leg           {leg.name:<{width}}  {leg.metrics.duration:6.2f} s, {work}{near}{error}{carried}{wrong}"
+        )
 
 
 def _print_tracking_error(found: bp.Plan) -> None:

@@ -92,7 +92,7 @@ def join_certificates(legs: Iterable[LegCertificate], *, missing: Iterable[str] 
 
 def _place(leg: LegCertificate) -> str:
     """The beginning of a sentence about a leg, whose times count from where it begins."""
-    return f"leg {leg.name!r}, from {leg.begins:.2f} s on: "
+    return f"leg {leg.name!r} (its times count from {leg.begins:.2f} s): "
 
 
 def _later(found: _Use, leg: LegCertificate) -> _Use:

@@ -71,7 +71,7 @@ def test_the_whole_is_the_sum_and_the_tightest_of_its_legs(done: Plan) -> None:
     assert done.certificate.hydraulics is not None
     assert done.certificate.hydraulics.ratio == max(ratios)
     (kept,) = done.certificate.keep
-    assert kept.words.startswith(f"leg 'swing', from {done.legs[1].begins:.2f} s on: ")  # its times count from there
+    assert kept.words.startswith(f"leg 'swing' (its times count from {done.legs[1].begins:.2f} s): ")
 
 
 def test_a_plan_of_a_sequence_is_proven_anew_from_its_file(done: Plan, tmp_path: Path) -> None:

@@ -25,7 +25,8 @@ def export_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
     every cylinder; of a sequence at last the name of the leg.
     ``.npz``: arrays time (T,), q (T, n), v (T, n), joints (n,); with a hydraulic
     description also lengths, rod_speeds and flows (T, m), cylinders (m,);
-    of a sequence legs (L,), their names, and leg_begins (L,), the first sample of each.
+    of a sequence legs (L,), their names, leg_begins (L,), the first sample of each, and
+    leg_carries (L,), the name of what is carried or nothing.
     ``.yaml``: a ROS 2 trajectory_msgs/JointTrajectory message.
 
     Raises
@@ -66,7 +67,9 @@ def _write_npz(plan: Plan, stream: IO[Any]) -> None:
     if hydraulics is not None:
         arrays |= _cylinders(hydraulics, motion) | {"cylinders": np.array(hydraulics.cylinder_names)}
     if plan.legs:
+        loads = [leg.problem.robot.carried for leg in plan.legs]
         arrays |= {"legs": np.array([leg.name for leg in plan.legs]), "leg_begins": np.array(motion.begins)}
+        arrays |= {"leg_carries": np.array(["" if load is None else load[0] for load in loads])}
     np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 

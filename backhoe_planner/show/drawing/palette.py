@@ -16,6 +16,7 @@ GOAL = _rgb("1fa35c")
 PASSED_BY = _rgb("9aa5ad")  # goals of which another is reached
 SOIL = _rgb("917659")
 LOOSE_SOIL = _rgb("b39770")  # what was dug and lies in a heap or a bucket
+LOAD = _rgb("b9b3aa")  # what the machine carries
 MACHINE = _rgb("e9ad25")  # where the URDF gives no colour
 
 FAR = _rgb("2fa866")

@@ -1,6 +1,7 @@
 """Machine, site and task as a tree of named nodes in a meshcat viewer.
 
     machine/<link>              one node per link, moved by one transform
+    carried/<load>              what is carried, there only while it is
     site/<obstacle>
     clearance/<obstacle>        the surface at its clearance, hidden at first
     task/path, task/goal, task/trace
@@ -35,8 +36,9 @@ from backhoe_planner.show.drawing.drawing import (
 )
 from backhoe_planner.show.drawing.framing import View, frame
 from backhoe_planner.show.drawing.ground import draw_ground, opening_of
+from backhoe_planner.show.drawing.loads import load_meshes
 from backhoe_planner.show.drawing.machine_meshes import machine_meshes
-from backhoe_planner.show.drawing.palette import FAR, GOAL, PASSED_BY, PATH, TRACE, Rgb, Rgba, margin_rgb
+from backhoe_planner.show.drawing.palette import FAR, GOAL, LOAD, PASSED_BY, PATH, TRACE, Rgb, Rgba, margin_rgb
 from backhoe_planner.show.drawing.site_meshes import SiteMesh, is_ground, site_mesh
 from backhoe_planner.show.drawing.solids import facets, tube
 from backhoe_planner.show.drawing.timeline import ITSELF, CriticalPoint, Timeline
@@ -44,7 +46,7 @@ from backhoe_planner.site import Obstacle, offset_at
 
 UP = np.array([0.0, 0.0, 1.0])
 HIDDEN = 1e-5  # scale of what is hidden: too small to be seen, while 0 has no inverse
-_GROUPS = ("machine", "site", "clearance", "task", "critical points", "ground")
+_GROUPS = ("machine", "carried", "site", "clearance", "task", "critical points", "ground")
 _LINE_WIDTH = 0.0011  # radius of path and trace, as part of the distance to the camera; chosen, a few pixels
 _NOWHERE = np.zeros((4, 4))
 _SHALLOW = 0.05  # m below the ground that does not count as beneath it; chosen
@@ -84,6 +86,11 @@ class SceneGraph:
         meshes, self.warnings = machine_meshes(robot)
         self._joint_of = {drawn.link: drawn.joint for drawn in meshes}
         self._links = node_names(self._joint_of)
+        self._loads = load_meshes(problem)
+        self._load_nodes: list[str] = []
+        for load in self._loads:  # two legs may carry different things of one name
+            again = sum(load.name == other.name for other in self._loads[: len(self._load_nodes)])
+            self._load_nodes.append(node_name(f"{load.name} ({again + 1})" if again else load.name))
         self._obstacles = node_names([*(obstacle.name for obstacle in problem.obstacles), ITSELF])
         self._prefix = visualizer.path.lower().rstrip("/")
         rest = problem.start_q if q is None else q
@@ -114,7 +121,7 @@ class SceneGraph:
         self._draw_task()
         for name in self._obstacles:
             self._draw_critical_point(name)
-        self.move(posture)
+        self.move(posture, leg=problem.legs[0].name if problem.legs else None)
 
     # --- what stands still ----------------------------------------------------------
 
@@ -160,6 +167,8 @@ class SceneGraph:
             number[drawn.link] += 1
             node = self._tree["machine"][self._links[drawn.link]][f"{part}"]
             draw(node, mesh(drawn.facets, drawn.rgba), shadow=drawn.rgba[3] == 1.0)
+        for name, load in zip(self._load_nodes, self._loads, strict=True):
+            draw(self._tree["carried"][name], mesh(load.facets, (*LOAD, 1.0)))
 
     def _draw_site(self, centre: Vector) -> None:
         for order, (obstacle, drawn) in enumerate(zip(self._drawn, self._site, strict=True)):
@@ -277,6 +286,7 @@ class SceneGraph:
     def _machine_corners(self, postures: Iterable[Vector]) -> Matrix:
         """(k, 3) corners of the boxes around every drawn part, in all `postures` (n,) [m], world."""
         parts = [(drawn.joint, drawn.facets.vertices) for drawn in self._meshes]
+        parts += [(load.joint, load.facets.vertices) for load in self._loads]
         boxes = [(joint, _box_corners(points.min(axis=0), points.max(axis=0))) for joint, points in parts]
         found = []
         for q in postures:
@@ -288,16 +298,23 @@ class SceneGraph:
 
     # --- what moves -------------------------------------------------------------------
 
-    def move(self, q: Vector, *, time: float = 0.0, nearest: Sequence[CriticalPoint | None] = ()) -> None:
+    def move(
+        self, q: Vector, *, time: float = 0.0, nearest: Sequence[CriticalPoint | None] = (), leg: str | None = None
+    ) -> None:
         """Show the machine at `q` (n,) and the site at `time` [s].
 
         Parameters
         ----------
         nearest: critical points to show, in the order of the obstacles.
+        leg: of a sequence, of which the load is shown; None for no load.
         """
         pin.forwardKinematics(self.problem.robot.model, self._data, q)
         for link, joint in self._joint_of.items():
             self._place("machine", self._links[link], self._data.oMi[joint].homogeneous)
+        for name, load in zip(self._load_nodes, self._loads, strict=True):
+            transform = self._data.oMi[load.joint].homogeneous
+            transform[:3, :3] *= 1.0 if leg in load.legs else HIDDEN
+            self._place("carried", name, transform)
         for obstacle in self.problem.obstacles:
             if obstacle.moves or obstacle.appears_at > 0.0:
                 self.place(obstacle.name, None if time < obstacle.appears_at else offset_at(obstacle, time))
@@ -333,6 +350,14 @@ class SceneGraph:
             transform[:3, 3] = shift
         for group in ("site", "clearance"):
             self._place(group, self._obstacles[name], transform)
+
+    @property
+    def loads(self) -> tuple[dict[str, Any], ...]:
+        """Of everything that is carried in some leg the name, its node's path, and where the name is written there."""
+        return tuple(
+            {"name": load.name, "node": ("carried", node), "anchor": load.anchor}
+            for node, load in zip(self._load_nodes, self._loads, strict=True)
+        )
 
     @property
     def prefix(self) -> str:
@@ -391,6 +416,13 @@ class SceneGraph:
                 path = f"{self._prefix}/machine/{self._links[link]}"
                 tracks.append(Track(path, "position", time, timeline.poses[:, joint, :3]))
                 tracks.append(Track(path, "quaternion", time, timeline.poses[:, joint, 3:]))
+        for name, load in zip(self._load_nodes, self._loads, strict=True):
+            path = f"{self._prefix}/carried/{name}"
+            carried = load.carried_in(timeline.legs or ("",) * len(time))  # a motion that begins no leg carries nothing
+            size = np.where(carried, 1.0, HIDDEN)
+            tracks.append(Track(path, "position", time, timeline.poses[:, load.joint, :3]))
+            tracks.append(Track(path, "quaternion", time, timeline.poses[:, load.joint, 3:]))
+            tracks.append(Track(path, "scale", time, np.repeat(size[:, None], 3, axis=1)))
         for obstacle in self.problem.obstacles:
             legs = obstacle.spec.legs
             there = np.array([legs is None or leg in legs for leg in timeline.legs] or [True] * len(timeline.time))

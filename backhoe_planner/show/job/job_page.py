@@ -29,6 +29,7 @@ from backhoe_planner.show.page.page_content import frame_numbers, tell_problem
 from backhoe_planner.site.schema import obstacle_shapes
 
 _LOAD_INSIDE = 0.9  # of the bucket's hull, as which the soil in it is drawn; chosen by eye
+_HIDDEN = ("critical points",)  # while a bucket digs, the nearest is mostly ground that nobody is afraid of
 _NODE = ("ground", "terrain")  # where the page puts the ground in the viewer's tree
 
 
@@ -71,7 +72,7 @@ def show_job(display: Display, plan: JobPlan) -> tuple[str, ...]:
     tracks += draw_truck_load(visualizer, graph.prefix, plan, frames.parts, line.time)
     visualizer.set_animation(PlanAnimation(tracks, float(line.time[-1])), play=False)
     view = graph.look_at_motion(line)
-    tell_problem(display, problem, graph, view, line.obstacles, task=_words(plan), unnamed=_walls(plan))
+    tell_problem(display, problem, graph, view, line.obstacles, task=_words(plan), unnamed=_walls(plan), hidden=_HIDDEN)
     display.tell("plan", _plan_content(plan, line, view))
     display.tell(
         "job",

@@ -10,7 +10,7 @@ import numpy as np
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.live import problem_to_show
 from backhoe_planner.motion import Condition, Problem
-from backhoe_planner.planning import Plan
+from backhoe_planner.planning import Plan, PlannedLeg
 from backhoe_planner.show.drawing.framing import View
 from backhoe_planner.show.drawing.palette import FAR, NEAR, TIGHT
 from backhoe_planner.show.drawing.scene_graph import SceneGraph
@@ -41,13 +41,21 @@ def show_plan(display: Display, plan: Plan) -> SceneGraph:
         "message": plan.message,
         "facts": plan_facts(plan),
         "goal": goal,
-        "legs": [{"name": leg.name, "begins": leg.begins} for leg in plan.legs],
+        "legs": [_leg(problem, leg) for leg in plan.legs],
         "kept": [] if problem.keep is None else [_kept(one, frames.q) for one in problem.keep.conditions],
         **frame_numbers(frames, shown_links(problem)),
         "view": view,
     }
     display.tell("plan", content)
     return graph
+
+
+def _leg(problem: Problem, leg: PlannedLeg) -> dict[str, Any]:
+    """What the page shows of a leg: its beginning, what it carries, and which obstacles are not there in it."""
+    carried = leg.problem.robot.carried
+    there = {obstacle.name for obstacle in leg.problem.obstacles}
+    away = [obstacle.name for obstacle in problem.obstacles if obstacle.name not in there]
+    return {"name": leg.name, "begins": leg.begins, "carries": carried and carried[0], "away": away}
 
 
 def frame_numbers(frames: Timeline, links: tuple[str, ...]) -> dict[str, Any]:
@@ -70,6 +78,7 @@ def tell_problem(
     *,
     task: str = "",
     unnamed: Collection[str] = (),
+    hidden: Collection[str] = (),
 ) -> None:
     """Tell the page of the site and the machine: names and where they are written, clearances, limits.
 
@@ -79,6 +88,7 @@ def tell_problem(
     obstacles: names of what margins are shown for.
     task: what the machine does, in words; by default from its task.
     unnamed: obstacles whose names are not written in the picture.
+    hidden: groups of `SceneGraph` that are not shown until they are switched on.
     """
     robot, scene = problem.robot, problem.scene
     listed = {
@@ -105,6 +115,8 @@ def tell_problem(
         "title": scene.name or "untitled scene",
         "subtitle": f"{robot.name}, {task or of_problem}",
         "obstacles": list(listed.values()),
+        "loads": graph.loads,
+        "hidden": tuple(hidden),
         "goals": [{"name": goal.name, "anchor": goal.target.position} for goal in problem.goals[1:] and problem.goals],
         "joints": joints,
         "links": shown_links(problem),

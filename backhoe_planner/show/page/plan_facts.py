@@ -56,6 +56,7 @@ def _leg_fact(leg: PlannedLeg) -> tuple[str, str, str]:
     tightest = leg.certificate.min_clearance
     if tightest is not None:
         words.append(f"{_metres(tightest.margin)} m left between {tightest.link} and {tightest.name}")
+    words += [] if leg.problem.robot.carried is None else [f"carries {leg.problem.robot.carried[0]}"]
     words += [] if leg.certificate.verified else ["not verified"]
     return f"Leg: {leg.name}", f"{leg.metrics.duration:.2f} s", "; ".join(words)
 

@@ -104,8 +104,10 @@ def _mark_legs(axes: Axes, plan: Plan, *, named: bool) -> None:
     for leg in plan.legs:
         axes.axvline(leg.begins, color="0.6", linewidth=0.8, zorder=0.5)
         if named:
+            carried = leg.problem.robot.carried
+            words = leg.name if carried is None else f"{leg.name} (carries {carried[0]})"
             axes.annotate(
-                plain_text(leg.name), (leg.begins, 1.0), xycoords=("data", "axes fraction"), xytext=(3.0, 2.0),
+                plain_text(words), (leg.begins, 1.0), xycoords=("data", "axes fraction"), xytext=(3.0, 2.0),
                 textcoords="offset points", fontsize=7.5, color="0.35", annotation_clip=True,
             )  # fmt: skip
 

@@ -13,7 +13,7 @@ function show(recording) {
   // meshcat fills the window; here it has a part of it
   const resize = viewer.set_3d_pane_size.bind(viewer);
   viewer.set_3d_pane_size = () => { resize(pane.clientWidth, pane.clientHeight); if (!movedByHand) fit(); };
-  new ResizeObserver(() => { viewer.set_3d_pane_size(); drawHeat(); }).observe(pane);
+  new ResizeObserver(() => { viewer.set_3d_pane_size(); drawHeat(); nameLegs(); }).observe(pane);
   pane.addEventListener("pointerdown", () => { movedByHand = true; });
   pane.addEventListener("wheel", () => { movedByHand = true; }, { passive: true });
 
@@ -95,17 +95,24 @@ function show(recording) {
       obstacle.label = element("span", "", obstacle.name);
       names.append(obstacle.label);
     }
+    for (const load of content.loads) {
+      load.label = element("span", "load", load.name);
+      names.append(load.label);
+    }
     for (const goal of content.goals) {
       goal.label = element("span", "goal", goal.name);
       names.append(goal.label);
     }
     const switches = get("switches");
     switches.replaceChildren();
-    const kinds = [["clearance", "Clearance shells"], ["critical points", "Nearest points"], ["task/trace", "Tip trace"],
-      ["ground", "Ground"], ["names", "Names"], ["shadows", "Shadows"]];
-    for (const [node, text] of kinds) {
+    for (const node of content.hidden) shown[node] = false;
+    const kinds = [["clearance", "Clearance shells", "as far around each obstacle as is to be kept"],
+      ["critical points", "Nearest points", "a line from the machine to each obstacle where they are nearest: green far, red at the clearance"],
+      ["task/trace", "Tip trace", "the way of the tip"], ["ground", "Ground", ""], ["names", "Names", ""], ["shadows", "Shadows", ""]];
+    for (const [node, text, more] of kinds) {
       if (node === "ground" && !content.ground) continue;
       const label = element("label"), box = element("input");
+      label.title = more;
       box.type = "checkbox";
       box.checked = shown[node];
       box.dataset.node = node;
@@ -148,6 +155,7 @@ function show(recording) {
     showKept(content.kept);
     const end = content.time[content.time.length - 1];
     get("bar").hidden = !(end > 0);
+    showLegs(content.legs ?? [], end);
     get("scrubber").max = end;
     for (const node of Object.keys(shown)) applySwitch(node);
     viewer.animator.play();  // makes the tracks follow; from here on our own clock drives them
@@ -156,6 +164,45 @@ function show(recording) {
     seek(0);
     drawHeat();
     if (end > 0 && !matchMedia("(prefers-reduced-motion: reduce)").matches) play();
+  }
+
+  // ---- legs of a sequence --------------------------------------------------------
+
+  const LEG_COLOURS = ["#4a73a0", "#8f5526", "#26766c", "#83640f", "#5d6797", "#7a4f6f"];  // white is legible on each
+  let blocks = [];
+  function showLegs(legs, end) {
+    blocks = legs.map((leg, k) => {
+      const until = k + 1 < legs.length ? legs[k + 1].begins : end, block = element("button");
+      block.type = "button";
+      block.tabIndex = -1;
+      block.style.left = `${100 * leg.begins / end}%`;
+      block.style.width = `${100 * (until - leg.begins) / end}%`;
+      block.style.background = LEG_COLOURS[k % LEG_COLOURS.length];
+      block.title = `${leg.name}: ${number(until - leg.begins, 2)} s${leg.carries ? `, carries ${leg.carries}` : ""}`;
+      block.addEventListener("click", (event) => {
+        const box = block.getBoundingClientRect();
+        pause();
+        seek(leg.begins + (event.clientX - box.left) / Math.max(box.width, 1) * (until - leg.begins));
+      });
+      return block;
+    });
+    get("leg-strip").replaceChildren(...blocks);
+    get("leg-strip").hidden = legs.length === 0;
+    nameLegs();
+  }
+
+  function nameLegs() {  // in the strip, where the whole name has room
+    blocks.forEach((block, k) => {
+      block.textContent = plan.legs[k].name;
+      if (block.scrollWidth > block.clientWidth) block.textContent = "";
+    });
+  }
+
+  function enterLeg() {
+    const legs = plan.legs ?? [], now = legs.findLastIndex((one) => one.begins <= time + 1e-6);
+    get("leg").textContent = now < 0 ? "" : `${now + 1}/${legs.length} ${legs[now].name}`;
+    blocks.forEach((block, k) => block.classList.toggle("now", k === now));
+    for (const obstacle of problem.obstacles) obstacle.away = now >= 0 && legs[now].away.includes(obstacle.name);
   }
 
   function showKept(kept) {
@@ -193,6 +240,12 @@ function show(recording) {
       }
     });
     problem.obstacles.forEach((obstacle, k) => {
+      if (obstacle.away) {
+        obstacle.value.className = "value far";
+        obstacle.value.textContent = "not in this leg";
+        obstacle.fill.style.transform = "scaleX(0)";
+        return;
+      }
       const margin = margins[k], far = margin === null || margin === undefined || margin > problem.far;
       obstacle.value.className = far ? "value far" : margin < 0 ? "value inside" : "value";
       obstacle.value.textContent = far ? `> ${problem.far.toFixed(1)} m` : `${number(margin, 2)} m`;
@@ -213,14 +266,13 @@ function show(recording) {
     const frame = end > 0 ? time / end * (times.length - 1) : 0;  // the frames are even
     const a = Math.floor(frame), b = Math.min(a + 1, times.length - 1), part = frame - a;
     const near = Math.round(frame);
+    enterLeg();
     showNumbers(plan.q.map((row) => row[a] + part * (row[b] - row[a])), plan.margins.map((row) => row[near]),
       plan.links.map((row) => row[near]));
     showKeptAt(near);
     get("scrubber").value = time;
     get("clock").textContent = `${time.toFixed(2)} / ${end.toFixed(2)} s`;
     dispatchEvent(new CustomEvent("backhoe-time", { detail: { time, frame } }));
-    const legs = plan.legs ?? [], leg = legs.findLastIndex((one) => one.begins <= time + 1e-6);
-    get("leg").textContent = leg < 0 ? "" : `${leg + 1}/${legs.length} ${legs[leg].name}`;
   }
 
   function play() {
@@ -279,15 +331,25 @@ function show(recording) {
   }
 
   const spot = new THREE.Vector3();
+  function findSpot(one) {  // of a name on the screen; whether what it names is there now
+    if (one.node) {  // carried: it moves with the machine, and is small where it is not there
+      const held = viewer.scene_tree.find(one.node).object;
+      spot.set(...one.anchor).applyMatrix4(held.matrixWorld).project(viewer.camera);
+      return held.scale.x > 0.5;
+    }
+    const [x, y, z] = one.anchor, age = one.velocity ? Math.max(time - one.appears_at, 0) : 0;
+    const [vx, vy, vz] = one.velocity || [0, 0, 0];
+    spot.set(x + vx * age, z + vz * age, -(y + vy * age)).project(viewer.camera);
+    return !one.away && time >= (one.appears_at || 0);
+  }
+
   function placeNames() {
     if (problem === null || !shown.names) return;
     const width = pane.clientWidth, height = pane.clientHeight, taken = [];
-    for (const obstacle of [...problem.goals, ...problem.obstacles]) {
+    for (const obstacle of [...problem.goals, ...problem.loads, ...problem.obstacles]) {
       if (obstacle.label === null) continue;
-      const [x, y, z] = obstacle.anchor, age = obstacle.velocity ? Math.max(time - obstacle.appears_at, 0) : 0;
-      const [vx, vy, vz] = obstacle.velocity || [0, 0, 0];
-      spot.set(x + vx * age, z + vz * age, -(y + vy * age)).project(viewer.camera);
-      const inside = Math.abs(spot.x) < 0.98 && Math.abs(spot.y) < 1 && spot.z < 1 && time >= (obstacle.appears_at || 0);
+      const there = findSpot(obstacle);
+      const inside = there && Math.abs(spot.x) < 0.98 && Math.abs(spot.y) < 1 && spot.z < 1;
       obstacle.label.style.visibility = inside ? "visible" : "hidden";
       if (!inside) continue;
       const across = obstacle.label.offsetWidth, tall = obstacle.label.offsetHeight;
