@@ -20,7 +20,7 @@ from backhoe_planner.standing.reach_map import DumpTable, ReachMap, dump_table
 LINE_STEP, GRID_STEP = 0.1, 0.4  # m between places on a trench's line, and on a grid; chosen
 _HEADINGS = 13  # at a place; chosen, 13 degrees apart for a swing of 180
 _SPARE = 0.03  # rad from the ends of the swing
-_HEAP = 0.5  # m that a heap is high on the average, as the estimates of jobs have it
+_HEAP = 0.5  # m that a heap is high at least, as the estimates of jobs have it
 _TRUCK = 0.3  # m between the machine and a truck; chosen
 _LEVEL = 0.15  # m by which the ground under the machine may be higher or lower than it stands; chosen, jacks level that
 SAME_SHARE = 0.02  # of what is dug: places that dig so much less count as equal
@@ -241,7 +241,9 @@ def _dump_places(job: Job, site: Worksite, bank: float, ground: float) -> tuple[
     if heap is not None:
         # the place that is reached soonest takes all that has room: each may become the whole heap
         foot = _heap_foot(job, bank)
-        table = dump_table(site, ground + _HEAP)
+        # the bucket must be emptied over the heaps at the end, of which each has its part
+        each = math.tan(job.soil.repose) * _heap_foot(job, bank / len(heap.places))
+        table = dump_table(site, ground + max(_HEAP, each))
         return tuple(DumpPlace(np.array(at), table, np.array([at]), foot) for at in heap.places)
     assert truck is not None
     x, y, z = truck.bed.position
