@@ -89,7 +89,7 @@ def build_obstacles(scene: Scene, robot: Robot) -> tuple[Obstacle, ...]:
     solids = [(f"obstacles[{index}] ({spec.name})", spec, None) for index, spec in enumerate(scene.obstacles)]
     for index, zone in enumerate(scene.zones):
         if not isinstance(zone, SwingSector):
-            solids.append((f"zones[{index}] ({zone.name})", zone.solid(), zone))
+            solids.append((f"zones[{index}] ({zone.name})", zone.solid(scene.base.position), zone))
     for key, spec, of_zone in solids:
         check_links(robot, spec.links, key=f"{key}.links", file=scene.file)
         try:

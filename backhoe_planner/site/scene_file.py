@@ -26,7 +26,7 @@ from backhoe_planner.site.schema.path_file import read_path_file
 from backhoe_planner.site.schema.quantities import Finite, NonNegative, Positive, Turn, Vector3
 from backhoe_planner.site.schema.sequence import ObjectiveName, Task
 from backhoe_planner.site.schema.tasks import PathTask, Start, Waypoint
-from backhoe_planner.site.schema.zone_kinds import ZoneSpec
+from backhoe_planner.site.schema.zone_kinds import Wall, ZoneSpec
 
 
 class Gains(Record):
@@ -98,6 +98,12 @@ class Scene(FileRecord):
             for index, one in enumerate(getattr(self, key)):
                 check_name(one.name, in_use=in_use, key=f"{key}[{index}].name")
                 in_use[one.name] = f"{key}[{index}]"
+        for index, zone in enumerate(self.zones):
+            if isinstance(zone, Wall):
+                try:
+                    zone.plane(self.base.position)
+                except ValueError as error:
+                    raise ValueError(f"zones[{index}]: {error}") from None
         if self.start is None:
             if self.task.goal is not None:
                 raise ValueError("start is needed with a goal: where the machine stands")

@@ -82,10 +82,21 @@ def test_every_kind_becomes_the_solid_it_forbids(backhoe: Robot) -> None:
 )
 def test_a_wall_of_two_points_faces_the_origin(start: tuple[float, float], end: tuple[float, float]) -> None:
     wall = Wall.model_validate({"kind": "wall", "name": "w", "from": start, "to": end})
-    point, normal = (np.array(part) for part in wall.plane)
+    point, normal = (np.array(part) for part in wall.plane((0.0, 0.0)))
     assert -point @ normal > 0.0
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     assert (np.array([*end, 7.0]) - point) @ normal == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(("y", "towards"), [(3.0, -1.0), (10.0, 1.0)])
+def test_a_wall_of_two_points_faces_the_machine_wherever_it_stands(backhoe: Robot, y: float, towards: float) -> None:
+    road = {"kind": "wall", "name": "road", "from": [-3, 5], "to": [8, 5], "stop": 0.2}
+    scene = bp.scene_from_dict(site(road).to_dict() | {"base": {"position": [0.0, y]}})
+    (wall,) = build_problem(backhoe, scene).obstacles
+    assert isinstance(wall.spec, HalfSpace)
+    assert wall.spec.normal == pytest.approx((0.0, towards, 0.0))
+    with pytest.raises(SceneError, match=r"zones\[0\].*through x 0, y 5.*point and normal"):
+        bp.scene_from_dict(site(road).to_dict() | {"base": {"position": [0.0, 5.0]}})
 
 
 WRONG: dict[str, tuple[list[Data], list[str]]] = {
@@ -102,7 +113,7 @@ WRONG: dict[str, tuple[list[Data], list[str]]] = {
         [{"kind": "wall", "name": "x", "point": [1, 1, 1]}],
         ["zones[0]", "point and normal, or from and to"],
     ),
-    "wall through the machine": ([{"kind": "wall", "name": "x", "from": [-1, -1], "to": [2, 2]}], ["origin"]),
+    "wall through the machine": ([{"kind": "wall", "name": "x", "from": [-1, -1], "to": [2, 2]}], ["zones[0]", "x 0, y 0"]),
     "two of one name": ([LINE, {**SECTOR, "name": "power line"}], ["zones[1].name", "zones[0]", "power line"]),
     "flat cab": (
         [{"kind": "cab", "name": "x", "size": [1, 0, 1], "position": [0, 0, 0]}],

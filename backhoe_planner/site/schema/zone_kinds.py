@@ -22,7 +22,7 @@ from backhoe_planner.site.schema.quantities import (
 )
 
 _ONE_POINT = 1e-6  # m: two points of a wall nearer to each other give it no direction; chosen
-_AT_ORIGIN = 1e-3  # m: a wall nearer to the origin runs through the machine; chosen
+_THROUGH = 1e-3  # m: a wall nearer to the machine's root runs through it; chosen
 
 
 class _Zone(Record):
@@ -60,8 +60,17 @@ class _SolidZone(_Zone):
     """The only links for which it holds; all of them by default."""
 
     @abstractmethod
-    def solid(self) -> HalfSpace | Box:
-        """The space that the zone forbids, as an obstacle whose clearance is the stop distance."""
+    def solid(self, stand: tuple[float, float]) -> HalfSpace | Box:
+        """The space that the zone forbids, as an obstacle whose clearance is the stop distance.
+
+        Parameters
+        ----------
+        stand: x, y of the machine's root link [m].
+
+        Raises
+        ------
+        ValueError: the zone has no side on which the machine stands.
+        """
 
     def _beyond(self, point: Vector3, normal: Vector3) -> HalfSpace:
         return HalfSpace(
@@ -76,7 +85,7 @@ class Ceiling(_SolidZone):
     height: Finite
     """z [m]."""
 
-    def solid(self) -> HalfSpace:
+    def solid(self, stand: tuple[float, float]) -> HalfSpace:
         """All that lies above the height."""
         return self._beyond((0.0, 0.0, self.height), (0.0, 0.0, -1.0))
 
@@ -88,7 +97,7 @@ class Floor(_SolidZone):
     height: Finite
     """z [m]."""
 
-    def solid(self) -> HalfSpace:
+    def solid(self, stand: tuple[float, float]) -> HalfSpace:
         """All that lies below the height."""
         return self._beyond((0.0, 0.0, self.height), (0.0, 0.0, 1.0))
 
@@ -102,7 +111,7 @@ class Wall(_SolidZone):
     normal: tuple[AnyLength, AnyLength, AnyLength] | None = None
     """Towards the machine's side; any length but 0."""
     start: tuple[Finite, Finite] | None = Field(default=None, alias="from")
-    """x, y of a point on an upright wall [m]; the machine's side is that of the origin."""
+    """x, y of a point on an upright wall [m]; the machine's side is that of its root link."""
     end: tuple[Finite, Finite] | None = Field(default=None, alias="to")
     """x, y of another point on it [m]."""
 
@@ -126,31 +135,31 @@ class Wall(_SolidZone):
             direction(self.normal)
         if self.start is not None and self.end is not None:
             (ax, ay), (bx, by) = self.start, self.end
-            length = math.hypot(bx - ax, by - ay)
-            if length < _ONE_POINT:
+            if math.hypot(bx - ax, by - ay) < _ONE_POINT:
                 raise ValueError("from and to are one point")
-            if abs(ax * (by - ay) - ay * (bx - ax)) / length < _AT_ORIGIN:
-                raise ValueError(
-                    "a wall through the origin, where the machine stands, has no side of the machine: "
-                    "give point and normal"
-                )
         return self
 
-    @property
-    def plane(self) -> tuple[Vector3, Vector3]:
-        """A point on it [m], and its unit normal towards the machine's side."""
+    def plane(self, stand: tuple[float, float]) -> tuple[Vector3, Vector3]:
+        """A point on it [m], and its unit normal towards the machine's side; see `solid`."""
         if self.point is not None and self.normal is not None:
             return self.point, direction(self.normal)
         assert self.start is not None
         assert self.end is not None
         (ax, ay), (bx, by) = self.start, self.end
-        x, y = by - ay, ax - bx
-        length = math.copysign(math.hypot(x, y), -(ax * x + ay * y))
-        return (ax, ay, 0.0), (x / length, y / length, 0.0)
+        length = math.hypot(bx - ax, by - ay)
+        x, y = (by - ay) / length, (ax - bx) / length
+        away = (stand[0] - ax) * x + (stand[1] - ay) * y
+        if abs(away) < _THROUGH:
+            raise ValueError(
+                f"a wall through x {stand[0]:g}, y {stand[1]:g}, where the machine stands, has no side of the machine: "
+                "give point and normal"
+            )
+        sense = math.copysign(1.0, away)
+        return (ax, ay, 0.0), (sense * x, sense * y, 0.0)
 
-    def solid(self) -> HalfSpace:
+    def solid(self, stand: tuple[float, float]) -> HalfSpace:
         """All that lies beyond the plane."""
-        return self._beyond(*self.plane)
+        return self._beyond(*self.plane(stand))
 
 
 class SwingSector(_Zone):
@@ -184,7 +193,7 @@ class Cab(_SolidZone):
     rpy: RollPitchYaw | None = None
     """Roll, pitch, yaw about the fixed axes [rad]."""
 
-    def solid(self) -> Box:
+    def solid(self, stand: tuple[float, float]) -> Box:
         """The block."""
         return Box(
             name=self.name, shape="box", size=self.size, position=self.position, rpy=self.rpy,
