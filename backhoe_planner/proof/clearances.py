@@ -68,13 +68,14 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     # where an obstacle is nearest is known about after a few looks; what is further away is then hardly measured
     for row in range(0, len(time), _FIRST_LOOKS):
         look(row, 0.0)
-    travel = np.abs(np.diff(q, axis=0)) @ proximity.travel.T + np.diff(time)[:, None] * proximity.speed
-    still = np.zeros((1, len(proximity.pairs)))
-    beyond = 0.5 * np.maximum(np.vstack((travel, still)), np.vstack((still, travel)))
-    before, known_before = look(0, beyond[0])
+    # row by row: samples times pairs may be more than a machine's memory holds
+    steps, spans = np.abs(np.diff(q, axis=0, append=q[-1:])), np.diff(time, append=time[-1])
+    travel = proximity.travel.dot(steps[0]) + spans[0] * proximity.speed
+    before, known_before = look(0, 0.5 * travel)
     for row in range(1, len(time)):
-        margins, known = look(row, beyond[row])
-        bounds = 0.5 * (before + margins - travel[row - 1])
+        came, travel = travel, proximity.travel.dot(steps[row]) + spans[row] * proximity.speed
+        margins, known = look(row, 0.5 * np.maximum(came, travel))
+        bounds = 0.5 * (before + margins - came)
         for pair in np.flatnonzero(~(bounds >= _to_prove(least)[owners])).tolist():
             ends = (float(before[pair]), float(margins[pair])) if known_before[pair] and known[pair] else None
             searches[owners[pair]].open(float(bounds[pair]), row - 1, pair, ends)

@@ -6,6 +6,7 @@ joint 1 past a ball at 4.3 m, a corner of its end comes nearest.
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -375,3 +376,16 @@ def test_beyond_a_slides_limit_the_distances_are_still_proven(tmp_path: Path) ->
     certificate = certify(robot, scene, motion)
     assert not certificate.safe
     assert_proven(to(certificate), -0.2)
+
+
+def test_memory_does_not_grow_with_samples_times_pairs(planar4: bp.Robot) -> None:
+    far = [ball(0.01 * k, at=50.0) | {"name": f"ball {k}"} for k in range(150)]
+    scene, motion = site(far), swing(samples=1001)
+    pairs = len(far) * len([piece for piece in planar4.pieces if piece.joint > 0])
+    tracemalloc.start()
+    try:
+        certify(planar4, scene, motion)
+        most = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert most < 8 * pairs * len(motion.time)  # B, of one number each
