@@ -108,6 +108,8 @@ def _file_problems(record: JobPlanRecord, plan: JobPlan, site: Worksite) -> list
         found.append("the ground before the first cycle is not that of the job")
     if record.choices != record.choices_digest:
         found.append("effort, seed, compared patterns or steps were changed after the job was planned")
+    if plan.beside > plan.job.dig.tolerance:
+        found.append(f"the cuts go {plan.beside:.2f} m deep beside what is to be dug")
     wrong = differences(record, job_plan_record(plan, None))
     more = [f"and {len(wrong) - _TOLD} figures more"] if len(wrong) > _TOLD else []
     return found + wrong[:_TOLD] + more

@@ -92,6 +92,16 @@ def test_numbers_that_cannot_be_are_refused_with_file_and_key(key: str, value: A
     assert f"{tmp_path / 'job.json'}: {'ground' if key.startswith('ground') else key}: " in str(refused.value)
 
 
+def test_what_is_dug_beside_the_design_is_said_and_not_verified(tmp_path: Path) -> None:
+    assert tiny_plan().beside == 0.0
+    edited = content()
+    edited["job"]["dig"]["trench"] |= {"from": [4.2, 0.0], "to": [3.9, 0.0]}  # the cuts go on to 3.2
+    found = read(edited, tmp_path)
+    assert not found.is_met
+    assert found.beside > 0.2
+    assert "deep beside what is to be dug" in found.note
+
+
 def test_a_cycle_without_its_swing_and_dump_is_refused(tmp_path: Path) -> None:
     edited = content()
     edited["cycles"][0]["legs"] = edited["cycles"][0]["legs"][:2]

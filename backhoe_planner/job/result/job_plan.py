@@ -243,11 +243,24 @@ class JobPlan:
         """Greatest depth below the design [m]."""
         return _most(np.where(self._whole, self.design - self.end.surface, np.nan))
 
+    @cached_property
+    def beside(self) -> float:
+        """Greatest depth of undisturbed soil that is dug away outside of the design [m].
+
+        A column counts that lies further from it than the tolerance and a column's edge: a blade may be wider than
+        the design by the tolerance, and takes a part of the columns along its ends.
+        """
+        from scipy.ndimage import distance_transform_edt
+
+        cell = self.start.cell
+        outside = cell * distance_transform_edt(self.share <= 0.0) > self.job.dig.tolerance + cell
+        return _most(np.where(outside, self.start.bank - self.end.bank, np.nan))
+
     @property
     def is_met(self) -> bool:
-        """Whether the design is met within its tolerance wherever it may be dug."""
+        """Whether the design is met within its tolerance wherever it may be dug, and nothing is dug beside it."""
         tolerance = self.job.dig.tolerance + 1e-9
-        return self.over <= tolerance and self.under <= tolerance
+        return max(self.over, self.under, self.beside) <= tolerance
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the job's plan file (JSON), whole or not at all.
