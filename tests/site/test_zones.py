@@ -113,7 +113,10 @@ WRONG: dict[str, tuple[list[Data], list[str]]] = {
         [{"kind": "wall", "name": "x", "point": [1, 1, 1]}],
         ["zones[0]", "point and normal, or from and to"],
     ),
-    "wall through the machine": ([{"kind": "wall", "name": "x", "from": [-1, -1], "to": [2, 2]}], ["zones[0]", "x 0, y 0"]),
+    "wall through the machine": (
+        [{"kind": "wall", "name": "x", "from": [-1, -1], "to": [2, 2]}],
+        ["zones[0]", "x 0, y 0"],
+    ),
     "two of one name": ([LINE, {**SECTOR, "name": "power line"}], ["zones[1].name", "zones[0]", "power line"]),
     "flat cab": (
         [{"kind": "cab", "name": "x", "size": [1, 0, 1], "position": [0, 0, 0]}],
