@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from backhoe_planner.errors import InputError, PlanFileError, RobotError, SceneError, check_path
+from backhoe_planner.errors import InputError, PlanFileError, RobotError, check_path
 from backhoe_planner.job.cuts.cut_rules import broken_rules, mass_along
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.cycles.cut_leg import cut_problem
@@ -51,36 +52,33 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
 
     Raises
     ------
-    PlanFileError: not the plan of a job, or damaged; names the key.
+    PlanFileError: not the plan of a job, or damaged, or a file that its job names is missing; names the key.
     RobotError: the URDF is missing or has changed since the plan was made.
-    SceneError: a file that the job names is missing.
     """
     file = check_path(path, key="path")
     urdf = None if urdf is None else check_path(urdf, key="urdf")
     record = read_job_plan_file(file)
-    try:
+    with _errors_of(file, "job"):
         job = _job(record, file, urdf)
-    except SceneError as error:
-        raise PlanFileError(str(error), file=file, key="job") from None
     _check_trucks(record, job, file)
-    try:
+    with _errors_of(file, "ground"):
         terrain = Terrain(
             np.array(record.ground.low), record.ground.cell, record.ground.grid("bank"), record.ground.grid("loose"),
             plain_soil(job), job.soil.swell, job.soil.repose,
         )  # fmt: skip
-    except (InputError, ValueError) as error:
-        raise PlanFileError(str(error), file=file, key="ground") from None
-    site = build_worksite(job, terrain=terrain)
+    with _errors_of(file, "job"):
+        site = build_worksite(job, terrain=terrain)
     if site.robot.urdf.sha256 != record.sha256:
         raise RobotError(
             "the URDF is not the one with which the job was planned", file=file, key="sha256",
             found=f"{site.robot.urdf.path} has {site.robot.urdf.sha256[:12]}...", allowed=f"{record.sha256[:12]}...",
         )  # fmt: skip
     _check_pattern(record, site, file)
-    lanes = lanes_of(site)
-    design = site.design_heights()
-    allowed, by = allowed_heights(site, lanes, design)
-    replay = _Replay(CyclePlanner(site, dump_of(site), effort="quick", seed=record.seed), file)
+    with _errors_of(file, "job"):
+        lanes = lanes_of(site)
+        design = site.design_heights()
+        allowed, by = allowed_heights(site, lanes, design)
+        replay = _Replay(CyclePlanner(site, dump_of(site), effort="quick", seed=record.seed), file)
     cycles = tuple(replay.cycle(number, one) for number, one in enumerate(record.cycles, start=1))
     end = cycles[-1].after if cycles else site.ground
     interrupted = record.reason == "interrupted"
@@ -99,6 +97,17 @@ def load_job_plan(path: str | os.PathLike[str], *, urdf: str | os.PathLike[str] 
     )  # fmt: skip
     problems = replay.problems + _file_problems(record, plan, site)
     return replace(plan, failure="not_done", note="; ".join(problems)) if problems else plan
+
+
+@contextlib.contextmanager
+def _errors_of(file: Path, key: str) -> Iterator[None]:
+    """What is wrong with a part of a plan's file is said with the file and its key."""
+    try:
+        yield
+    except (RobotError, PlanFileError):
+        raise
+    except (InputError, ValueError) as error:
+        raise PlanFileError(str(error), file=file, key=key) from None
 
 
 def _file_problems(record: JobPlanRecord, plan: JobPlan, site: Worksite) -> list[str]:
@@ -176,14 +185,12 @@ class _Replay:
         key = f"cycles[{number - 1}]"
         motions = {leg.name: leg for leg in record.legs}
         self._check_names([leg.name for leg in record.legs], key)
+        self._check_motions(record, key)
         load = self._load(record, key)
-        try:
-            cut_motion = motions["cut"].trajectory
-            dug = dig_and_spill(site, cut_motion, load.swing, before.ground)
+        with _errors_of(self._file, key):
+            dug = dig_and_spill(site, motions["cut"].trajectory, load.swing, before.ground)
             after_cut = planner.after_cut(dug.ground, before)
             after = planner.dumped(after_cut, np.array(record.place[:2]), dug.held, record.truck)
-        except InputError as error:
-            raise PlanFileError(str(error), file=self._file, key=key) from None
         if isinstance(after, str):
             self.problems.append(f"cycle {number}: {after}")
             after = after_cut
@@ -206,6 +213,16 @@ class _Replay:
             allowed = "cut, swing, dump, with an approach before them"
             raise PlanFileError("are not those of a cycle", file=self._file, key=f"{key}.legs", found=names,
                                 allowed=allowed)  # fmt: skip
+
+    def _check_motions(self, record: CycleRecord, key: str) -> None:
+        """Every leg is a motion of this machine's joints."""
+        n = self._site.robot.n
+        for index, leg in enumerate(record.legs):
+            with _errors_of(self._file, f"{key}.legs[{index}]"):
+                found = leg.trajectory.q.shape[1]
+            if found != n:
+                raise PlanFileError("has other joints than the machine", file=self._file, key=f"{key}.legs[{index}].q",
+                                    found=f"{found} in a row", allowed=f"{n} in a row")  # fmt: skip
 
     def _load(self, record: CycleRecord, key: str) -> Load:
         r, mass = np.array(record.load.r), np.array(record.load.mass)

@@ -102,6 +102,33 @@ def test_what_is_dug_beside_the_design_is_said_and_not_verified(tmp_path: Path) 
     assert "deep beside what is to be dug" in found.note
 
 
+def test_a_dump_where_the_job_dumps_nothing_is_said(tmp_path: Path) -> None:
+    edited = content()
+    edited["job"]["dump"]["heap"]["at"] = [2.4, -3.1]
+    found = read(edited, tmp_path)
+    assert not found.verified
+    assert "the dump: x 2.40, y -2.80 m is no place at which the job dumps" in found.note
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("machine", "example:planar4", "job: machine: a bucket digs in an upright plane"),
+        ("cycles.0.legs.2.time.1", 0.0, "cycles[0].legs[2]: trajectory.time: does not increase"),
+        ("cycles.0.legs.3.q", [[0.0] * 5] * 2, "cycles[0].legs[3]: dump.q: is no motion"),
+    ],
+)
+def test_what_makes_no_job_or_motion_is_refused_with_file_and_key(
+    key: str, value: Any, said: str, tmp_path: Path
+) -> None:
+    edited: Any = content()
+    *above, last = [int(part) if part.isdigit() else part for part in key.split(".")]
+    reduce(lambda found, part: found[part], above, edited)[last] = value
+    with pytest.raises(bp.PlanFileError) as refused:
+        read(edited, tmp_path)
+    assert f"{tmp_path / 'job.json'}: {said}" in str(refused.value)
+
+
 def test_a_cycle_without_its_swing_and_dump_is_refused(tmp_path: Path) -> None:
     edited = content()
     edited["cycles"][0]["legs"] = edited["cycles"][0]["legs"][:2]

@@ -9,6 +9,7 @@ from backhoe_planner.job.cycles.dumping import OPEN, POURS_AT
 from backhoe_planner.job.worksite.worksite import Worksite
 
 _AS_OPEN = 0.02  # rad short of it that still empties; chosen, planned dumps end at it to 1e-5 rad
+_SAME_PLACE = 1e-6  # m: rounding
 _ASIDE = 0.05  # m from the place at which the soil may fall; chosen, a column of the ground, planned dumps have 0
 
 
@@ -26,6 +27,9 @@ def broken_dump_rules(site: Worksite, q: Matrix, place: Vector) -> list[str]:
     ahead = np.stack((np.cos(headings), np.sin(headings)), axis=-1)
     falls = tips + (POURS_AT - length * np.cos(pitch))[:, None] * ahead
     found = []
+    heap = site.job.dump.heap
+    if heap is not None and min(float(np.hypot(*(place - at))) for at in heap.places) > _SAME_PLACE:
+        found.append(f"x {place[0]:.2f}, y {place[1]:.2f} m is no place at which the job dumps (dump.heap.at)")
     if pitch[-1] < OPEN - _AS_OPEN:
         short = np.degrees(OPEN - pitch[-1])
         found.append(f"the bucket is not open at its end, it lacks {short:.0f} degrees")
