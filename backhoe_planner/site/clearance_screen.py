@@ -69,14 +69,31 @@ class ClearanceScreen:
 
     def keeps(self, q: Matrix) -> Flags:
         """(N,) whether each of `q` (N, n) keeps every clearance and its spare."""
-        return np.array([self.keeps_unchecked(joints) for joints in q], dtype=bool)
+        plain = np.array([self._keeps_plain(joints) for joints in q], dtype=bool)
+        if len(self._clusters) and plain.any():
+            plain[plain] = list(self._clusters.keep_each(self._least, q[plain], self._time))
+        return plain
+
+    @property
+    def has_clusters(self) -> bool:
+        """Whether there are any, so that many configurations are asked about sooner than each."""
+        return len(self._clusters) > 0
+
+    def keeps_all_unchecked(self, q: Matrix) -> bool:
+        """Whether all of `q` (N, n) do; for callers in a loop, whose arguments are right as they are made."""
+        if not all(self._keeps_plain(joints) for joints in q):
+            return False
+        return not len(self._clusters) or all(self._clusters.keep_each(self._least, q, self._time))
 
     def keeps_unchecked(self, q: Vector) -> bool:
-        """The same of one configuration (n,), for callers in a loop, whose arguments are right as they are made."""
-        for part in self._parts:
-            if pin.computeCollisions(self._robot, self._data, part.manager, q, True):
-                return False
+        """Whether one configuration (n,) does, for such callers."""
+        if not self._keeps_plain(q):
+            return False
         if not len(self._clusters):
             return True
         pin.forwardKinematics(self._robot, self._data, q)
         return self._clusters.keep(self._least, self._data, self._time)
+
+    def _keeps_plain(self, q: Vector) -> bool:
+        """Whether one configuration (n,) keeps its clearances from all that is no cluster."""
+        return not any(pin.computeCollisions(self._robot, self._data, part.manager, q, True) for part in self._parts)

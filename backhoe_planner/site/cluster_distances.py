@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Indices, Vector
-from backhoe_planner.machine import Distances, Reading, Robot, reach_ball
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine import BatchKinematics, Distances, Reading, Robot, reach_ball
 from backhoe_planner.site.link_balls import LinkBalls
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 
@@ -39,6 +39,8 @@ class ClusterDistances:
         self._rows = [(index, np.flatnonzero(self.owner == index)) for index in np.unique(self.owner).tolist()]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}
+        self._kinematics = BatchKinematics(robot)
+        self._data = robot.model.createData()
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -81,7 +83,23 @@ class ClusterDistances:
 
     def keep(self, least: Vector, data: pin.Data, time: float) -> bool:
         """Whether all distances are at least `least` (K,) [m]."""
-        lower = self.lower(data, time)
+        return self._keep(least, self.lower(data, time), data, time)
+
+    def keep_each(self, least: Vector, q: Matrix, time: float) -> Iterator[bool]:
+        """Whether they are, at each of `q` (N, n), one after the other; the bounds of all of them are found at once."""
+        assert self._balls is not None
+        at = self._kinematics.at(q)
+        lower = np.full((len(q), len(self)), -np.inf)
+        for rows, bounds in self.lower_of_balls(self._balls.at_each(at.origins, at.rotations), time):
+            lower[:, rows] = bounds
+        doubtful = np.asarray((lower < least).any(axis=1))
+        for row, is_doubtful in enumerate(doubtful.tolist()):
+            if is_doubtful:
+                pin.forwardKinematics(self._robot.model, self._data, q[row])
+            yield not is_doubtful or self._keep(least, lower[row], self._data, time)
+
+    def _keep(self, least: Vector, lower: Vector, data: pin.Data, time: float) -> bool:
+        """Whether all distances are at least `least` (K,) where the joints of `data` are; they are at least `lower`."""
         doubtful = np.flatnonzero(lower < least)
         order = doubtful[np.argsort((lower - least)[doubtful], kind="stable")]
         return all(self.is_at_least(pair, data, time, float(least[pair])) for pair in order.tolist())

@@ -38,6 +38,16 @@ class LinkBalls:
             found[rows] = centres @ place.rotation.T + place.translation
         return found
 
+    def at_each(self, origins: Array, rotations: Array) -> Array:
+        """(N, S, 3) the same for N configurations: joints at `origins` (N, n, 3) [m], `rotations` (N, n, 3, 3)."""
+        found = np.empty((len(origins), len(self._radii), 3))
+        for joint, rows, centres in self._of_joints:
+            if joint:
+                found[:, rows] = centres @ rotations[:, joint - 1].transpose(0, 2, 1) + origins[:, None, joint - 1]
+            else:
+                found[:, rows] = centres
+        return found
+
     def least_of_pieces(self, values: Array) -> Array:
         """(..., K) the least over each piece's balls of `values` (..., S) less their radii [m]."""
         return np.asarray(np.minimum.reduceat(values - self._radii, self._first, axis=-1))

@@ -19,6 +19,7 @@ import pinocchio as pin
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine.clusters.cell_set import CellSet, CoarseCells, LinkBox
 from backhoe_planner.machine.clusters.distance_grid import Change, DistanceGrid, GridFrame
+from backhoe_planner.machine.clusters.height_bounds import HeightBounds
 from backhoe_planner.machine.clusters.solid import Placed, Solid
 from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.convex import voxel_boxes
@@ -47,6 +48,7 @@ class Cluster:
         self._R, self._t = np.array(placement.rotation), np.array(placement.translation)
         self._is_upright = bool((np.eye(3) == self._R).all())
         self._grids: dict[bytes, DistanceGrid] = {}
+        self._heights: dict[bytes, HeightBounds | None] = {}
         self._coarser: dict[bytes, CoarseCells] = {}
         self._coarse_of: tuple[object, CoarseCells | None] = None, None  # asked for last
 
@@ -61,6 +63,7 @@ class Cluster:
         """The same solid elsewhere, with what was built to measure it."""
         found = Cluster(self.solid, placement)
         found._grids.update(self._grids)
+        found._heights.update(self._heights)
         found._coarser.update(self._coarser)
         return found
 
@@ -93,12 +96,14 @@ class Cluster:
         low = np.maximum(middle - radius, self.solid.bounds[0] - _AROUND)
         high = np.minimum(middle + radius, self.solid.bounds[1] + _AROUND)
         if (high <= low).any():
-            return Distances(self._R, self._t, None, self.solid.bounds, self._is_upright)
+            return Distances(self._R, self._t, None, None, self.solid.bounds, self._is_upright)
         key = np.round(np.concatenate((low, high)), 6).tobytes()
         if key not in self._grids:
             frame = GridFrame(low, high, least_step=self.solid.finest)
             self._grids[key] = DistanceGrid(frame, self.solid.taken(frame), self.solid.bounds)
-        return Distances(self._R, self._t, self._grids[key], self.solid.bounds, self._is_upright)
+        if key not in self._heights:
+            self._heights[key] = self.solid.height_bounds(low, high)
+        return Distances(self._R, self._t, self._grids[key], self._heights[key], self.solid.bounds, self._is_upright)
 
     def prepare(self, centre: Vector, radius: float) -> None:
         """Build what answers questions within `radius` [m] of `centre` (3,), world, before the first is asked."""
@@ -376,6 +381,7 @@ class Distances:
     R: Matrix
     t: Vector
     grid: DistanceGrid | None
+    heights: HeightBounds | None
     bounds: Matrix
     is_upright: bool
 
@@ -387,6 +393,11 @@ class Distances:
         own = points - (self.t if shift is None else self.t + shift)
         if not self.is_upright:
             own = own @ self.R
+        if self.heights is not None and self.grid is not None:
+            found, over = self.heights.lower(own)
+            if not over.all():
+                found[~over] = self.grid.lower(own[~over])
+            return found
         if self.grid is not None:
             return self.grid.lower(own)
         away = np.maximum(np.maximum(self.bounds[0] - own, own - self.bounds[1]), 0.0)

@@ -136,6 +136,9 @@ class MeshSolid:
         clear = found[found != _SURFACE]
         return bool(clear[0] == _INSIDE if len(clear) else self._bodies.contain(points[:1])[0])
 
+    def height_bounds(self, low: Vector, high: Vector) -> None:
+        """None: it is no ground."""
+
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape where it is less than `reach` [m].
 

@@ -10,6 +10,7 @@ import numpy as np
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.distance_grid import GridFrame
+from backhoe_planner.machine.clusters.height_bounds import HeightBounds
 from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.shapes import Piece, transform
 
@@ -77,6 +78,9 @@ class Solid(Protocol):
 
     def taken(self, frame: GridFrame) -> Flags:
         """(frame.counts) which cells of a grid it may touch."""
+
+    def height_bounds(self, low: Vector, high: Vector) -> HeightBounds | None:
+        """Bounds of the distance for points in the box from `low` to `high` (3,) [m]; None of what is no ground."""
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape, where it is less than `reach` [m]; None where it is not."""

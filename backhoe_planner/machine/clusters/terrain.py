@@ -15,6 +15,7 @@ from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
 from backhoe_planner.machine.clusters.distance_grid import Change, GridFrame
+from backhoe_planner.machine.clusters.height_bounds import REACH, HeightBounds
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
 
@@ -136,6 +137,19 @@ class TerrainSolid:
         z = np.arange(frame.counts[2])
         taken[:] = (z >= first) & (z <= last[..., None])
         return taken
+
+    def height_bounds(self, low: Vector, high: Vector) -> HeightBounds:
+        """Bounds of the distance for points in the box from `low` to `high` (3,) [m]."""
+        first = np.floor((low[:2] - self._low) / self._cell).astype(int)
+        last = np.floor((high[:2] - self._low) / self._cell).astype(int)
+        h = self._heights
+        top = np.maximum(np.maximum(h[:-1, :-1], h[1:, :-1]), np.maximum(h[:-1, 1:], h[1:, 1:])).T
+        tops = np.full(last - first + 1 + 2 * REACH, -np.inf)
+        start = np.maximum(first - REACH, 0)
+        end = np.maximum(np.minimum(last + 1 + REACH, top.shape), start)
+        (x, y), (u, v) = start - (first - REACH), end - (first - REACH)
+        tops[x:u, y:v] = top[start[0] : end[0], start[1] : end[1]]
+        return HeightBounds(tops, self._low + self._cell * first, self._cell)
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape where it is less than `reach` [m].

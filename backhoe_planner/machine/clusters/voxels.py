@@ -98,6 +98,9 @@ class VoxelSolid:
         low = self._low()
         return frame.taken_by_boxes(low, low + self._edge)
 
+    def height_bounds(self, low: Vector, high: Vector) -> None:
+        """None: it is no ground."""
+
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape where it is less than `reach` [m]."""
         base = self._edge * self._base

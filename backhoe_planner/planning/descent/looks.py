@@ -105,6 +105,9 @@ class Looks:
         asked = [place for places in between for place in places]
         if not asked:
             return np.zeros(0, dtype=np.intp)
-        q_at = dict(zip(asked, curve(self._s[asked]), strict=True))
+        found_at = curve(self._s[asked])
+        if self._screen.has_clusters and self._screen.keeps_all_unchecked(found_at):
+            return np.zeros(0, dtype=np.intp)
+        q_at = dict(zip(asked, found_at, strict=True))
         noticed = [next((k for k in places if not self._screen.keeps_unchecked(q_at[k])), -1) for places in between]
         return np.array([place for place in noticed if place >= 0], dtype=np.intp)

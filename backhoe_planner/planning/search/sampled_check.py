@@ -7,10 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.planning.search.motion_check import MotionCheck, places
 from backhoe_planner.site import ClearanceScreen
 
+_TOGETHER = 16  # places asked about at once where there are clusters, after the first few; chosen
 _APART = 0.04  # m between two looks, of the point that moves most; chosen: a motion of 1 s is looked at 20 to 60 times
 
 
@@ -30,7 +31,26 @@ class SampledCheck(MotionCheck):
         if not len(self._pairs):
             return True
         steps = int(np.max(rate @ self._transposed) / _APART) + 1
-        return all(self._is_clear_at(point(part)) for part in places(steps))
+        parts = places(steps)
+        if not self._screen.has_clusters:
+            return all(self._is_clear_at(point(part)) for part in parts)
+        first, count = 0, 1
+        while first < len(parts):
+            if not self._are_clear_at(np.array([point(part) for part in parts[first : first + count]])):
+                return False
+            first, count = first + count, min(2 * count, _TOGETHER)
+        return True
+
+    def _are_clear_at(self, q: Matrix) -> bool:
+        """The same as `_is_clear_at` of all of `q` (N, n)."""
+        if not self._screen.keeps_all_unchecked(q):
+            return False
+        tight = self._tight_rows
+        if not len(tight) or self._full_screen.keeps_all_unchecked(q):
+            return True
+        return all(
+            self._full_screen.keeps_unchecked(joints) or self._measure(tight, joints).min() >= 0.0 for joints in q
+        )
 
     def _is_clear_at(self, q: Vector) -> bool:
         """Whether `q` keeps every clearance and its spare."""

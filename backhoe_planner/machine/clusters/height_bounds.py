@@ -1,0 +1,56 @@
+"""Lower bounds of the distance from the ground: the highest of it in squares around a point, in each ring of them.
+
+Ground that is between two squares around a point is to the side by at least half the edge of the inner
+one, and below by at least the height of the point over the highest ground in the outer one. On even
+ground that is the true distance, where a grid of cells falls short by up to three of its edges.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+
+_RINGS = (0, 1, 2, 3, 5, 8, 12, 20, 32)  # cells from that of the point to the ends of each square; chosen
+REACH = _RINGS[-1]  # cells around a region that are looked at
+_ROUNDING = 1e-9  # m by which a point may lie beyond the cell in which it is counted
+
+
+class HeightBounds:
+    """Lower bounds of the distance from ground that lies over a region of cells.
+
+    Parameters
+    ----------
+    tops: (I + 2 REACH, J + 2 REACH) the highest of the ground in each cell, along x and y, of the region and
+        `REACH` cells around it [m]; minus infinity where there is none.
+    low: (2,) lowest corner of the region [m].
+    cell: (2,) edges of a cell [m].
+    """
+
+    def __init__(self, tops: Matrix, low: Vector, cell: Vector) -> None:
+        from scipy.ndimage import maximum_filter
+
+        own = slice(REACH, -REACH)
+        rings = [maximum_filter(tops, size=2 * ring + 1, mode="constant", cval=-np.inf)[own, own] for ring in _RINGS]
+        self._counts = np.array(rings[0].shape)
+        self._highest = np.stack(rings, axis=2).reshape(-1, len(_RINGS))
+        self._low, self._per_cell = low, 1.0 / cell
+        aside = np.maximum(np.array(_RINGS) * float(cell.min()) - _ROUNDING, 0.0)
+        # ground that is in a square and not in the one before is that far to the side at least
+        self._squared_aside = np.concatenate(([0.0], aside[:-1] ** 2))
+        self._furthest = float(aside[-1])
+
+    def lower(self, points: Array) -> tuple[Array, Flags]:
+        """(...) lower bounds of the distance from points (..., 3) [m], and (...) which points are over the region.
+
+        The others have 0.
+        """
+        at = (points[..., :2] - self._low) * self._per_cell
+        over = np.asarray(((at >= 0.0) & (at < self._counts)).all(axis=-1))
+        cell = np.minimum(np.maximum(at, 0.0), self._counts - 1).astype(np.intp)
+        above = points[..., 2:] - self._highest.take(cell[..., 0] * self._counts[1] + cell[..., 1], axis=0)
+        np.maximum(above, 0.0, out=above)
+        above *= above
+        above += self._squared_aside
+        found = np.minimum(np.sqrt(np.minimum.reduce(above, axis=-1)), self._furthest)
+        return np.asarray(found * over), over
