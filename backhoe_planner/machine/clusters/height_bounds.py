@@ -11,7 +11,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
 
-_RINGS = (0, 1, 2, 3, 5, 8, 12, 20, 32)  # cells from that of the point to the ends of each square; chosen
+_RINGS = (0, 1, 2, 3, 4, 6, 8, 12, 17, 24, 34)  # cells from that of the point to the ends of each square; chosen
 REACH = _RINGS[-1]  # cells around a region that are looked at
 _ROUNDING = 1e-9  # m by which a point may lie beyond the cell in which it is counted
 
@@ -30,6 +30,7 @@ class HeightBounds:
     def __init__(self, tops: Matrix, low: Vector, cell: Vector) -> None:
         from scipy.ndimage import maximum_filter
 
+        tops = np.nextafter(tops.astype(np.float32), np.float32(np.inf))
         own = slice(REACH, -REACH)
         rings = [maximum_filter(tops, size=2 * ring + 1, mode="constant", cval=-np.inf)[own, own] for ring in _RINGS]
         self._counts = np.array(rings[0].shape)

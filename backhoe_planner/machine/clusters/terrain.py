@@ -9,6 +9,8 @@ its points, so that one of them tells on which.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
@@ -24,6 +26,8 @@ _MOST_TREES = 256  # that are kept; chosen: some 330 MB
 _LOWERED = 0.5  # of the depth by which the lowest point may come nearer to the floor before that is lowered; chosen
 _MOST_CHANGES = 6  # places looked at one by one, others as one; chosen, a cut has one and what slumps after it few
 _RAISED = 0.5  # m by which the box around it grows at a time, so that what rests on it lasts; chosen
+_MOST_PARTS = 500_000  # into which they are divided then; chosen: 22 MB
+_FINE = 0.05  # m, edge up to which cells are divided to bound distances; chosen
 _SKIRT = (-1, -1)  # the tile of the walls and the floor
 
 
@@ -142,14 +146,19 @@ class TerrainSolid:
         """Bounds of the distance for points in the box from `low` to `high` (3,) [m]."""
         first = np.floor((low[:2] - self._low) / self._cell).astype(int)
         last = np.floor((high[:2] - self._low) / self._cell).astype(int)
-        h = self._heights
-        top = np.maximum(np.maximum(h[:-1, :-1], h[1:, :-1]), np.maximum(h[:-1, 1:], h[1:, 1:])).T
-        tops = np.full(last - first + 1 + 2 * REACH, -np.inf)
-        start = np.maximum(first - REACH, 0)
-        end = np.maximum(np.minimum(last + 1 + REACH, top.shape), start)
-        (x, y), (u, v) = start - (first - REACH), end - (first - REACH)
-        tops[x:u, y:v] = top[start[0] : end[0], start[1] : end[1]]
-        return HeightBounds(tops, self._low + self._cell * first, self._cell)
+        most = math.isqrt(_MOST_PARTS // int(np.prod(last - first + 1)))
+        parts = max(min(math.ceil(float(self._cell.max()) / _FINE), most), 1)
+        around = math.ceil(REACH / parts)
+        counts = np.array([len(self._x) - 1, len(self._y) - 1])
+        start = np.minimum(np.maximum(first - around, 0), counts)
+        end = np.maximum(np.minimum(last + 1 + around, counts), start)
+        tops = np.full(parts * (last - first + 1 + 2 * around), -np.inf)
+        (x, y), (u, v) = parts * (start - (first - around)), parts * (end - (first - around))
+        if (end > start).all():
+            tops[x:u, y:v] = _tops(self._heights[start[1] : end[1] + 1, start[0] : end[0] + 1], parts).T
+        spare = parts * around - REACH
+        tops = tops[spare : len(tops) - spare, spare : tops.shape[1] - spare]
+        return HeightBounds(tops, self._low + self._cell * first, self._cell / parts)
 
     def measure(self, link: Placed, reach: float) -> Reading | None:
         """The signed distance from a convex shape where it is less than `reach` [m].
@@ -305,6 +314,20 @@ class TerrainSolid:
 
 
 _NO_SHIFT = np.zeros(3)
+
+
+def _tops(heights: Matrix, parts: int) -> Matrix:
+    """(parts rows, parts columns) the highest of the surface over each part of the cells between `heights` [m].
+
+    Along the cut of a cell into triangles it runs from corner to corner of parts: all are highest at a corner.
+    """
+    a, b, c, d = (h[:, None, :, None] for h in (heights[:-1, :-1], heights[:-1, 1:], heights[1:, :-1], heights[1:, 1:]))
+    v, u = (np.linspace(0.0, 1.0, parts + 1).reshape(shape) for shape in ((1, -1, 1, 1), (1, 1, 1, -1)))
+    along_ad = np.minimum(a + u * (b - a) + v * (d - b), a + v * (c - a) + u * (d - c))
+    along_bc = np.minimum(a + u * (b - a) + v * (c - a), d + (1.0 - u) * (c - d) + (1.0 - v) * (b - d))
+    z = np.where(a + d >= b + c, along_ad, along_bc)
+    top = np.maximum(np.maximum(z[:, :-1, :, :-1], z[:, :-1, :, 1:]), np.maximum(z[:, 1:, :, :-1], z[:, 1:, :, 1:]))
+    return np.asarray(top.reshape(parts * (len(heights) - 1), -1))
 
 
 def _most_in(values: Matrix, first: Indices, last: Indices, count: int) -> Matrix:
