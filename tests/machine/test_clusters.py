@@ -112,6 +112,21 @@ def test_staircase_terrain() -> None:
     assert inside.normal[2] < 0.0
 
 
+def test_bounds_beside_ground_with_a_step() -> None:
+    """Cells of 0.05 m, each corner at 0 up to x = 0 and at -1 from x = 0.05 on: over x < 0 a point is z above it."""
+    heights = np.where(np.arange(81) <= 40, 0.0, -1.0) + np.zeros((81, 1))
+    bounds = terrain(heights, 4.0).grid(np.zeros(3), 2.0)
+    z = np.array([-0.2, 0.0, 0.1, 0.7, 1.3])
+    above = bounds.lower(np.column_stack((np.full(5, -0.51), np.full(5, 0.31), z)))
+    assert above == pytest.approx(np.maximum(z, 0.0), abs=1e-6)
+    # 0.525 m beside the upper edge of the step, by whole cells in between 0.5 m, and 0.7 m over the ground below
+    beside = float(bounds.lower(np.array([[0.525, 0.3, -0.3]]))[0])
+    assert 0.3 <= beside <= 0.525 + 0.05
+    beyond = bounds.lower(np.array([[3.0, 0.0, 0.0], [0.0, 0.0, 30.0]]))
+    assert 0.5 <= beyond[0] <= 1.0
+    assert beyond[1] > 1.0
+
+
 def test_hollow_cloud_has_room_inside_and_a_closed_mesh_has_none() -> None:
     rng = np.random.default_rng(0)
     shell = rng.normal(size=(60_000, 3))

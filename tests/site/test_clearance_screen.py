@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import backhoe_planner as bp
+from backhoe_planner.machine import Cluster, TerrainSolid, VoxelSolid
 from backhoe_planner.site import ClearanceScreen, build_obstacles, sweep
 
 TASK = {"path": {"waypoints": [{"position": [1.0, 0.0, 0.0]}, {"position": [1.0, 0.1, 0.0]}]}}
@@ -117,3 +120,24 @@ def test_agrees_where_most_are_out_of_reach(backhoe: bp.Robot) -> None:
     expected = [bool((proximity.distances(joints, time=2.0) >= proximity.clearance).all()) for joints in q]
     assert 3 <= sum(expected) <= 27
     assert ClearanceScreen(proximity, time=2.0).keeps(q).tolist() == expected
+
+
+def test_configurations_asked_about_together_are_those_that_measuring_finds_beside_clusters(backhoe: bp.Robot) -> None:
+    rng = np.random.default_rng(7)
+    heights = -1.2 + 0.1 * np.sin(np.arange(61) / 3.0)[:, None] + rng.normal(0.0, 0.03, (61, 61))
+    turned = pin.SE3(pin.rpy.rpyToMatrix(0.05, -0.1, 0.4), np.array([0.5, 0.2, 0.0]))
+    ground = Cluster(TerrainSolid(heights, (14.0, 14.0), depth=2.0, most=10**6), turned)
+    keys = np.unique(rng.integers([35, 10, 0], [45, 20, 10], (300, 3)), axis=0)
+    heap = Cluster(VoxelSolid(keys, 0.1, most=10**6), pin.SE3.Identity())
+    scene = bp.scene_from_dict({"version": 1, "task": TASK, "clearance": 0.1, "obstacles": OBSTACLES[:1]})
+    [ball] = build_obstacles(scene, backhoe)
+    proximity = bp.Proximity(backhoe, [ball, *(replace(ball, pieces=(), cluster=one) for one in (ground, heap))])
+    q = np.array([backhoe.random_q(rng) for _ in range(120)])
+    expected = [bool((proximity.distances(joints) >= proximity.clearance).all()) for joints in q]
+    assert 15 < sum(expected) < 105
+    screen = ClearanceScreen(proximity)
+    assert screen.keeps(q).tolist() == expected
+    assert [screen.keeps_unchecked(joints) for joints in q] == expected
+    clear = np.array(expected)
+    assert screen.keeps_all_unchecked(q[clear])
+    assert not screen.keeps_all_unchecked(np.vstack((q[clear], q[~clear][:1])))

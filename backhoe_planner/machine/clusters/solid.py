@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from backhoe_planner.machine.clusters.trees import Reading
 from backhoe_planner.machine.shape.shapes import Piece, transform
 
 
-@dataclass(frozen=True)
-class Placed:
+class Placed(NamedTuple):
     """A convex shape in the frame of a solid.
 
     Attributes

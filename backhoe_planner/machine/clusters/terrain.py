@@ -10,6 +10,7 @@ its points, so that one of them tells on which.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -65,7 +66,11 @@ class TerrainSolid:
         self._floor = float(heights.min()) - depth
         self.bounds = np.array([[*self._low, self._floor], [*-self._low, float(heights.max())]])
         self.finest = float(self._cell.min())
-        self._tile_low, self._tile_high = self._tile_bounds()
+        boxes_low, boxes_high = self._tile_bounds()
+        self._tile_places = self._low.tolist(), self._cell.tolist(), boxes_low.shape[:2]
+        self._tile_boxes = {
+            tile: (boxes_low[tile].tolist(), boxes_high[tile].tolist()) for tile in np.ndindex(*boxes_low.shape[:2])
+        }
         self._trees: dict[tuple[int, int], Tree] = {}
 
     def __len__(self) -> int:
@@ -170,7 +175,7 @@ class TerrainSolid:
         found = self._from_surface(link, low, high, reach)
         if found is not None and found.distance <= 0.0:
             return found
-        if low[2] > self.bounds[1, 2] or not self._is_inside(link.hull.mean(axis=0)):
+        if low[2] > self.bounds[1, 2] or not self._is_inside(link.hull[0]):
             return found
         reach = max(reach, self.finest)
         while found is None:
@@ -180,17 +185,18 @@ class TerrainSolid:
 
     def _from_surface(self, link: Placed, low: Vector, high: Vector, reach: float) -> Reading | None:
         """The distance from triangles alone, of a shape in the box from `low` to `high` (3,) [m]."""
-        if low[2] - self.bounds[1, 2] >= reach:
+        (x, y, z), (u, v, w) = low.tolist(), high.tolist()
+        (least_x, least_y, _), (most_x, most_y, top) = self.bounds.tolist()
+        if z - top >= reach:
             return None
-        first, last = self._tiles_in(low[:2] - reach, high[:2] + reach)
-        tiles = (slice(first[0], last[0] + 1), slice(first[1], last[1] + 1))
-        off = np.maximum(np.maximum(self._tile_low[tiles] - high, low - self._tile_high[tiles]), 0.0)
-        away = np.sqrt((off * off).sum(axis=2))
-        near = [
-            (float(away[i, j]), (i + int(first[0]), j + int(first[1])))
-            for i, j in np.argwhere(away < reach).tolist()
-        ]  # fmt: skip
-        if (np.minimum(low - self.bounds[0], self.bounds[1] - high)[:2] < reach).any() or low[2] - self._floor < reach:
+        near = []
+        for tile in self._tiles_in((x - reach, y - reach), (u + reach, v + reach)):
+            (a, b, c), (d, e, f) = self._tile_boxes[tile]
+            off = (max(a - u, x - d, 0.0), max(b - v, y - e, 0.0), max(c - w, z - f, 0.0))
+            away = math.hypot(*off)
+            if away < reach:
+                near.append((away, tile))
+        if min(x - least_x, most_x - u, y - least_y, most_y - v, z - self._floor) < reach:
             near.append((0.0, _SKIRT))
         best = None
         for distance, tile in sorted(near):
@@ -201,13 +207,15 @@ class TerrainSolid:
                 best, reach = found, max(found.distance, 0.0)
         return best
 
-    def _tiles_in(self, low: Vector, high: Vector) -> tuple[Indices, Indices]:
-        """(2,), (2,) the first and the last tile, along x and y, of those in a rectangle [m]."""
-        count = np.array(self._tile_low.shape[:2]) - 1
-        tile = _TILE * self._cell
-        first = np.minimum(np.maximum(np.floor((low - self._low) / tile), 0), count + 1)
-        last = np.minimum(np.maximum(np.floor((high - self._low) / tile), -1), count)
-        return first.astype(int), last.astype(int)
+    def _tiles_in(self, low: tuple[float, float], high: tuple[float, float]) -> Iterator[tuple[int, int]]:
+        """The tiles, by their numbers along x and y, in a rectangle [m]."""
+        spans = []
+        for start, end, first, cell, count in zip(low, high, *self._tile_places, strict=True):
+            edge = _TILE * cell
+            before = math.floor(min(max((start - first) / edge, 0.0), count))
+            last = math.floor(min(max((end - first) / edge, -1.0), count - 1))
+            spans.append(range(before, last + 1))
+        return ((i, j) for i in spans[0] for j in spans[1])
 
     def _tile_bounds(self) -> tuple[Array, Array]:
         """(i, j, 3), (i, j, 3) lowest and highest corner of the surface in every tile [m]."""
@@ -274,18 +282,19 @@ class TerrainSolid:
 
     def _is_inside(self, point: Vector) -> bool:
         """Whether a point (3,) is in the ground."""
-        at = (point[:2] - self._low) / self._cell
-        last = np.array([len(self._x) - 2, len(self._y) - 2])
-        if (at < 0.0).any() or (at > last + 1).any() or point[2] < self._floor:
+        x, y, z = point.tolist()
+        (low_x, low_y), (edge_x, edge_y), _ = self._tile_places
+        along, across, columns, rows = (x - low_x) / edge_x, (y - low_y) / edge_y, len(self._x) - 1, len(self._y) - 1
+        if not (0.0 <= along <= columns and 0.0 <= across <= rows and z >= self._floor):
             return False
-        c, r = np.minimum(at.astype(int), last).tolist()
-        u, v = at[0] - c, at[1] - r
-        a, b, c_, d = (float(self._heights[r + i, c + j]) for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)))
+        c, r = min(int(along), columns - 1), min(int(across), rows - 1)
+        u, v = along - c, across - r
+        (a, b), (c_, d) = self._heights[r : r + 2, c : c + 2].tolist()
         if a + d >= b + c_:
             top = min(a + u * (b - a) + v * (d - b), a + v * (c_ - a) + u * (d - c_))
         else:
             top = min(a + u * (b - a) + v * (c_ - a), d + (1.0 - u) * (c_ - d) + (1.0 - v) * (b - d))
-        return bool(point[2] <= top)
+        return bool(z <= top)
 
     def near(self, low: Vector, high: Vector) -> CellSet:
         """The triangles that may touch the box from `low` to `high` (3,) [m], and some others."""
