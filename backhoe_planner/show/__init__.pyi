@@ -25,6 +25,7 @@ from .page.page import plan_page as plan_page
 from .page.page import write_page as write_page
 from .plots.envelope_plot import plot_envelope as plot_envelope
 from .plots.figure_file import FIGURE_FORMATS as FIGURE_FORMATS
+from .plots.leg_names import label_rows as label_rows
 from .plots.plots import plot_plan as plot_plan
 from .standing.stand_page import write_stand_page as write_stand_page
 from .standing.stand_plot import plot_stand as plot_stand

@@ -13,7 +13,7 @@ from waiting import PATIENCE
 from backhoe_planner.machine import Kinematics, Robot
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import Plan, export_plan, plan
-from backhoe_planner.show import Display, SceneGraph, timeline, write_page
+from backhoe_planner.show import Display, SceneGraph, label_rows, timeline, write_page
 from backhoe_planner.site import scene_from_dict
 
 POSTURE = {"boom": 0.4, "stick": -1.6, "bucket": -0.9}
@@ -112,3 +112,10 @@ def test_the_page_of_a_sequence_shows_legs_and_loads(browser: Any, done: Plan, t
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert complaints == []
     page.close()
+
+
+def test_names_above_a_figure_do_not_cover_each_other() -> None:
+    """By hand: the second begins within the first, the third within both, the fourth behind the first."""
+    assert label_rows([0.0, 10.0, 12.0, 40.0], [20.0, 5.0, 50.0, 5.0]) == [0, 1, 2, 0]
+    assert label_rows([0.0, 20.0], [20.0, 20.0]) == [0, 0]
+    assert label_rows([], []) == []

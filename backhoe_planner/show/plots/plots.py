@@ -18,6 +18,7 @@ from backhoe_planner.planning import Plan, compare_with_law, describe_saving
 from backhoe_planner.show.drawing.palette import PLOT_CYCLE
 from backhoe_planner.show.drawing.timeline import Timeline, timeline
 from backhoe_planner.show.plots.figure_file import dress, new_figure, plain_text, save_figure
+from backhoe_planner.show.plots.leg_names import name_legs
 from backhoe_planner.show.plots.posture_plot import draw_posture, posture_heights
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 _Panel = Callable[["Axes", Plan, Problem, Timeline], None]
 
 _WIDTH, _PANEL = 9.5, 2.15  # inches: chosen, a page's width, and a panel's height
+_TITLE_ABOVE = 6.0  # pt from a panel to what is written above it: matplotlib's own
+_PANEL_PART = 0.74  # of the figure's width that a panel has beside labels and legend; measured, 0.76, a little less
 _FAINT = 0.35  # opacity of limits; chosen
 _STRIP = 0.55  # part of a panel's height that the panel of limits has; chosen, it shows few numbers
 _BINDS = 0.98  # part of a limit from which on it is called binding: sampled accelerations are known to about 1 %
@@ -91,34 +94,24 @@ def plot_plan(plan: Plan, path: str | os.PathLike[str]) -> None:
         dress(axes)
         panel(axes, plan, problem, frames)
         axes.yaxis.label.set_size(9)
-        _mark_legs(axes, plan, named=axes is all_axes[0])
+        for leg in plan.legs:
+            axes.axvline(leg.begins, color="0.6", linewidth=0.8, zorder=0.5)
+    named = name_legs(all_axes[0], plan, width=_PANEL_PART * _WIDTH * 72.0)
     all_axes[-1].set_xlabel("time [s]", fontsize=9)
     all_axes[-1].set_xlim(plan.trajectory.time[0], plan.trajectory.time[-1])
     figure.align_ylabels(list(all_axes))
-    _explain(all_axes[0], plan, "The motion ends before its task is done: " if plan.failure else "")
+    _explain(all_axes[0], plan, "The motion ends before its task is done: " if plan.failure else "", above=named)
     save_figure(figure, path, title)
 
 
-def _mark_legs(axes: Axes, plan: Plan, *, named: bool) -> None:
-    """A line where each leg of a sequence begins, with its name where `named`."""
-    for leg in plan.legs:
-        axes.axvline(leg.begins, color="0.6", linewidth=0.8, zorder=0.5)
-        if named:
-            carried = leg.problem.robot.carried
-            words = leg.name if carried is None else f"{leg.name} (carries {carried[0]})"
-            axes.annotate(
-                plain_text(words), (leg.begins, 1.0), xycoords=("data", "axes fraction"), xytext=(3.0, 2.0),
-                textcoords="offset points", fontsize=7.5, color="0.35", annotation_clip=True,
-            )  # fmt: skip
-
-
-def _explain(axes: Axes, plan: Plan, what: str) -> None:
-    """Above all panels, why the plan failed; nothing of one that did not."""
+def _explain(axes: Axes, plan: Plan, what: str, *, above: float = 0.0) -> None:
+    """Above all panels, why the plan failed; nothing of one that did not. `above`: what stands there already [pt]."""
     if plan.verified:
         return
     words = textwrap.fill(plain_text(f"{what}{plan.message}"), _LETTERS)
     below = axes.get_title("left")
-    axes.set_title(f"{words}\n\n{below}", loc="left", fontsize=9.5, color=_WRONG if not below else "black")
+    colour = _WRONG if not below else "black"
+    axes.set_title(f"{words}\n\n{below}", loc="left", fontsize=9.5, color=colour, pad=max(above, _TITLE_ABOVE))
 
 
 def _positions(
