@@ -100,6 +100,9 @@ def test_what_is_dug_beside_the_design_is_said_and_not_verified(tmp_path: Path) 
     assert not found.is_met
     assert found.beside > 0.2
     assert "deep beside what is to be dug" in found.note
+    nothing = replace(tiny_plan(), share=np.zeros_like(tiny_plan().share))
+    assert nothing.beside > 0.3
+    assert not nothing.is_met
 
 
 def test_a_dump_where_the_job_dumps_nothing_is_said(tmp_path: Path) -> None:

@@ -252,15 +252,15 @@ class JobPlan:
         """
         from scipy.ndimage import distance_transform_edt
 
-        cell = self.start.cell
-        outside = cell * distance_transform_edt(self.share <= 0.0) > self.job.dig.tolerance + cell
+        cell, without = self.start.cell, self.share <= 0.0
+        outside = without.all() | (cell * distance_transform_edt(without) > self.job.dig.tolerance + cell)
         return _most(np.where(outside, self.start.bank - self.end.bank, np.nan))
 
     @property
     def is_met(self) -> bool:
         """Whether the design is met within its tolerance wherever it may be dug, and nothing is dug beside it."""
         tolerance = self.job.dig.tolerance + 1e-9
-        return max(self.over, self.under, self.beside) <= tolerance
+        return bool(self._whole.any()) and max(self.over, self.under, self.beside) <= tolerance
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the job's plan file (JSON), whole or not at all.
