@@ -134,8 +134,9 @@ def _print_ranking(plan: bp.StandPlan, unit: str, scale: float) -> None:
         rough, estimated, planned = (
             f"{scale * cost:.1f}" if math.isfinite(cost) else "-" for cost in (one.rough, one.estimated, one.planned)
         )
+        bank = f"{one.bank:.2f}" if math.isfinite(one.bank) else "-"
         marks = [text for text in ("given" if one.given else "", one.note) if text]
         OUT.print(
             f"{x:6.2f}  {y:6.2f}  {DEGREES * one.base.heading:13.0f}  {rough:>6}  {estimated:>9}  {planned:>7}  "
-            f"{one.bank:10.2f}  {': '.join(marks)}".rstrip()
+            f"{bank:>10}  {': '.join(marks)}".rstrip()
         )

@@ -102,6 +102,9 @@ def _print_summary(found: studies.StudyResult, summary: studies.Summary, page: P
     OUT.print(f"rows          {done}" + ("" if done == total else f" of {total}; the same command goes on"))
     for ending, count in summary.counts.items():
         OUT.print(f"  {ending:<28}{count:6d}  {100.0 * count / done:5.1f} %")
+        if ending in summary.messages:
+            row, message = summary.messages[ending]
+            OUT.print(f"    row {row}: {message}")
     best = found.template.best
     if summary.best is not None:
         which = "least" if best.least is not None else "greatest"
@@ -120,6 +123,7 @@ def _print_json(found: studies.StudyResult, summary: studies.Summary, page: Path
         "done": len(found.outcomes),
         "interrupted": found.interrupted,
         "counts": dict(summary.counts),
+        "messages": {ending: {"row": row, "message": said} for ending, (row, said) in summary.messages.items()},
         "best": None
         if best is None
         else {

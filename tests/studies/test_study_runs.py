@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import html
 import json
 import os
 import shutil
@@ -160,6 +161,7 @@ def test_a_worker_needs_none_of_the_files(whole: StudyResult, given: Path, tmp_p
 def test_the_summary_and_the_page_show_the_best_row(whole: StudyResult, tmp_path: Path) -> None:
     summary = summarise_study(whole)
     assert summary.counts == {"failed: start_in_collision": 2, "invalid": 2, "verified": 2}
+    assert summary.messages == {"invalid": (2, whole.outcomes[2].message)}
     durations = {row: whole.outcomes[row].metrics["duration"] for row in (0, 4)}
     assert summary.best is not None
     assert summary.best.number == min(durations, key=durations.__getitem__)
@@ -171,6 +173,7 @@ def test_the_summary_and_the_page_show_the_best_row(whole: StudyResult, tmp_path
     text = page.read_text()
     assert "past a rock" in text
     assert "<script" not in text
+    assert f"row 2: {html.escape(whole.outcomes[2].message)}" in text
     assert f"Row {summary.best.number} has the least cost.value" in text
 
 
@@ -355,7 +358,13 @@ def test_the_command_prints_a_summary_and_one_message_for_what_is_wrong(
 
     status, out, err = run(given, "-o", copied)
     assert (status, "goes on after 6 of 6 rows" in err) == (0, True)
-    for line in ("rows          6", "  failed: start_in_collision       2   33.3 %", "the least", "table         "):
+    for line in (
+        "rows          6",
+        "  failed: start_in_collision       2   33.3 %",
+        "the least",
+        "table         ",
+        "    row 2: ",
+    ):
         assert line in out
     assert (copied / "study.html").stat().st_size > 3000
     status, out, _ = run(given, "-o", copied, "--anew", "--json")
@@ -364,6 +373,8 @@ def test_the_command_prints_a_summary_and_one_message_for_what_is_wrong(
     monkeypatch.setattr("backhoe_planner.studies.work.cluster._CONNECTED_WITHIN", 0.2)
     for arguments, said in (
         ((given, "-o", copied, "--anew", "--scheduler", "tcp://127.0.0.1:9"), "the scheduler cannot be reached"),
+        ((given, "-o", copied, "--anew", "--scheduler", "here"), "is no address of a scheduler"),
+        ((given, "-o", copied, "--anew", "--scheduler", "http://127.0.0.1:80"), "unknown address scheme"),
         ((given, "-o", given), "is a file"),
         ((given, "-o", copied, "--html", "page.txt"), "a page cannot be written in this format"),
         ((given, "-o", copied, "--jobs", "0"), "is not a number of processes"),

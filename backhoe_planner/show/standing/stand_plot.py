@@ -86,6 +86,8 @@ def _draw(axes: Axes, sketch: Sketch) -> None:
     seen = {cell.spot.reason for cell in sketch.cells if cell.spot.reason}
     handles = [Patch(facecolor=shade, label=words) for reason, (shade, words) in WHY.items() if reason in seen]
     handles += [Patch(facecolor=DIG, label="dug"), Patch(facecolor=HEAP, label="heap or truck")]
+    if any(cell.spot.share < WHOLE for cell in sketch.cells if np.isfinite(cell.spot.cost)):
+        handles.append(Patch(facecolor=colour(sketch, sketch.range[0]), alpha=0.35, label="pale: reaches a part only"))
     if sketch.given is not None:
         handles.append(Patch(facecolor="none", edgecolor=GIVEN, linestyle="--", label="the given place"))
     axes.legend(handles=handles, fontsize=7.5, loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=3, frameon=False)

@@ -60,11 +60,18 @@ def _head(result: StudyResult) -> str:
 def _endings(summary: Summary) -> str:
     total = sum(summary.counts.values())
     rows = [
-        f"<tr><td>{_text(ending)}</td><td>{_bar(count / total, 'ending')}</td>"
+        f"<tr><td>{_text(ending)}{_message(summary, ending)}</td><td>{_bar(count / total, 'ending')}</td>"
         f'<td class="number">{count}</td><td class="number">{100.0 * count / total:.1f} %</td></tr>'
         for ending, count in summary.counts.items()
     ]
     return f'<h2>How the plans ended</h2>\n<div class="card"><table>{"".join(rows)}</table></div>'
+
+
+def _message(summary: Summary, ending: str) -> str:
+    if ending not in summary.messages:
+        return ""
+    row, message = summary.messages[ending]
+    return f'<br><small class="soft">row {row}: {_text(message)}</small>'
 
 
 def _best(result: StudyResult, summary: Summary) -> str:
@@ -135,7 +142,7 @@ def _map(result: StudyResult, summary: Summary) -> str:
         shown = "".join(_cell(cell, low, high, sign) for cell in cells)
         lines.append(f'<tr><th class="line">{_text(label)}</th>{shown}</tr>')
     heads = "".join(f"<th>{_text(label)}</th>" for label in found.columns)
-    table = f'<table class="map"><tr><th>{_axes(found)}</th>{heads}</tr>{"".join(lines)}</table>'
+    table = f'<table class="map"><tr><th class="corner">{_axes(found)}</th>{heads}</tr>{"".join(lines)}</table>'
     return (
         f"<h2>{_text(found.down)} and {_text(found.across)}</h2>\n"
         f'<p class="soft">The two on which most depends. Large: median {_text(result.template.best.metric)} of the '

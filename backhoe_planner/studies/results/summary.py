@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +62,7 @@ class Summary:
     Attributes
     ----------
     counts: of rows by verdict, and reason where there is one, most frequent first.
+    messages: of the first row with each verdict that gives no reason (`invalid`, `error`), with its number.
     best: the best verified row; None where none is verified or has the metric.
     best_value: of its metric.
     shares: of every parameter that differs.
@@ -70,6 +71,7 @@ class Summary:
     """
 
     counts: Mapping[str, int]
+    messages: Mapping[str, tuple[int, str]]
     best: StudyRow | None
     best_value: float
     shares: Mapping[str, tuple[Share, ...]]
@@ -106,6 +108,7 @@ def summarise(rows: Sequence[StudyRow], outcomes: Mapping[int, Outcome], best: B
     varied = [name for name in (rows[0].values if rows else ()) if len({_label(row.values[name]) for row in rows}) > 1]
     return Summary(
         counts=dict(counts.most_common()),
+        messages=_first_messages(outcomes[row.number] for row in done),
         best=ranked[0] if ranked else None,
         best_value=figures[ranked[0].number] if ranked else math.nan,
         shares={name: _shares(name, done, outcomes, figures) for name in varied},
@@ -188,6 +191,14 @@ def _front(points: Sequence[tuple[float, float, int]], sign_x: float, sign_y: fl
 
 def _ending(outcome: Outcome) -> str:
     return outcome.verdict if outcome.reason in ("", outcome.verdict) else f"{outcome.verdict}: {outcome.reason}"
+
+
+def _first_messages(outcomes: Iterable[Outcome]) -> dict[str, tuple[int, str]]:
+    found: dict[str, tuple[int, str]] = {}
+    for outcome in outcomes:
+        if outcome.verdict not in ("verified", "failed") and outcome.message:
+            found.setdefault(_ending(outcome), (outcome.row, outcome.message))
+    return found
 
 
 def _figure(outcome: Outcome, name: str) -> float:

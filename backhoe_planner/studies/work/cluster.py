@@ -70,7 +70,15 @@ def _quiet() -> Iterator[None]:
 
 def _connect(address: str) -> Any:
     import distributed
+    from distributed.comm import get_address_host
 
+    try:
+        get_address_host(address)
+    except ValueError as error:  # before a client has it, which would try for long and end with a traceback
+        raise StudyError(
+            f"is no address of a scheduler: {error}", key="--scheduler", found=address or "nothing",
+            allowed="such as tcp://127.0.0.1:8786",
+        ) from None  # fmt: skip
     try:
         return distributed.Client(address, timeout=_CONNECTED_WITHIN, set_as_default=False)
     except (OSError, TimeoutError, ValueError, asyncio.TimeoutError) as error:
