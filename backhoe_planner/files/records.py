@@ -67,7 +67,8 @@ class Record(BaseModel):
         properties = handler.resolve_ref_schema(schema).get("properties", {})
         for owner in cls.__mro__:
             for name, text in _described_fields(owner).items() if issubclass(owner, Record) else ():
-                key = cls.model_fields[name].alias or name
+                field = cls.model_fields.get(name)  # None for what stands with the class, not in the file
+                key = (field and field.alias) or name
                 if key in properties:
                     properties[key].setdefault("description", text)
         return schema
