@@ -2,6 +2,7 @@ from .clearance_screen import ClearanceScreen as ClearanceScreen
 from .fixed_parts import InTheWay as InTheWay
 from .fixed_parts import check_standing as check_standing
 from .fixed_parts import stands_in as stands_in
+from .fixed_parts import starts_in as starts_in
 from .ground import Ground as Ground
 from .ground import GroundContact as GroundContact
 from .ground import LevelGround as LevelGround

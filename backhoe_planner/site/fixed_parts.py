@@ -1,4 +1,4 @@
-"""The parts of a machine that do not move, and what stands in their way on a site.
+"""The parts of a machine that do not move, and what stands in their way on a site; and in that of the arm at its start.
 
 The ground that carries the machine touches it and is not in its way. What is, is still there where the
 machine is lifted a little: an obstacle counts where a part is too near to it both as it stands and
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from backhoe_planner.arrays import Vector
 from backhoe_planner.errors import SceneError
 from backhoe_planner.machine import Base, Robot
 from backhoe_planner.machine.shape import shapes
@@ -30,7 +31,7 @@ class InTheWay:
 
     Attributes
     ----------
-    link: of the machine, which does not move.
+    link: of the machine.
     obstacle: by its name.
     """
 
@@ -63,6 +64,29 @@ def stands_in(
     return None
 
 
+def starts_in(robot: Robot, obstacles: Sequence[Obstacle], q: Vector, *, base: Base) -> InTheWay | None:
+    """The first part that moves and is within the clearance of an obstacle, with the joints `q` (n,); None for none.
+
+    Obstacles that move or come later are left out.
+
+    Parameters
+    ----------
+    base: where the machine stands.
+    """
+    moved, gauge = base.placement * robot.base.placement.inverse(), shapes.Gauge()
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    for obstacle in obstacles:
+        if obstacle.moves or obstacle.appears_at > 0.0:
+            continue
+        there = [(one.shape, _transform(one.placement)) for one in obstacle.pieces]
+        for row in robot.pieces_of(obstacle.links):
+            part = robot.pieces[row]
+            if _is_near(part.piece, moved * data.oMi[part.joint], obstacle, obstacle.clearance, there, gauge):
+                return InTheWay(part.link, obstacle.name)
+    return None
+
+
 def check_standing(robot: Robot, scene: Scene, obstacles: Sequence[Obstacle]) -> None:
     """Check that a machine that a scene puts somewhere does not stand in an obstacle.
 
@@ -91,14 +115,20 @@ def _too_near(robot: Robot, obstacle: Obstacle, margin: float, moved: pin.SE3, l
     raised, gauge = pin.SE3(np.eye(3), np.array([0.0, 0.0, lift])) * moved, shapes.Gauge()
     there = [(one.shape, _transform(one.placement)) for one in obstacle.pieces]
     for part in robot.pieces:
-        if part.joint > 0:
-            continue
-        at = _transform(raised * part.piece.placement)
-        if any(gauge.measure(part.piece.shape, at, shape, T)[0] < margin for shape, T in there):
-            return part.link
-        if obstacle.cluster is not None and obstacle.cluster.measure(part.piece, raised, margin) is not None:
+        if part.joint == 0 and _is_near(part.piece, raised, obstacle, margin, there, gauge):
             return part.link
     return ""
+
+
+def _is_near(
+    piece: shapes.Piece, placement: pin.SE3, obstacle: Obstacle, margin: float, there: Sequence[tuple[Any, Any]],
+    gauge: shapes.Gauge,
+) -> bool:  # fmt: skip
+    """Whether a piece of a body at `placement` is within `margin` [m] of an obstacle, whose own pieces are `there`."""
+    at = _transform(placement * piece.placement)
+    if any(gauge.measure(piece.shape, at, shape, T)[0] < margin for shape, T in there):
+        return True
+    return obstacle.cluster is not None and obstacle.cluster.measure(piece, placement, margin) is not None
 
 
 def _transform(T: pin.SE3) -> Any:

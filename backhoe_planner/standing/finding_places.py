@@ -18,7 +18,7 @@ from backhoe_planner.standing.one_place import best_spots, rank
 from backhoe_planner.standing.reach_map import reach_map
 from backhoe_planner.standing.result import Place, StandPlan, StandReason
 from backhoe_planner.standing.sections import dig_in_sections
-from backhoe_planner.standing.site_map import SAME_SHARE, SiteMap, SpotFinder, site_map
+from backhoe_planner.standing.site_map import REASONS, SAME_SHARE, SiteMap, SpotFinder, site_map
 
 _ESTIMATED = {"quick": 5, "normal": 10, "thorough": 20}  # places; chosen, an estimate takes a tenth of a plan
 _PLANNED = 2  # places beside the given one that are planned in full, by default
@@ -125,7 +125,7 @@ def spot_finder(job: Job, told: Callable[[str, int, int], object]) -> SpotFinder
 def _why_nowhere(found: SiteMap) -> str:
     """What keeps the machine from the places that reach most, in words."""
     refused = [spot for row in found.spots for spot in row if spot.reason]
-    best = max(refused, key=lambda spot: spot.share)
+    best = max(refused, key=lambda spot: (spot.share, REASONS.index(spot.reason)))
     x, y = best.base.position
     if best.share <= 0.0:
         return f"nothing of it can be dug from anywhere: {best.why}"

@@ -12,7 +12,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Matrix, Vector
 from backhoe_planner.job import Job, Worksite
 from backhoe_planner.machine import Base
-from backhoe_planner.site import build_obstacles, stands_in
+from backhoe_planner.site import build_obstacles, stands_in, starts_in
 from backhoe_planner.standing.dig_area import DigArea
 from backhoe_planner.standing.machine_footprint import MachineFootprint, axis_offset
 from backhoe_planner.standing.reach_map import DumpTable, ReachMap, dump_table
@@ -26,7 +26,7 @@ _LEVEL = 0.15  # m by which the ground under the machine may be higher or lower 
 SAME_SHARE = 0.02  # of what is dug: places that dig so much less count as equal
 _SAME_COST = 0.02  # of it: then the heading counts from which more dumps are reached; the map is no finer than that
 _ENOUGH_DUMPS = 3  # that are reached from a heading: more is no reason to turn the machine; chosen
-_REASONS = ("line", "reach", "dump", "edge", "ground", "heap", "obstacle")  # the later, the nearer to a place
+REASONS = ("line", "reach", "dump", "edge", "ground", "heap", "obstacle")  # the later, the nearer to a place
 _WORDS = {
     "line": "not in line with the trench",
     "reach": "out of reach",
@@ -197,6 +197,10 @@ class SpotFinder:
         found = stands_in(self.site.robot, self._obstacles, base=base, with_clearance=True)
         if found is not None:
             return "obstacle", f"the way of {found.obstacle}, with its {found.link}", ()
+        start = self.site.problem.start_q
+        found = None if start is None else starts_in(self.site.robot, self._obstacles, start, base=base)
+        if found is not None:
+            return "obstacle", f"the way of {found.obstacle}, with its {found.link} as the job starts", ()
         return "", "", clear
 
     def _is_level(self, base: Base) -> bool:
@@ -212,7 +216,7 @@ class SpotFinder:
 
 def _later(one: Spot, other: Spot) -> Spot:
     """Of two places where the machine cannot stand, the one that comes nearer to one where it can."""
-    return other if _REASONS.index(other.reason) > _REASONS.index(one.reason) else one
+    return other if REASONS.index(other.reason) > REASONS.index(one.reason) else one
 
 
 def _is_better(spot: Spot, best: Spot) -> bool:

@@ -14,7 +14,7 @@ import pytest
 from small_jobs import small_job
 
 import backhoe_planner as bp
-from backhoe_planner.job import Job, load_job_plan
+from backhoe_planner.job import Job, build_worksite, load_job_plan
 from backhoe_planner.machine import Base, Robot
 from backhoe_planner.standing import MachineFootprint, SiteMap, layout, site_map, spot_finder, stand_to_dict
 
@@ -101,6 +101,21 @@ def test_a_machine_does_not_stand_where_an_obstacle_is(plain: SiteMap) -> None:
             assert spot.cost == pytest.approx(before.cost)
 
 
+def test_the_arm_does_not_start_in_a_wall_beside_the_trench(plain: SiteMap) -> None:
+    """The wall is 1.65 m beside the trench, and the arm starts 1.2 rad off the machine's heading."""
+    wall = {"name": "garage", "shape": "box", "size": [30.0, 0.3, 3.0], "position": [5.0, 1.8, 1.5]}
+    start = {"swing": 1.2, "boom": 0.9, "stick": -1.6, "bucket": -1.8}
+    job = _job(start=start, site={"obstacles": [wall]}, dump={"heap": {"at": [[3.8, -3.0], [2.0, -3.0]]}})
+    line = _map(job).spots[len(plain.spots) // 2]
+    standing = [spot for spot in line if math.isfinite(spot.cost)]
+    assert standing
+    site = build_worksite(job)
+    assert site.problem.start_q is not None
+    for spot in standing:
+        tip = bp.Kinematics(site.robot.with_base(spot.base)).at(site.problem.start_q).tip_position
+        assert tip[1] < 1.65 - 0.05  # m, the wall's face and the scene's clearance
+
+
 def test_the_ground_that_the_machine_covers_is_that_of_its_fixed_parts(backhoe: Robot) -> None:
     """By the model: the stabilizers reach 1.43 m to either side, the loader 5.24 m back, and nothing ahead of x 0."""
     footprint = MachineFootprint(backhoe)
@@ -146,6 +161,7 @@ def test_a_job_whose_dump_no_place_reaches_says_so() -> None:
     found = bp.stand(_job(dump={"heap": {"at": [24.0, 0.0]}}))
     assert (found.verdict, found.reason, found.places) == ("failed", "unreachable", ())
     assert "no dump in reach" in found.note
+    assert "not in line" not in found.note
 
 
 def test_the_answer_costs_no_more_than_the_given_place(answer: bp.StandPlan) -> None:
