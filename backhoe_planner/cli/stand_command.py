@@ -44,7 +44,10 @@ def stand(
     seed: Annotated[int, typer.Option(help="Of every random choice.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON (without the map).")] = False,
 ) -> int:
-    """Find where to stand: the place, or the fewest places in order, from which a job is dug in least time or work."""
+    """Find where to stand for a job: the best place, or several.
+
+    The place, or the fewest places in order, from which it is dug in least time or work.
+    """
     targets = [target for target in (output, html, plot) if target is not None]
     if len({target.resolve() for target in targets}) < len(targets):
         raise bp.OutputError("is where another output goes too", file=targets[-1])
