@@ -1,6 +1,6 @@
 """Where to stand: the answer of `stand` against the place that each job is given.
 
-    python scripts/bench_stand.py                                # the three jobs of bench_jobs.py
+    python scripts/bench_stand.py                                # the jobs that one place can dig
     python scripts/bench_stand.py scenes/jobs/long_trench.yaml --effort quick
 
 Both are planned in full. A table of the places that were compared is printed for each job.
@@ -15,12 +15,12 @@ from pathlib import Path
 import backhoe_planner as bp
 
 JOBS = Path(__file__).resolve().parents[1] / "scenes" / "jobs"
-THREE = ("trench_beside_gas_pipe", "truck_under_power_line", "drain_with_a_fall")
+NAMES = ("trench_beside_gas_pipe", "trench_across_water_pipe", "truck_under_power_line", "drain_with_a_fall")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("jobs", nargs="*", type=Path, default=[JOBS / f"{name}.yaml" for name in THREE])
+    parser.add_argument("jobs", nargs="*", type=Path, default=[JOBS / f"{name}.yaml" for name in NAMES])
     parser.add_argument("--effort", default="quick")
     parser.add_argument("--count", type=int, default=2)
     parser.add_argument("--output", type=Path, help="where the answers go, one file for each job")
