@@ -10,7 +10,8 @@ postures by their shapes as they are written overlap by construction; they are c
     python scripts/attack_certificate.py --count 5000
     python scripts/attack_certificate.py --only 17
 
-Ctrl-C ends the run and prints what is done. The exit status is 1 where a certificate was
+Ctrl-C ends the run and prints what is done; the same command goes on, also after it was killed
+(validation/campaigns.py). The exit status is 1 where a certificate was
 refuted or an exception was raised, 130 after Ctrl-C.
 """
 
@@ -23,6 +24,7 @@ os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is imported
 import argparse
 import sys
 
+from validation.campaigns import kept_campaigns
 from validation.certificate_attack import Comparison, Summary, attack_seeds, summarise
 from validation.link_pairs import BY_CONSTRUCTION
 
@@ -38,21 +40,21 @@ def main(arguments: list[str] | None = None) -> int:
     if options.count < 1 or options.jobs == 0 or min(options.seed, options.only or 0) < 0:
         parser.error("--count must be greater than 0, --jobs not 0, seeds not negative")
     seeds = range(options.seed, options.seed + options.count) if options.only is None else [options.only]
-    compared: list[Comparison] = []
-    interrupted = False
-    try:
-        for comparison in attack_seeds(seeds, jobs=options.jobs):
-            compared.append(comparison)
-            if comparison.error:
-                print(f"{comparison.seed}: {comparison.error}", flush=True)
-            for refutation in comparison.refutations:
-                print(f"{refutation.seed}: {refutation.cause}: {refutation.what}", flush=True)
-    except KeyboardInterrupt:
-        interrupted = True
+    compared, interrupted = attack_seeds(
+        seeds, jobs=options.jobs, folder=kept_campaigns() if options.only is None else None, watch=_print_findings
+    )
     if compared:
         print(describe(summary := summarise(compared)))
         return 130 if interrupted else int(bool(summary.refuted or summary.errors))
     return 130
+
+
+def _print_findings(_: int, compared: list[Comparison]) -> None:
+    for comparison in compared:
+        if comparison.error:
+            print(f"{comparison.seed}: {comparison.error}", flush=True)
+        for refutation in comparison.refutations:
+            print(f"{refutation.seed}: {refutation.cause}: {refutation.what}", flush=True)
 
 
 def describe(summary: Summary) -> str:

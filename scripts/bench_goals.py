@@ -18,8 +18,9 @@ a file; runs with other seeds and more effort make it better.
 processor time that our plan took and in the seconds that are given. `--roboplan` plans tabletop problems
 also with RoboPlan (`pip install roboplan`; validation/roboplan_runs.py).
 
-Ctrl-C ends the run and prints what is done. The exit status is 1 where an exception was raised
-or a motion is below a bound, 130 after Ctrl-C, else 0.
+Ctrl-C ends the run and prints what is done; the same command goes on, also after it was killed.
+The exit status is 1 where an exception was raised or a motion is below a bound, 130 after Ctrl-C,
+else 0.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from backhoe_planner.motion import OBJECTIVES
 from backhoe_planner.planning import EFFORTS
 from validation import goal_runs as runs
 from validation import ompl_runs, roboplan_runs, tabletop
+from validation.campaigns import count_on_terminal, kept_campaigns
 from validation.obstacles import MACHINES
 from validation.planning_runs import all_keys
 from validation.sites import KINDS, random_site
@@ -83,29 +85,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--kinds of --problems {options.problems} are {', '.join(kinds)}")
     keys = all_keys(options.sites, machines=machines, kinds=chosen, tasks=["goal"], seed=options.seed)
     settings = runs.Settings(options.effort, options.objective, tuple(options.planning_seeds))
-
-    def progress(done: int) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{done} of {len(keys)} ", end="", file=sys.stderr, flush=True)
+    how = {"draw": draw, "jobs": options.jobs, "folder": kept_campaigns(), "watch": count_on_terminal(len(keys))}
 
     if options.roboplan:
         if options.problems != "tabletop" or importlib.util.find_spec("roboplan") is None:
             parser.error("--roboplan needs --problems tabletop, and the package: pip install roboplan")
-        beside, interrupted = roboplan_runs.compare(keys, settings, draw=draw, jobs=options.jobs, progress=progress)
+        beside, interrupted = roboplan_runs.compare(keys, settings, **how)
         if beside:
             print(roboplan_runs.table(beside))
         return 130 if interrupted else 0
     if options.ompl is not None:
-        found, interrupted = ompl_runs.compare(
-            keys, settings, options.ompl, draw=draw, jobs=options.jobs, progress=progress
-        )
+        found, interrupted = ompl_runs.compare(keys, settings, options.ompl, **how)
         ompl_runs.add_to_best(best, found)
         if options.best:
             best.save(options.best)
         if found:
             print(ompl_runs.table(found, best))
         return 130 if interrupted else 0
-    rows, interrupted = runs.run(keys, settings, draw=draw, jobs=options.jobs, progress=progress)
+    rows, interrupted = runs.run(keys, settings, **how)
     if interrupted:
         print(f"interrupted: {len(rows)} plans are done")
     if not rows:

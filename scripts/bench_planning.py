@@ -14,7 +14,8 @@ verified plan. The results are in docs/measurements.md.
     python scripts/bench_planning.py --sites 300 --refute
 
 `--refute` holds every verified plan against validation/independent_check.py. Ctrl-C ends
-the run and prints what is done. The exit status is 1 where a verified plan was refuted
+the run and prints what is done; the same command goes on, also after it was killed
+(validation/campaigns.py). The exit status is 1 where a verified plan was refuted
 or an exception was raised, 130 after Ctrl-C, else 0.
 """
 
@@ -36,6 +37,7 @@ import backhoe_planner as bp
 from backhoe_planner.files.output_file import check_writable
 from backhoe_planner.planning import EFFORTS
 from validation import planning_runs as runs
+from validation.campaigns import count_on_terminal, kept_campaigns
 from validation.obstacles import MACHINES
 from validation.sites import KINDS, SURVEYED, TASKS, SiteKey
 
@@ -93,14 +95,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options.sites, machines=options.machines, kinds=options.kinds, tasks=options.tasks, seed=options.seed
     )
     begun = time.perf_counter()
-
-    def progress(done: int) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{done} of {len(keys)}, {time.perf_counter() - begun:.0f} s ", end="", file=sys.stderr, flush=True)
-
-    rows, interrupted = runs.run(keys, settings, jobs=options.jobs, progress=progress)
-    if sys.stderr.isatty():
-        print(file=sys.stderr)
+    rows, interrupted = runs.run(
+        keys, settings, jobs=options.jobs, folder=kept_campaigns(), watch=count_on_terminal(len(keys))
+    )
     if interrupted:
         print(f"interrupted: {len(rows)} sites are done")
     if rows:

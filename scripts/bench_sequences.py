@@ -20,6 +20,7 @@ import sys
 from collections.abc import Sequence
 
 from backhoe_planner.planning import EFFORTS
+from validation.campaigns import kept_campaigns
 from validation.sequences import describe, run_all
 
 
@@ -37,10 +38,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--count, --places and --jobs must be greater than 0, --seed not negative")
     worse = False
     for places, objective in itertools.product(options.places, options.objective):
-        rows = run_all(
+        rows, interrupted = run_all(
             options.count, seed=options.seed, objective=objective, places=places, effort=options.effort,
-            jobs=options.jobs,
+            jobs=options.jobs, folder=kept_campaigns(),
         )  # fmt: skip
+        if interrupted:
+            return 130
         print(f"{places} goals a leg, {describe(rows)}", flush=True)
         worse |= any(row.is_worse for row in rows)
     return int(worse)

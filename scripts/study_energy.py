@@ -6,6 +6,8 @@ docs/measurements.md.
 
     python scripts/study_energy.py                 # the table of savings
     python scripts/study_energy.py --convergence   # the same costs on three grids
+
+Ctrl-C ends the run and prints what is done; the same command goes on, also after it was killed.
 """
 
 from __future__ import annotations
@@ -15,23 +17,20 @@ import os
 os.environ["OMP_NUM_THREADS"] = "1"  # before numpy is imported
 
 import argparse
+import sys
 
-import backhoe_planner as bp
-from validation.energy_savings import Result, convergence_table, draw_cases, measure_case, savings_table
+from validation.campaigns import kept_campaigns
+from validation.energy_savings import Result, convergence_table, measure_grids, measure_paths, savings_table
 from validation.tables import markdown
 
 
-def study(robot: bp.Robot, *, paths: int, seed: int) -> None:
-    """Print the table of savings, and every case in which the optimum is worse than a law."""
-    results: list[Result] = []
-    for drawn, case in enumerate(draw_cases(robot, seed), start=1):
-        result = measure_case(robot, case)
-        if result is not None:
-            results.append(result)
-            if result.worse:
-                print(f"case {drawn - 1} is worse than a law that keeps its limits: {result}")
-        if len(results) >= paths:
-            break
+def _print_worse(_: int, result: Result) -> None:
+    if result.worse:
+        print(f"case {result.number} is worse than a law that keeps its limits: {result}", flush=True)
+
+
+def _print_savings(results: list[Result]) -> None:
+    drawn = results[-1].number + 1
     left_out = drawn - len(results)
     print(f"{len(results)} straight paths of {drawn} drawn ({left_out} cannot be followed from their posture)\n")
     print(markdown(savings_table(results)))
@@ -40,19 +39,26 @@ def study(robot: bp.Robot, *, paths: int, seed: int) -> None:
     print(f"optima with a free start that are not verified: {sum(result.free is None for result in results)}")
 
 
-def main() -> None:
+def main() -> int:
+    """The command line; the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--paths", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--convergence", action="store_true")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
     options = parser.parse_args()
-    robot = bp.load_robot("example:backhoe")
+    how = {"paths": options.paths, "seed": options.seed, "jobs": options.jobs, "folder": kept_campaigns()}
     if options.convergence:
-        print(f"{options.paths} straight paths, start left free; work, quasi-static\n")
-        print(markdown(convergence_table(robot, paths=options.paths, seed=options.seed)))
+        costs, interrupted = measure_grids(**how)
+        if costs:
+            print(f"{len(costs)} straight paths, start left free; work, quasi-static\n")
+            print(markdown(convergence_table(costs)))
     else:
-        study(robot, paths=options.paths, seed=options.seed)
+        results, interrupted = measure_paths(**how, watch=_print_worse)
+        if results:
+            _print_savings(results)
+    return 130 if interrupted else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -6,8 +6,9 @@ contacts by distances without coal, at every `--check`-th step and at every step
 is small; limits at every step (validation/placements.py). `removals` counts the drives that do
 not arrive although the obstacle before their end is gone (validation/removals.py). `undisturbed`
 counts the steps by which plans of three machines take longer than planned
-(validation/undisturbed.py). The results are in docs/measurements.md. The exit status is 1 where a
-limit was broken, something was touched, or a drive with nothing in its way did not arrive.
+(validation/undisturbed.py). The results are in docs/measurements.md. Ctrl-C ends the run and prints
+what is done; the same command goes on, also after it was killed. The exit status is 1 where a
+limit was broken, something was touched, or a drive with nothing in its way did not arrive, 130 after Ctrl-C.
 
     python scripts/study_following.py [placements|removals|undisturbed] [--count 120] [--seed 0]
         [--check 10] [--save FILE]
@@ -24,7 +25,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from validation.placements import place_obstacles
+from validation.campaigns import kept_campaigns
+from validation.placements import Followed, place_obstacles
 from validation.removals import take_obstacles_away
 from validation.undisturbed import follow_undisturbed
 
@@ -36,21 +38,28 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=120, help="drives; of `undisturbed` plans of each machine")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--check", type=int, default=10)
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
     parser.add_argument("--save", type=Path, help="write the figures as JSON")
     options = parser.parse_args()
-    studies: dict[str, Callable[..., tuple[list[Any], dict[str, Any]]]] = {
+    studies: dict[str, Callable[..., Followed[Any]]] = {
         "placements": partial(place_obstacles, every=options.check),
         "removals": take_obstacles_away,
         "undisturbed": follow_undisturbed,
     }
-    drives, figures = studies[options.study](
-        count=options.count, seed=options.seed, progress=partial(print, flush=True)
+    found = studies[options.study](
+        count=options.count, seed=options.seed, jobs=options.jobs, folder=kept_campaigns(), watch=_print_drive
     )
     if options.save:
-        content = {**figures, options.study: [asdict(drive) for drive in drives]}
+        content = {**found.figures, options.study: [asdict(drive) for drive in found.drives]}
         options.save.write_text(json.dumps(content, indent=2) + "\n")
-    print(json.dumps(figures, indent=2))
-    return int(any(figures.get(key) for key in ("problems", "stuck", "not arrived")))
+    print(json.dumps(found.figures, indent=2))
+    wrong = any(found.figures.get(key) for key in ("problems", "stuck", "not arrived"))
+    return 130 if found.interrupted else int(wrong)
+
+
+def _print_drive(number: int, drive: Any) -> None:
+    shown = {key: value for key, value in asdict(drive).items() if key not in ("searches", "seconds")}
+    print(f"{number} {json.dumps(shown)}", flush=True)
 
 
 if __name__ == "__main__":

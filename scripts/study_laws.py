@@ -17,8 +17,8 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
-from validation.law_runs import run_scene, share_table
-from validation.processes import call_for_all
+from validation.campaigns import call_for_all, count_on_terminal, kept_campaigns
+from validation.law_runs import Run, run_scene, share_table
 from validation.tables import markdown, write_csv
 
 
@@ -30,13 +30,10 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
     parser.add_argument("--save", type=Path, help="write every motion's figures as CSV")
     options = parser.parse_args()
-
-    def progress(done: int) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{done} of {options.scenes}", end="", file=sys.stderr)
-
-    call = partial(run_scene, seed=options.seed)
-    found, interrupted = call_for_all(call, range(options.scenes), jobs=options.jobs, progress=progress)
+    found, interrupted = call_for_all(
+        partial(run_scene, seed=options.seed), range(options.scenes), result=list[Run], jobs=options.jobs,
+        folder=kept_campaigns(), watch=count_on_terminal(options.scenes),
+    )  # fmt: skip
     runs = [run for of_scene in found for run in of_scene]
     if interrupted:
         print(f"interrupted: {len(found)} scenes are done")

@@ -5,8 +5,9 @@ The backhoe is driven by random wishes among obstacles that stand, appear and mo
 distances are measured without coal at every `--check`-th step and at every step whose
 own margin is small (validation/servo_drives.py). With `--recoveries`, the machine starts
 from rest inside obstacles, inside itself or outside a limit instead
-(validation/recoveries.py). The results are in docs/measurements.md. The exit status is 1 where
-a step broke a limit or touched something.
+(validation/recoveries.py). The results are in docs/measurements.md. Ctrl-C ends the run and prints
+what is done; the same command goes on, also after it was killed. The exit status is 1 where
+a step broke a limit or touched something, 130 after Ctrl-C.
 
     python scripts/study_servo.py [--steps 200000] [--seed 0] [--check 10] [--save FILE]
     python scripts/study_servo.py --recoveries 20
@@ -17,12 +18,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
 
-import backhoe_planner as bp
-from validation.recoveries import recover
-from validation.servo_drives import drive
+from validation.campaigns import kept_campaigns
+from validation.recoveries import RecoveryRecord, recover
+from validation.servo_drives import DriveRecord, drive
 
 
 def main() -> int:
@@ -32,18 +33,22 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--check", type=int, default=10)
     parser.add_argument("--recoveries", type=int, default=0, help="starts that are violated, instead of the steps")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes; all cores by default")
     parser.add_argument("--save", type=Path, help="write the figures as JSON")
     options = parser.parse_args()
-    progress = partial(print, flush=True)
-    robot = bp.load_robot("example:backhoe")
+    how = {"seed": options.seed, "jobs": options.jobs, "folder": kept_campaigns(), "watch": _print_record}
     if options.recoveries:
-        found = recover(robot, count=options.recoveries, seed=options.seed, progress=progress)
+        found, interrupted = recover(count=options.recoveries, **how)
     else:
-        found = drive(robot, steps=options.steps, seed=options.seed, every=options.check, progress=progress)
+        found, interrupted = drive(steps=options.steps, every=options.check, **how)
     print(json.dumps(found, indent=2))
     if options.save:
         options.save.write_text(json.dumps(found, indent=2) + "\n")
-    return int(bool(found.get("problems")))
+    return 130 if interrupted else int(bool(found.get("problems")))
+
+
+def _print_record(done: int, record: DriveRecord | RecoveryRecord) -> None:
+    print(f"{done} {json.dumps(asdict(record))}", flush=True)
 
 
 if __name__ == "__main__":

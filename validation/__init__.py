@@ -20,7 +20,7 @@ it imports `backhoe_planner` by its doors, and no script.
     surfaces           points on every link's collision shape
     independent_check  the least distances of a whole motion, and what refutes a certificate
     telescope          an excavator with a telescopic stick, as URDF text
-    processes          one function called for many items, in several processes
+    campaigns          one function called for many cases, in several processes; goes on where it was killed
     planning_runs      the planner on many sites: rows, tables, comparisons
     goal_runs          motions to a goal beside the best that is known, and beside their bound
     ompl_planners      OMPL's own planners on the same problem, with the same check and time

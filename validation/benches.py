@@ -134,7 +134,7 @@ def _servo_people(long: bool) -> list[Figure]:
 
 
 def _attack(long: bool) -> list[Figure]:
-    summary = summarise(list(attack_seeds(range(200 if long else 20))))
+    summary = summarise(attack_seeds(range(200 if long else 20))[0])
     return [
         _count("attack: refuted", summary.refuted),
         _count("attack: errors", summary.errors),

@@ -12,15 +12,15 @@ from __future__ import annotations
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 
 import backhoe_planner as bp
 from backhoe_planner.machine import self_pairs, self_pieces
+from validation.campaigns import call_for_all
 from validation.dense_sweep import Least, Sweep
 from validation.link_pairs import BY_CONSTRUCTION, PIN_PLAY, LinkPair, touch_share
 from validation.random_attacks import TURNS, Attack, Attacked, random_attack, random_attacked
@@ -64,16 +64,30 @@ class Comparison:
     error: str = ""
 
 
-def attack_seeds(seeds: Sequence[int], *, jobs: int = 1) -> Iterator[Comparison]:
-    """Compare for every seed, in their order; neighbours share a machine."""
+def attack_seeds(
+    seeds: Sequence[int],
+    *,
+    jobs: int = 1,
+    folder: Path | None = None,
+    watch: Callable[[int, list[Comparison]], object] = lambda done, result: None,
+) -> tuple[list[Comparison], bool]:
+    """The comparisons of all seeds in their order, and whether it was interrupted; neighbours share a machine.
+
+    Parameters
+    ----------
+    watch: is called with what came of some neighbours, as they are done; see `Campaign` for it and the others.
+    """
     blocks: dict[int, list[int]] = {}
     for seed in seeds:
         blocks.setdefault(seed // TURNS, []).append(seed)
-    for compared in Parallel(n_jobs=jobs, return_as="generator")(delayed(_attack_block)(b) for b in blocks.values()):
-        yield from compared
+    found, interrupted = call_for_all(
+        attack_block, list(blocks.values()), result=list[Comparison], jobs=jobs, folder=folder, watch=watch
+    )
+    return [comparison for compared in found for comparison in compared], interrupted
 
 
-def _attack_block(seeds: Iterable[int]) -> list[Comparison]:
+def attack_block(seeds: Sequence[int]) -> list[Comparison]:
+    """The comparisons of some seeds, with the machine of the first."""
     found: list[Comparison] = []
     with tempfile.TemporaryDirectory() as name:
         machine: Attacked | None = None

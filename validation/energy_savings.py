@@ -10,8 +10,9 @@ be followed at all from its posture.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +28,17 @@ from backhoe_planner.planning import (
     least_norm_resolution,
     resolve_along,
 )
+from validation.campaigns import Campaign
+from validation.habitats import load_machine
 from validation.scenes import scene_of
 from validation.tables import Row
 
 SHORTEST, LONGEST = 1.0, 5.0  # m
 SPEED = 0.4  # m/s
 GRIDS = ((5.0, 0.2), (2.5, 0.2), (1.25, 0.2))  # deg of pitch, m of path between layers
+Costs = list[tuple[float, float]]
+"""Of one case on every grid of `GRIDS`: the best route, and the refined one [J]."""
+_MACHINE = "backhoe"
 LAWS = (
     "pseudo-inverse, limits or not",
     "pseudo-inverse, where it keeps the limits",
@@ -42,8 +48,9 @@ LAWS = (
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A posture (n,), and where the tip goes from it, (3,) each [m]."""
+    """A posture (n,), and where the tip goes from it, (3,) each [m]; how many were drawn before it."""
 
+    number: int
     q: Vector
     begin: Vector
     end: Vector
@@ -68,8 +75,9 @@ class Savings:
 
 @dataclass(frozen=True)
 class Result:
-    """One case: the savings from the same start and from a free one (None where that failed)."""
+    """The case of that number: the savings from the same start and from a free one (None where that failed)."""
 
+    number: int
     same: Savings
     free: Savings | None
     pseudo_inverse_breaks: bool
@@ -91,6 +99,7 @@ def draw_cases(robot: bp.Robot, seed: int) -> Iterator[Case]:
     rng = np.random.default_rng(seed)
     kinematics = bp.Kinematics(robot)
     proximity = bp.Proximity(robot, ())
+    number = 0
     while True:
         q = robot.random_q(rng)
         direction = rng.standard_normal(3)
@@ -99,15 +108,26 @@ def draw_cases(robot: bp.Robot, seed: int) -> Iterator[Case]:
         end = begin + length * direction / np.linalg.norm(direction)
         inside = bp.solve_inverse_kinematics(robot, bp.TipTarget(end))
         if inside.reached and bool(np.all(proximity.distances(q) >= proximity.clearance)):
-            yield Case(q, begin, end)
+            yield Case(number, q, begin, end)
+            number += 1
 
 
-def measure_case(robot: bp.Robot, case: Case) -> Result | None:
-    """One case; None where it cannot be followed from its posture."""
+def measure_paths(
+    *, paths: int, seed: int, jobs: int, folder: Path | None, watch: Callable[[int, Result], object]
+) -> tuple[list[Result], bool]:
+    """The first cases that can be followed from their posture, and whether it was interrupted; see `Campaign`."""
+    cases = draw_cases(load_machine(_MACHINE), seed)
+    with Campaign(measure_case, list[Result], jobs=jobs, folder=folder) as campaign:
+        return campaign.first(cases, paths, watch=watch), campaign.interrupted
+
+
+def measure_case(case: Case) -> list[Result]:
+    """One case; nothing where it cannot be followed from its posture."""
+    robot = load_machine(_MACHINE)
     problem, path = case.problem(robot, free=False)
     same = bp.plan(robot, problem.scene, method="optimal")
     if not _follows(same):
-        return None
+        return []
     free = bp.plan(robot, case.problem(robot, free=True)[0].scene, method="optimal")
     kinematics = bp.Kinematics(robot)
     blind = least_norm_resolution(problem, path, case.q, kinematics=kinematics)
@@ -122,12 +142,15 @@ def measure_case(robot: bp.Robot, case: Case) -> Result | None:
         moved = [None if other is None else law_motion(path, other, motion, kinematics=kinematics) for other in others]
         return Savings(work(motion), tuple(None if other is None else work(other) for other in moved))
 
-    return Result(
-        same=savings(same.trajectory),
-        free=savings(free.trajectory) if _follows(free) else None,
-        pseudo_inverse_breaks=breaks,
-        law_stuck=law.obstruction is not None,
-    )
+    return [
+        Result(
+            number=case.number,
+            same=savings(same.trajectory),
+            free=savings(free.trajectory) if _follows(free) else None,
+            pseudo_inverse_breaks=breaks,
+            law_stuck=law.obstruction is not None,
+        )
+    ]
 
 
 def _follows(plan: bp.Plan) -> bool:
@@ -156,16 +179,23 @@ def savings_table(results: list[Result]) -> list[Row]:
     return rows
 
 
-def convergence_table(robot: bp.Robot, *, paths: int, seed: int) -> list[Row]:
-    """Quasi-static work summed over cases with a free start: the best route on every grid, and the refined one."""
-    found: list[list[tuple[float, float]]] = []
-    for case in draw_cases(robot, seed):
-        problem, path = case.problem(robot, free=True)
-        costs = [_route_costs(problem, path, grid, layer) for grid, layer in GRIDS]
-        if all(cost is not None for cost in costs):
-            found.append([cost for cost in costs if cost is not None])
-        if len(found) >= paths:
-            break
+def measure_grids(*, paths: int, seed: int, jobs: int, folder: Path | None) -> tuple[list[Costs], bool]:
+    """The costs of the first cases with a free start that can be followed on every grid; see `Campaign`."""
+    cases = draw_cases(load_machine(_MACHINE), seed)
+    with Campaign(cost_on_grids, list[Costs], jobs=jobs, folder=folder) as campaign:
+        return campaign.first(cases, paths), campaign.interrupted
+
+
+def cost_on_grids(case: Case) -> list[Costs]:
+    """The costs of one case with a free start; nothing where it cannot be followed on every grid."""
+    problem, path = case.problem(load_machine(_MACHINE), free=True)
+    costs = [_route_costs(problem, path, grid, layer) for grid, layer in GRIDS]
+    found = [cost for cost in costs if cost is not None]
+    return [found] if len(found) == len(GRIDS) else []
+
+
+def convergence_table(found: Sequence[Costs]) -> list[Row]:
+    """Quasi-static work summed over cases: the best route on every grid, and the refined one."""
     totals: NDArray[np.float64] = np.sum(found, axis=0) / 1e3
     change = 100.0 * (totals / np.vstack((np.full(2, np.nan), totals[:-1])) - 1.0)
     return [

@@ -21,8 +21,8 @@ import numpy as np
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
+from validation.campaigns import call_for_all
 from validation.habitats import load_machine
-from validation.processes import call_for_all
 from validation.sites import Site, SiteKey, random_site
 from validation.tables import Row as TableRow
 from validation.tables import markdown, percent
@@ -217,12 +217,12 @@ def run(
     *,
     draw: Callable[[bp.Robot, SiteKey], Site] = random_site,
     jobs: int = -1,
-    progress: Callable[[int], None] = lambda done: None,
+    folder: Path | None = None,
+    watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Row], bool]:
     """The rows of all sites in the order of the keys, and whether it was interrupted; see `call_for_all`."""
-    found, interrupted = call_for_all(
-        partial(run_site, settings=settings, draw=draw), keys, jobs=jobs, progress=progress
-    )
+    call = partial(run_site, settings=settings, draw=draw)
+    found, interrupted = call_for_all(call, keys, result=list[Row], jobs=jobs, folder=folder, watch=watch)
     return [row for rows in found for row in rows], interrupted
 
 

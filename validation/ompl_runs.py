@@ -6,15 +6,16 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
+from validation.campaigns import call_for_all
 from validation.goal_runs import Best, Settings, digest_of, name_of, with_objective
 from validation.habitats import load_machine
 from validation.ompl_planners import PLANNERS, can_be_moved, pose_challenge, same_end, solve
-from validation.processes import call_for_all
 from validation.sites import Site, SiteKey
 from validation.tables import Row as TableRow
 from validation.tables import markdown, percent
@@ -85,11 +86,12 @@ def compare(
     *,
     draw: Callable[[bp.Robot, SiteKey], Site],
     jobs: int,
-    progress: Callable[[int], None] = lambda done: None,
+    folder: Path | None = None,
+    watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Run], bool]:
     """The runs on all sites, and whether it was interrupted; see `call_for_all`."""
     call = partial(compare_on_site, settings=settings, seconds=seconds, draw=draw)
-    found, interrupted = call_for_all(call, keys, jobs=jobs, progress=progress)
+    found, interrupted = call_for_all(call, keys, result=list[Run], jobs=jobs, folder=folder, watch=watch)
     return [run for runs in found for run in runs], interrupted
 
 

@@ -8,20 +8,22 @@ the planner looks for a way from where it stands to the end of the plan.
 
 from __future__ import annotations
 
-import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor, Future
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
 from itertools import count as numbers
-from typing import Any, ParamSpec, TypeVar
+from pathlib import Path
+from typing import Any, Generic, ParamSpec, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
+from validation.campaigns import Campaign
 from validation.habitats import load_machine
 from validation.obstacles import Record, appearing_obstacle
 from validation.servo_drives import CLOSE, broken_limits, stopping_line
@@ -31,6 +33,7 @@ from validation.surfaces import LinkDistances, Nearest, link_shapes
 
 P = ParamSpec("P")
 R = TypeVar("R")
+D = TypeVar("D")
 
 _SITES = [(kind, task) for kind in KINDS for task in ("goal", "path")]
 _PER_PLAN = 5  # placements on every plan
@@ -39,6 +42,15 @@ _BLOCKED = 16.0  # s of standing blocked after which a drive is ended,
 _BLOCKED_AT_END = 2.0  # where the end of the plan is taken
 _END_TAKEN = 0.2  # part of the obstacles on the end of a plan that are kept
 _SPARE = 0.02  # m beyond the clearance that the machine has of what appears
+
+
+@dataclass(frozen=True)
+class Followed(Generic[D]):
+    """A campaign of drives: every drive, the figures of all, and whether it was interrupted."""
+
+    drives: list[D]
+    figures: dict[str, Any]
+    interrupted: bool
 
 
 class Immediate(Executor):
@@ -226,40 +238,46 @@ def scene_content(scene: bp.Scene) -> Record:
 
 
 def place_obstacles(
-    *, count: int, seed: int, every: int, progress: Callable[[str], None]
-) -> tuple[list[Drive], dict[str, Any]]:
-    """Put obstacles onto plans, and drive: every drive, and the figures of all.
+    *,
+    count: int,
+    seed: int,
+    every: int,
+    jobs: int,
+    folder: Path | None,
+    watch: Callable[[int, Drive], object],
+) -> Followed[Drive]:
+    """Put obstacles onto plans, and drive.
 
     Parameters
     ----------
     every: distances are checked at every so many steps, and where the margin is small.
-    progress: takes a line about every drive.
+    jobs, folder, watch: see `Campaign`.
     """
+    call = partial(place_on_site, seed=seed, every=every)
+    with Campaign(call, list[Drive], jobs=jobs, folder=folder) as campaign:
+        drives = campaign.first(numbers(1), count, most=_PER_PLAN, watch=watch)
+    return Followed(drives, _figures(drives) if drives else {}, campaign.interrupted)
+
+
+def place_on_site(number: int, *, seed: int, every: int) -> list[Drive]:
+    """The drives past what is put onto the plan of the site of that number; none where no plan is verified."""
     drives: list[Drive] = []
-    for number, site, plan in random_plans("backhoe", seed=seed):
-        if plan.trajectory.duration < 2.0:
-            continue
-        for turn in range(_PER_PLAN):
-            placement = Placement(plan, np.random.default_rng([seed, number, turn]))
-            if len(drives) == count or not placement.put():
-                continue
+    site, plan = random_plan("backhoe", number, seed=seed)
+    if not plan.verified or plan.trajectory.duration < 2.0:
+        return drives
+    for turn in range(_PER_PLAN):
+        placement = Placement(plan, np.random.default_rng([seed, number, turn]))
+        if placement.put():
             drives.append(placement.drive(str(site), turn, every=every))
-            shown = {k: v for k, v in asdict(drives[-1]).items() if k not in ("searches", "seconds")}
-            progress(f"{len(drives)} {json.dumps(shown)}")
-        if len(drives) == count:
-            break
-    return drives, _figures(drives)
+    return drives
 
 
-def random_plans(machine: str, *, seed: int) -> Iterator[tuple[int, SiteKey, bp.Plan]]:
-    """The verified plans of random sites of a machine, each with its number, counted from 1, and its key."""
+def random_plan(machine: str, number: int, *, seed: int) -> tuple[SiteKey, bp.Plan]:
+    """The plan of a random site of a machine, by its number, counted from 1, and the site's key."""
     robot = load_machine(machine)
-    for number in numbers(1):
-        kind, task = _SITES[(number - 1) % len(_SITES)]
-        site = random_site(robot, SiteKey(machine, kind, task, (number - 1) // len(_SITES), seed))
-        plan = bp.plan(robot, site.scene, seed=seed)
-        if plan.verified:
-            yield number, site.key, plan
+    kind, task = _SITES[(number - 1) % len(_SITES)]
+    site = random_site(robot, SiteKey(machine, kind, task, (number - 1) // len(_SITES), seed))
+    return site.key, bp.plan(robot, site.scene, seed=seed)
 
 
 def _figures(drives: list[Drive]) -> dict[str, Any]:

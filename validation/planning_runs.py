@@ -22,9 +22,9 @@ import numpy as np
 
 import backhoe_planner as bp
 from backhoe_planner.files.output_file import whole_file
+from validation.campaigns import call_for_all
 from validation.habitats import load_machine
 from validation.independent_check import refutations
-from validation.processes import call_for_all
 from validation.sites import Site, SiteKey, random_site
 from validation.tables import Row as TableRow
 from validation.tables import markdown
@@ -203,10 +203,12 @@ def run(
     settings: Settings,
     *,
     jobs: int = -1,
-    progress: Callable[[int], None] = lambda done: None,
+    folder: Path | None = None,
+    watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Row], bool]:
     """The rows of all sites in the order of the keys, and whether it was interrupted; see `call_for_all`."""
-    return call_for_all(partial(run_site, settings=settings), keys, jobs=jobs, progress=progress, died=_died)
+    call = partial(run_site, settings=settings)
+    return call_for_all(call, keys, result=Row, jobs=jobs, folder=folder, watch=watch, died=_died)
 
 
 def _died(key: SiteKey) -> Row:

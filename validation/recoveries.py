@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from scipy.optimize import linprog
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
 from backhoe_planner.site import build_obstacle
+from validation.campaigns import call_for_all
+from validation.habitats import load_machine
 from validation.obstacles import name_all
 from validation.scenes import scene_of
 from validation.servo_drives import CLEARANCE, plain_obstacle
@@ -200,39 +203,59 @@ def another_way(start: Start, q: Vector, rng: np.random.Generator) -> str | None
     return None
 
 
-def recover(robot: bp.Robot, *, count: int, seed: int, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Let a servo recover from a number of starts, with random wishes, and count how it ends.
+@dataclass(frozen=True)
+class RecoveryRecord:
+    """How one recovery ended.
 
-    `progress` takes a line about every 20 of them.
+    Attributes
+    ----------
+    ending: of what kind the start was, and how it ended.
+    note: what is to be looked at; empty where all is well.
+    way_out: [s], of the servo; 0 where it did not come out.
+    slowest: the longest step on the processor [s].
     """
-    endings: Counter[str] = Counter()
-    notes: list[str] = []
-    longest = slowest = 0.0
-    for number in range(count):
-        rng = np.random.default_rng([seed, number, 7])
-        start = Start(robot, rng, number)
-        tip = {"tip_velocity": rng.normal(size=3)}
-        found = come_back(start, tip if rng.integers(2) else {"joint_velocity": rng.uniform(-1, 1, robot.n)})
-        ending = start.kind
-        slowest = max(slowest, found.slowest)
-        depths = f"case {number}: from {np.round(start.deepest, 4)} m to {np.round(found.left, 4)} m"
-        if found.out:
-            longest = max(longest, found.time)
-            ending += ": out, on a way below" if found.counts["steps on a way below"] else ": out"
-        else:
-            ending += f": not out, another way: {another_way(start, found.q, rng)}"
-            notes.append(f"{depths}, {ending}")
-        wrong = {key: found.counts[key] for key in _WRONG if found.counts[key]}
-        if wrong:
-            notes.append(f"{depths}, {ending}, {wrong}")
-            ending += ", with wrong steps"
-        endings[ending] += 1
-        if (number + 1) % 20 == 0:
-            progress(f"{number + 1} {dict(endings)} {notes}")
+
+    ending: str
+    note: str
+    way_out: float
+    slowest: float
+
+
+def recover(
+    *, count: int, seed: int, jobs: int, folder: Path | None, watch: Callable[[int, RecoveryRecord], object]
+) -> tuple[dict[str, Any], bool]:
+    """Let a servo recover from a number of starts: how that ended, and whether it was interrupted; see `Campaign`."""
+    found, interrupted = call_for_all(
+        partial(recover_from, seed=seed), range(count), result=RecoveryRecord, jobs=jobs, folder=folder, watch=watch
+    )
     return {
-        "starts": count,
-        **dict(sorted(endings.items())),
-        "longest way out [s]": longest,
-        "slowest step [ms]": 1e3 * slowest,
-        "notes": notes,
-    }
+        "starts": len(found),
+        **dict(sorted(Counter(one.ending for one in found).items())),
+        "longest way out [s]": max((one.way_out for one in found), default=0.0),
+        "slowest step [ms]": 1e3 * max((one.slowest for one in found), default=0.0),
+        "notes": [one.note for one in found if one.note],
+    }, interrupted
+
+
+def recover_from(number: int, *, seed: int) -> RecoveryRecord:
+    """Let a servo recover from the start of that number, with a random wish."""
+    robot = load_machine("backhoe")
+    rng = np.random.default_rng([seed, number, 7])
+    start = Start(robot, rng, number)
+    tip = {"tip_velocity": rng.normal(size=3)}
+    found = come_back(start, tip if rng.integers(2) else {"joint_velocity": rng.uniform(-1, 1, robot.n)})
+    ending = start.kind
+    notes: list[str] = []
+    if found.out:
+        ending += ": out, on a way below" if found.counts["steps on a way below"] else ": out"
+    else:
+        ending += f": not out, another way: {another_way(start, found.q, rng)}"
+        notes.append(ending)
+    wrong = {key: found.counts[key] for key in _WRONG if found.counts[key]}
+    if wrong:
+        notes.append(f"wrong steps: {wrong}")
+        ending += ", with wrong steps"
+    if notes:
+        depths = f"from {np.round(start.deepest, 4)} m to {np.round(found.left, 4)} m"
+        notes = [f"case {number}, {start.kind}: {depths}", *notes]
+    return RecoveryRecord(ending, ", ".join(notes), found.time if found.out else 0.0, found.slowest)

@@ -9,18 +9,21 @@ follower, the obstacle is taken away. Nothing is in the way then, so each drive 
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from functools import partial
+from itertools import count as numbers
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import backhoe_planner as bp
 from backhoe_planner.site import build_obstacles
+from validation.campaigns import Campaign
 from validation.obstacles import Record, appearing_obstacle
-from validation.placements import Immediate, places_on_machine, random_plans, scene_content
+from validation.placements import Followed, Immediate, places_on_machine, random_plan, scene_content
 from validation.servo_drives import stopping_line
 
 _DT = 0.004  # s
@@ -63,19 +66,23 @@ class Removal:
 
 
 def take_obstacles_away(
-    *, count: int, seed: int, progress: Callable[[str], None]
-) -> tuple[list[Removal], dict[str, Any]]:
-    """Put obstacles before the ends of plans, and take them away: every drive, and the figures of all."""
-    drives: list[Removal] = []
-    for number, site, plan in random_plans("backhoe", seed=seed):
-        for turn in range(_PER_PLAN):
-            found = _drive(plan, np.random.default_rng([seed, number, turn, 1]), str(site), turn)
-            if found is not None and len(drives) < count:
-                drives.append(found)
-                progress(f"{len(drives)} {json.dumps(asdict(found))}")
-        if len(drives) == count:
-            break
-    return drives, _figures(drives)
+    *, count: int, seed: int, jobs: int, folder: Path | None, watch: Callable[[int, Removal], object]
+) -> Followed[Removal]:
+    """Put obstacles before the ends of plans, and take them away; see `Campaign`."""
+    call = partial(remove_on_site, seed=seed)
+    with Campaign(call, list[Removal], jobs=jobs, folder=folder) as campaign:
+        drives = campaign.first(numbers(1), count, most=_PER_PLAN, watch=watch)
+    return Followed(drives, _figures(drives), campaign.interrupted)
+
+
+def remove_on_site(number: int, *, seed: int) -> list[Removal]:
+    """The drives to the end of the plan of the site of that number; none where no plan is verified."""
+    site, plan = random_plan("backhoe", number, seed=seed)
+    if not plan.verified:
+        return []
+    turns = range(_PER_PLAN)
+    drives = (_drive(plan, np.random.default_rng([seed, number, turn, 1]), str(site), turn) for turn in turns)
+    return [drive for drive in drives if drive is not None]
 
 
 def _drive(plan: bp.Plan, rng: np.random.Generator, site: str, turn: int) -> Removal | None:

@@ -25,9 +25,9 @@ import yaml
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.site import Box, Capsule
+from validation.campaigns import call_for_all
 from validation.goal_runs import Settings, name_of, with_objective
 from validation.habitats import load_machine
-from validation.processes import call_for_all
 from validation.sites import Site, SiteKey
 from validation.tables import Row as TableRow
 from validation.tables import markdown, percent
@@ -83,11 +83,12 @@ def compare(
     *,
     draw: Callable[[bp.Robot, SiteKey], Site],
     jobs: int,
-    progress: Callable[[int], None] = lambda done: None,
+    folder: Path | None = None,
+    watch: Callable[[int, object], object] = lambda done, result: None,
 ) -> tuple[list[Run], bool]:
     """The runs on all problems, and whether it was interrupted; see `call_for_all`."""
     call = partial(compare_on_site, settings=settings, draw=draw)
-    found, interrupted = call_for_all(call, keys, jobs=jobs, progress=progress)
+    found, interrupted = call_for_all(call, keys, result=list[Run], jobs=jobs, folder=folder, watch=watch)
     return [run for runs in found for run in runs], interrupted
 
 

@@ -8,16 +8,17 @@ are clear of everything, each with any pitch or with one of a range.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 import backhoe_planner as bp
 from backhoe_planner.planning import EFFORTS, EffortName, Leg, plan_legs
+from validation.campaigns import call_for_all
 from validation.habitats import load_machine
-from validation.processes import call_for_all
 from validation.sites import SPARE, SiteKey, random_site
 
 MACHINE = "backhoe"
@@ -112,11 +113,11 @@ def run_all(
     places: int,
     effort: EffortName,
     jobs: int = -1,
-    progress: Callable[[int], None] = lambda done: None,
-) -> list[Row]:
-    """Plan `count` random sequences both ways."""
+    folder: Path | None = None,
+) -> tuple[list[Row], bool]:
+    """`count` random sequences planned both ways, and whether it was interrupted; see `call_for_all`."""
     call = partial(run_sequence, seed=seed, objective=objective, places=places, effort=effort)
-    return call_for_all(call, range(count), jobs=jobs, progress=progress)[0]
+    return call_for_all(call, range(count), result=Row, jobs=jobs, folder=folder)
 
 
 def describe(rows: Sequence[Row]) -> str:

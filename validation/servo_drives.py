@@ -8,10 +8,10 @@ Distances are those of `surfaces`, without coal.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.site import build_obstacle
 from backhoe_planner.site.schema import obstacle_shapes
+from validation.campaigns import call_for_all
+from validation.habitats import load_machine
 from validation.obstacles import Record, halfspace, random_obstacle
 from validation.scenes import scene_of
 from validation.signed_distances import SignedDistance, obstacle_distance
@@ -201,57 +203,95 @@ class Episode:
         return float(solved.x[-1]) if solved.status == 0 else 0.0
 
 
-def drive(robot: bp.Robot, *, steps: int, seed: int, every: int, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Drive for a number of steps, site after site, and count what went wrong.
+@dataclass(frozen=True)
+class DriveRecord:
+    """What happened on one site.
+
+    Attributes
+    ----------
+    steps: of the drive.
+    checked: of them, those at which distances were measured without coal.
+    counts, statuses: steps of each kind, and with each status of the servo.
+    least: the least distance that was measured.
+    problems: limits that were broken, contacts.
+    """
+
+    steps: int
+    checked: int
+    counts: dict[str, int]
+    statuses: dict[str, int]
+    least: Nearest
+    problems: list[str]
+
+
+def drive(
+    *,
+    steps: int,
+    seed: int,
+    every: int,
+    jobs: int,
+    folder: Path | None,
+    watch: Callable[[int, DriveRecord], object],
+) -> tuple[dict[str, Any], bool]:
+    """Drive for a number of steps, site after site: what went wrong, and whether it was interrupted.
 
     Parameters
     ----------
     every: distances are checked at every so many steps, and wherever the servo's own
         margin is below `CLOSE`; limits, accelerations and finiteness at every step.
-    progress: takes a line about every episode.
+    jobs, folder, watch: see `Campaign`.
     """
-    distances = LinkDistances(robot)
-    counts: Counter[str] = Counter()
-    statuses: Counter[str] = Counter()
-    problems: list[str] = []
-    least, done, number = Nearest(np.inf, "", ""), 0, 0
-    begun = time.monotonic()
-    while done < steps:
-        episode = Episode(robot, distances, np.random.default_rng([seed, number]))
-        before = np.zeros(robot.n)
-        length = min(EPISODE, steps - done)
-        for step in range(length):
-            state = episode.step(step)
-            statuses[state.status.value] += 1
-            counts["unproven"] += not state.proven
-            where = f"episode {number}, step {step}, {episode.kind}"
-            problems += [f"{problem}: {where}" for problem in broken_limits(episode.servo, state, before)]
-            before = state.v
-            if step % every == 0 or state.margin < CLOSE:
-                counts["checked"] += 1
-                found = episode.nearest(state.q)
-                least = min(least, found, key=lambda one: one.distance)
-                if found.distance < 0.0:
-                    moves = episode.standing[found.obstacle].moves
-                    problems.append(
-                        f"contact: {where}: {found.link} with {found.obstacle}, {found.distance:.5f} m, moving: {moves}"
-                    )
-                elif found.distance < CLEARANCE - 1e-4:
-                    moving = any(one.moves for one in episode.standing.values())
-                    counts[f"clearance cut, {'something moves' if moving else 'everything stands'}"] += 1
-        done += length
-        number += 1
-        progress(f"{done} steps, {time.monotonic() - begun:.0f} s, {len(problems)} problems, least {least}")
+    lengths = [min(EPISODE, steps - done) for done in range(0, steps, EPISODE)]
+    call = partial(drive_on_site, seed=seed, every=every)
+    found, interrupted = call_for_all(
+        call, list(enumerate(lengths)), result=DriveRecord, jobs=jobs, folder=folder, watch=watch
+    )
+    counts, statuses = Counter[str](), Counter[str]()
+    for one in found:
+        counts.update(one.counts)
+        statuses.update(one.statuses)
+    least = min((one.least for one in found), key=lambda one: one.distance, default=Nearest(np.inf, "", ""))
+    problems = [problem for one in found for problem in one.problems]
     return {
-        "steps": done,
-        "episodes": number,
-        "checked without coal": counts.pop("checked"),
+        "steps": sum(one.steps for one in found),
+        "episodes": len(found),
+        "checked without coal": sum(one.checked for one in found),
         "counts": dict(counts),
         "statuses": dict(statuses),
         "least distance": [float(least.distance), least.link, least.obstacle],
         "problems": len(problems),
         "first problems": problems[:20],
-    }
+    }, interrupted
+
+
+def drive_on_site(case: tuple[int, int], *, seed: int, every: int) -> DriveRecord:
+    """Drive on one site, given its number and how many steps to drive."""
+    number, length = case
+    robot = load_machine("backhoe")
+    episode = Episode(robot, LinkDistances(robot), np.random.default_rng([seed, number]))
+    counts, statuses = Counter[str](), Counter[str]()
+    problems: list[str] = []
+    least, checked, before = Nearest(np.inf, "", ""), 0, np.zeros(robot.n)
+    for step in range(length):
+        state = episode.step(step)
+        statuses[state.status.value] += 1
+        counts["unproven"] += not state.proven
+        where = f"episode {number}, step {step}, {episode.kind}"
+        problems += [f"{problem}: {where}" for problem in broken_limits(episode.servo, state, before)]
+        before = state.v
+        if step % every == 0 or state.margin < CLOSE:
+            checked += 1
+            found = episode.nearest(state.q)
+            least = min(least, found, key=lambda one: one.distance)
+            if found.distance < 0.0:
+                moves = episode.standing[found.obstacle].moves
+                problems.append(
+                    f"contact: {where}: {found.link} with {found.obstacle}, {found.distance:.5f} m, moving: {moves}"
+                )
+            elif found.distance < CLEARANCE - 1e-4:
+                moving = any(one.moves for one in episode.standing.values())
+                counts[f"clearance cut, {'something moves' if moving else 'everything stands'}"] += 1
+    return DriveRecord(length, checked, dict(counts), dict(statuses), least, problems)
 
 
 def stopping_line(servo: bp.Servo) -> Matrix:

@@ -13,15 +13,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import islice
+from functools import partial
+from itertools import count as numbers
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import backhoe_planner as bp
 from backhoe_planner.live import Status
+from validation.campaigns import Campaign
 from validation.obstacles import MACHINES
-from validation.placements import Immediate, random_plans
+from validation.placements import Followed, Immediate, random_plan
 
 _STEPS = (0.001, 0.004)  # s: of the servo
 _HOLDING = (Status.SLIDING, Status.NEAR_LIMIT, Status.EVADING)
@@ -53,17 +56,28 @@ class UndisturbedDrive:
 
 
 def follow_undisturbed(
-    *, count: int, seed: int, progress: Callable[[str], None]
-) -> tuple[list[UndisturbedDrive], dict[str, Any]]:
-    """Follow `count` plans of every machine: every drive, and the figures of all."""
-    drives = []
-    for machine in MACHINES:
-        for _, site, plan in islice(random_plans(machine, seed=seed), count):
-            for dt in _STEPS:
-                drives.append(_drive(plan, str(site), dt))
-                progress(f"{len(drives)} {drives[-1]}")
+    *, count: int, seed: int, jobs: int, folder: Path | None, watch: Callable[[int, UndisturbedDrive], object]
+) -> Followed[UndisturbedDrive]:
+    """Follow `count` plans of every machine; see `Campaign`."""
+    drives: list[UndisturbedDrive] = []
+    call = partial(follow_on_site, seed=seed)
+    with Campaign(call, list[UndisturbedDrive], jobs=jobs, folder=folder) as campaign:
+        for machine in MACHINES:
+            cases = ((machine, number) for number in numbers(1))
+            drives += campaign.first(cases, count * len(_STEPS), most=len(_STEPS), watch=watch)
+    return Followed(drives, _figures(drives), campaign.interrupted)
+
+
+def follow_on_site(case: tuple[str, int], *, seed: int) -> list[UndisturbedDrive]:
+    """The drives along the plan of a machine's site, by its number, one a step; none where no plan is verified."""
+    machine, number = case
+    site, plan = random_plan(machine, number, seed=seed)
+    return [_drive(plan, str(site), dt) for dt in _STEPS] if plan.verified else []
+
+
+def _figures(drives: list[UndisturbedDrive]) -> dict[str, Any]:
     free, held = [drive for drive in drives if not drive.held_back], [drive for drive in drives if drive.held_back]
-    return drives, {
+    return {
         "followed": len(drives),
         "not arrived": sum(not drive.arrived for drive in drives),
         "never held back": len(free),

@@ -1,5 +1,7 @@
+from .results.journal import Journal as Journal
 from .results.results_folder import PAGE as PAGE
 from .results.results_folder import TABLE as TABLE
+from .results.results_folder import ResultsFolder as ResultsFolder
 from .results.summary import Map as Map
 from .results.summary import Share as Share
 from .results.summary import Summary as Summary

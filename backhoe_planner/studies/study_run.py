@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import reprlib
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -128,8 +129,11 @@ def run_study(
     if scheduler is not None:
         check_meshes_travel(inputs.robots)
     identity = {row.number: row.identity(json.dumps(shared, sort_keys=True)) for row in rows}
-    with ResultsFolder(folder, anew=anew) as results, Journal(results.journal, _header(study, shared)) as journal:
-        outcomes = {number: journal.done[key] for number, key in identity.items() if key in journal.done}
+    with (
+        ResultsFolder(folder, anew=anew) as results,
+        Journal(results.journal, _header(study, shared), kind="study", free="`count` and `name`") as journal,
+    ):
+        outcomes = dict(_done(identity, journal))
         earlier = len(outcomes)
         todo = [row for row in rows if row.number not in outcomes]
         told = watch or (lambda _: None)
@@ -148,7 +152,7 @@ def run_study(
                         _write_plan(
                             outcome, rows[outcome.row].values.get("machine", template.machine), template, results
                         )
-                    journal.add(identity[outcome.row], outcome)
+                    journal.add(identity[outcome.row], outcome.to_dict())
                     outcomes[outcome.row] = outcome.without_plan()
                     told(StudyStep(len(outcomes), len(rows), rows[outcome.row].values, outcome.verdict))
             except KeyboardInterrupt:
@@ -163,6 +167,13 @@ def run_study(
 def summarise_study(result: StudyResult) -> Summary:
     """What the rows that are done say."""
     return summarise(result.rows, result.outcomes, result.template.best)
+
+
+def _done(identity: Mapping[int, str], journal: Journal) -> Iterator[tuple[int, Outcome]]:
+    """The rows of which a journal holds what came of them."""
+    for number, key in identity.items():
+        with contextlib.suppress(KeyError, TypeError, ValueError):  # not there, or of no row
+            yield number, Outcome.from_dict(journal.done[key])
 
 
 def _header(study: Study, shared: Mapping[str, Any]) -> dict[str, Any]:

@@ -250,8 +250,8 @@ def test_a_full_disk_ends_with_a_message_and_loses_nothing(
 
             made = Journal.__init__
 
-            def with_full_disk(self: Any, *arguments: Any) -> None:
-                made(self, *arguments)
+            def with_full_disk(self: Any, *arguments: Any, **keywords: Any) -> None:
+                made(self, *arguments, **keywords)
                 self._stream = Full(self._stream)
 
             patch.setattr(Journal, "__init__", with_full_disk)

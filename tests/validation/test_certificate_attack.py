@@ -58,7 +58,7 @@ def test_a_certificate_that_claims_5_mm_more_is_refuted(attacks: list[tuple[Atta
 
 
 def test_a_run_over_seeds_gives_what_each_of_them_gives(attacks: list[tuple[Attack, bp.Certificate]]) -> None:
-    (alone,) = attack_seeds([1])
+    (alone,), _ = attack_seeds([1])
     assert not alone.error
     assert replace(alone, seconds=0.0) == compare(*attacks[1])
 

@@ -68,11 +68,11 @@ def test_a_comparison_names_the_sites_that_were_lost_and_the_ratio_of_the_times(
 def test_an_interrupted_run_keeps_what_is_done() -> None:
     keys = runs.all_keys(3, machines=["planar4"], kinds=["open"], tasks=["goal"], seed=0)
 
-    def progress(done: int) -> None:
+    def watch(done: int, _: object) -> None:
         if done == 1:
             raise KeyboardInterrupt
 
-    found, interrupted = runs.run(keys, SETTINGS, jobs=1, progress=progress)
+    found, interrupted = runs.run(keys, SETTINGS, jobs=1, watch=watch)
     assert interrupted
     assert [row.key for row in found] == keys[:1]
 

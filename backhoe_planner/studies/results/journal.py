@@ -1,7 +1,7 @@
-"""The journal of a study: one line for every row that is done, written at once.
+"""A journal: one line for every case of many that is done, written at once.
 
 A line begins with a checksum of the rest of it. A last line that is torn, since the program was killed or the
-disk is full, has a wrong one: it is dropped, and its row is planned again.
+disk is full, has a wrong one: it is dropped, and its case is worked out again.
 """
 
 from __future__ import annotations
@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from backhoe_planner.errors import OutputError, StudyError
-from backhoe_planner.studies.results.outcome import Outcome
 
-FORMAT = "backhoe-planner/study"
 VERSION = 1
 _CHECKSUM = 16  # hexadecimal digits: one torn line in 1e19 would be taken for a whole one
 _SYNC_EVERY = 1.0  # s, between writes to the disk itself, for a computer that loses its power; chosen
@@ -29,23 +27,25 @@ class Journal:
 
     Attributes
     ----------
-    done: what it holds of the rows of this study, by the identity of the row.
+    done: what it holds of the cases that are done, plain data by the identity of the case.
     """
 
-    def __init__(self, file: Path, header: Mapping[str, Any]) -> None:
+    def __init__(self, file: Path, header: Mapping[str, Any], *, kind: str, free: str = "") -> None:
         """Open the journal, or begin one.
 
         Parameters
         ----------
-        header: all that determines the rows of the study, plain data.
+        header: all that the cases share and that determines them, plain data.
+        kind: of what it is the journal: ``study``, or another word.
+        free: keys that may differ from run to run, in words.
 
         Raises
         ------
-        StudyError: the journal is of another study; says what differs.
+        StudyError: the journal is of another one; says what differs.
         OutputError: it cannot be read or written.
         """
-        self._file = file
-        self.done: dict[str, Outcome] = {}
+        self._file, self._kind, self._free = file, kind, free
+        self.done: dict[str, Mapping[str, Any]] = {}
         try:
             end = self._read(header)
             self._stream: IO[bytes] = file.open("ab", buffering=0)
@@ -54,7 +54,7 @@ class Journal:
             raise OutputError(f"cannot be written: {error.strerror}", file=file) from error
         self._end, self._synced = end, 0.0
         if end == 0:
-            self._write({"format": FORMAT, "version": VERSION, **header})
+            self._write({"format": self._format, "version": VERSION, **header})
 
     def __enter__(self) -> Journal:
         return self
@@ -64,15 +64,19 @@ class Journal:
             os.fsync(self._stream.fileno())
         self._stream.close()
 
-    def add(self, identity: str, outcome: Outcome) -> None:
-        """Note that a row is done.
+    def add(self, identity: str, content: Mapping[str, Any]) -> None:
+        """Note that a case is done, and what came of it.
 
         Raises
         ------
         OutputError: that cannot be written; the lines before stay as they are.
         """
-        self._write({"id": identity, **outcome.to_dict()})
-        self.done[identity] = outcome.without_plan()
+        self._write({"id": identity, **content})
+        self.done[identity] = content
+
+    @property
+    def _format(self) -> str:
+        return f"backhoe-planner/{self._kind}"
 
     def _write(self, content: Mapping[str, Any]) -> None:
         line = _line(json.dumps(content, allow_nan=False, separators=(",", ":")).encode())
@@ -88,7 +92,7 @@ class Journal:
                 os.truncate(self._file, self._end)
             raise OutputError(
                 f"cannot be written: {error.strerror}", file=self._file,
-                hint=f"{len(self.done)} rows are in it; the same command goes on from there",
+                hint=f"{len(self.done)} of what is done are in it; the same command goes on from there",
             ) from error  # fmt: skip
         self._end += len(line)
 
@@ -101,24 +105,24 @@ class Journal:
         known = _content(first)
         if known is None and b"\n" not in content:
             return 0  # killed while the first line was written
-        if not isinstance(known, dict) or known.get("format") != FORMAT or known.get("version") != VERSION:
-            raise StudyError("is not the journal of a study", file=self._file, hint="choose another folder")
+        if not isinstance(known, dict) or known.get("format") != self._format or known.get("version") != VERSION:
+            raise StudyError(f"is not the journal of a {self._kind}", file=self._file, hint="choose another folder")
         differs = _differences({key: known[key] for key in known if key not in ("format", "version")}, header)
         if differs:
             raise StudyError(
-                "holds the results of another study", file=self._file.parent,
-                found=f"another {', another '.join(differs)}", allowed="the study it was begun with; only `count` and "
-                "`name` may change", hint="choose another folder with -o, or begin anew with --anew",
+                f"holds the results of another {self._kind}", file=self._file.parent,
+                found=f"another {', another '.join(differs)}",
+                allowed=f"the {self._kind} it was begun with{f'; only {self._free} may change' if self._free else ''}",
+                hint="choose another folder with -o, or begin anew with --anew",
             )  # fmt: skip
         end = 0 if known is None else len(first)
         for line in lines:
             found = _content(line)
-            if found is not None:
-                with contextlib.suppress(KeyError, TypeError, ValueError):
-                    self.done[found["id"]] = Outcome.from_dict(found)
+            if isinstance(found, dict) and "id" in found:
+                self.done[found["id"]] = found
             elif line is lines[-1]:
                 break  # torn
-            end += len(line)  # one that is damaged within stays, and its row is planned again
+            end += len(line)  # one that is damaged within stays, and its case is worked out again
         return end
 
 
