@@ -80,10 +80,13 @@ def _progress(*, shown: bool) -> Iterator[Callable[[bp.StudyStep], None]]:
         begun: list[int] = []
 
         def watch(step: bp.StudyStep) -> None:
+            if step.laid_out is not None:
+                progress.update(task, description="laying out rows", total=step.rows, completed=step.laid_out)
+                return
             if not begun:
                 begun.append(step.done)
                 _tell_of_earlier_rows(step)
-                progress.reset(task, total=step.rows, completed=step.done)
+                progress.reset(task, description="planning", total=step.rows, completed=step.done)
                 return
             elapsed = progress.tasks[0].elapsed or 0.0
             rate = f"{(step.done - begun[0]) / elapsed:.1f} a second" if elapsed > 0.0 else ""
@@ -95,11 +98,19 @@ def _progress(*, shown: bool) -> Iterator[Callable[[bp.StudyStep], None]]:
 def _tell_of_earlier_rows(step: bp.StudyStep) -> None:
     if step.row is None and step.done:
         ERR.print(f"goes on after {step.done} of {step.rows} rows that are done (--anew begins anew)")
+    if step.row is None and step.left_out:
+        ERR.print(f"warning: {_left_out(step.left_out)}")
+
+
+def _left_out(rows: int) -> str:
+    return f"{rows} rows of an earlier run are left out of the tables, as count is smaller now; the journal keeps them"
 
 
 def _print_summary(found: studies.StudyResult, summary: studies.Summary, page: Path) -> None:
     total, done = len(found.rows), len(found.outcomes)
     OUT.print(f"rows          {done}" + ("" if done == total else f" of {total}; the same command goes on"))
+    if found.left_out:
+        OUT.print(f"left out      {found.left_out} rows of an earlier run with a larger count; the journal keeps them")
     for ending, count in summary.counts.items():
         OUT.print(f"  {ending:<28}{count:6d}  {100.0 * count / done:5.1f} %")
         if ending in summary.messages:
@@ -121,6 +132,7 @@ def _print_json(found: studies.StudyResult, summary: studies.Summary, page: Path
     content = {
         "rows": len(found.rows),
         "done": len(found.outcomes),
+        "left_out": found.left_out,
         "interrupted": found.interrupted,
         "counts": dict(summary.counts),
         "messages": {ending: {"row": row, "message": said} for ending, (row, said) in summary.messages.items()},

@@ -16,14 +16,13 @@ from typing import Any
 import yaml
 
 from backhoe_planner.errors import InputError, SceneError
+from backhoe_planner.files.file_kinds import Kind, refuse_other_kind
 from backhoe_planner.files.text_file import read_text
 
 KeyPath = tuple[str | int, ...]
 
 # keys and entries of one file, aliases written out: 1 kB of aliases can stand for 10^9 of them
 _MOST_KEYS = 200_000
-
-_PLAN = re.compile(r'"format":\s*"backhoe-planner/(\w+)"')  # as the files of plans begin
 
 
 class _Loader(yaml.SafeLoader):
@@ -49,7 +48,12 @@ _Loader.add_constructor(
 
 
 def read_yaml(
-    path: Path, *, what: str = "scene", keys: str = "version, task, ...", error: type[InputError] = SceneError
+    path: Path,
+    *,
+    what: str = "scene",
+    keys: str = "version, task, ...",
+    kind: Kind | None = None,
+    error: type[InputError] = SceneError,
 ) -> tuple[dict[str, Any], dict[KeyPath, int]]:
     """The mapping in a YAML file, and the line (from 1) of every key in it.
 
@@ -57,6 +61,7 @@ def read_yaml(
     ----------
     path: the file.
     what, keys: for messages: what the file holds, and some of its keys.
+    kind: of file, if it is one that a command takes; one of another kind is refused.
     error: the class of what is raised.
 
     Raises
@@ -64,10 +69,8 @@ def read_yaml(
     error: the file cannot be read, is empty, is not YAML, or names a key twice.
     """
     text = read_text(path, what=what, error=error)
-    planned = _PLAN.search(text[:200])
-    if planned is not None:
-        kind = "the plan of a job" if planned[1] == "job" else "a plan"
-        raise error(f"is {kind}, not a {what}", file=path, allowed=f"the {what} file from which it was planned")
+    if kind is not None:
+        refuse_other_kind(text, kind, file=path, error=error)
     loader: _Loader | None = None
     try:
         loader = _Loader(text)

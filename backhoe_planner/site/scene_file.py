@@ -194,7 +194,7 @@ def load_scene(path: str | Path) -> Scene:
     SceneError: names the file, the key's path, what was found, and what is allowed.
     """
     file = shipped_file(check_path(path, key="path"), "scenes")
-    content, lines = read_yaml(file)
+    content, lines = read_yaml(file, kind="scene")
     return scene_from_dict(content, folder=file.parent, file=file, lines=lines)
 
 

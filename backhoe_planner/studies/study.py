@@ -43,7 +43,7 @@ def study(
     folder: of its results, where they are kept and a study that was interrupted goes on; by default nothing is kept.
     scheduler: address of a Dask cluster that plans the rows; by default processes of this computer do.
     jobs: how many processes; -1 for one on each core.
-    watch: called with a `StudyStep` at the beginning and after every row.
+    watch: called with a `StudyStep` at the beginning and after every row, and while many rows are laid out.
 
     Returns
     -------

@@ -28,6 +28,8 @@ from backhoe_planner.studies.work.cluster import plan_on_cluster
 from backhoe_planner.studies.work.local_rows import plan_locally
 from backhoe_planner.studies.work.process_pool import process_count
 
+_TOLD_EVERY = 10_000  # rows that are laid out: about half a second; chosen
+
 
 @dataclass(frozen=True)
 class StudyStep:
@@ -39,12 +41,16 @@ class StudyStep:
     rows: how many there are.
     row: the values of the one that was done last; None at the beginning.
     verdict: of it.
+    laid_out: rows that are laid out so far, before any is planned; None from then on.
+    left_out: rows of earlier runs that the study has not any more, since its `count` is smaller now.
     """
 
     done: int
     rows: int
     row: Mapping[str, Any] | None = None
     verdict: str = ""
+    laid_out: int | None = None
+    left_out: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +65,7 @@ class StudyResult:
     outcomes: what came of those that are done, by the number of the row.
     folder: where its tables lie.
     earlier: how many rows were done by earlier runs.
+    left_out: how many rows of earlier runs are not in the tables, since `count` is smaller now; the journal keeps them.
     interrupted: whether it was ended by Ctrl-C.
     """
 
@@ -68,6 +75,7 @@ class StudyResult:
     outcomes: Mapping[int, Outcome]
     folder: Path
     earlier: int
+    left_out: int
     interrupted: bool
 
     @cached_property
@@ -99,7 +107,7 @@ def run_study(
     scheduler: of a Dask cluster that plans the rows; by default processes of this computer do.
     jobs: how many processes; -1 for one on each core.
     anew: whether results of a study that are in the folder are thrown away.
-    watch: called with a `StudyStep` at the beginning and after every row.
+    watch: called with a `StudyStep` at the beginning and after every row, and while many rows are laid out.
 
     Returns
     -------
@@ -124,11 +132,11 @@ def run_study(
     if watch is not None and not callable(watch):
         raise InputError("cannot be called", key="watch", found=reprlib.repr(watch))
     template, inputs = build_template(study)
-    rows = draw_rows(study)
+    told = watch or (lambda _: None)
     shared = digest_of(template, inputs)
     if scheduler is not None:
         check_meshes_travel(inputs.robots)
-    identity = {row.number: row.identity(json.dumps(shared, sort_keys=True)) for row in rows}
+    rows, identity = _lay_out(study, json.dumps(shared, sort_keys=True), told)
     with (
         ResultsFolder(folder, anew=anew) as results,
         Journal(results.journal, _header(study, shared), kind="study", free="`count` and `name`") as journal,
@@ -136,8 +144,8 @@ def run_study(
         outcomes = dict(_done(identity, journal))
         earlier = len(outcomes)
         todo = [row for row in rows if row.number not in outcomes]
-        told = watch or (lambda _: None)
-        told(StudyStep(earlier, len(rows)))
+        left_out = len(journal.done.keys() - identity.values())
+        told(StudyStep(earlier, len(rows), left_out=left_out))
         interrupted = False
         if todo:
             bundle = build_bundle(template, inputs)
@@ -159,7 +167,7 @@ def run_study(
                 interrupted = True
             finally:
                 planned.close()
-        found = StudyResult(study, template, rows, outcomes, folder, earlier, interrupted)
+        found = StudyResult(study, template, rows, outcomes, folder, earlier, left_out, interrupted)
         found.write()
     return found
 
@@ -167,6 +175,18 @@ def run_study(
 def summarise_study(result: StudyResult) -> Summary:
     """What the rows that are done say."""
     return summarise(result.rows, result.outcomes, result.template.best)
+
+
+def _lay_out(study: Study, shared: str, told: Callable[[StudyStep], object]) -> tuple[list[StudyRow], dict[int, str]]:
+    """All rows, and the identity of each by its number; `told` how far that is."""
+    rows: list[StudyRow] = []
+    identity: dict[int, str] = {}
+    for row in draw_rows(study):
+        rows.append(row)
+        identity[row.number] = row.identity(shared)
+        if len(rows) % _TOLD_EVERY == 0:
+            told(StudyStep(0, study.rows, laid_out=len(rows)))
+    return rows, identity
 
 
 def _done(identity: Mapping[int, str], journal: Journal) -> Iterator[tuple[int, Outcome]]:

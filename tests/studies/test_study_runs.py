@@ -23,7 +23,7 @@ from backhoe_planner.show import write_study_page
 from backhoe_planner.studies import StudyResult, StudyStep, run_study, study_from_dict, study_run, summarise_study
 from backhoe_planner.studies.results.journal import Journal
 from backhoe_planner.studies.results.outcome import Outcome
-from backhoe_planner.studies.rows.drawing import StudyRow, draw_rows
+from backhoe_planner.studies.rows.drawing import StudyRow
 from backhoe_planner.studies.rows.template import build_template
 from backhoe_planner.studies.work import local_rows
 from backhoe_planner.studies.work.bundle import build_bundle
@@ -305,6 +305,44 @@ def test_begun_anew_all_rows_are_planned(whole: StudyResult, copied: Path, monke
     assert table_of(copied) == table_of(whole.folder)
 
 
+def test_rows_that_a_smaller_count_leaves_out_are_told_and_come_back(
+    whole: StudyResult, given: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planned_as(whole, monkeypatch)
+    content = whole.study.to_dict() | {"combine": "random"}
+
+    def run(count: int) -> tuple[StudyResult, list[StudyStep]]:
+        steps: list[StudyStep] = []
+        study = study_from_dict(content | {"count": count}, folder=given.parent)
+        return run_study(study, tmp_path / "r", watch=steps.append), steps
+
+    assert run(6)[0].left_out == 0
+    found, steps = run(2)
+    assert (found.earlier, found.left_out, steps[0].left_out) == (2, 4, 4)
+    assert pq.read_table(tmp_path / "r" / "table.parquet").num_rows == 2
+    file = given.parent / "fewer.yaml"
+    file.write_text(json.dumps(content | {"count": 2}))
+    monkeypatch.setattr(sys, "argv", ["backhoe-planner", "study", str(file), "-o", str(tmp_path / "r")])
+    with pytest.raises(SystemExit, match="0"):
+        main()
+    said = capsys.readouterr()
+    assert "warning: 4 rows of an earlier run are left out of the tables" in said.err
+    assert "left out      4 rows" in said.out
+    found, steps = run(6)
+    assert (found.earlier, found.left_out, steps[0].left_out) == (6, 0, 0)
+    assert pq.read_table(tmp_path / "r" / "table.parquet").num_rows == 6
+
+
+def test_while_many_rows_are_laid_out_it_is_told_how_many(
+    whole: StudyResult, copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned_as(whole, monkeypatch)
+    monkeypatch.setattr(study_run, "_TOLD_EVERY", 4)
+    steps: list[StudyStep] = []
+    run_study(whole.study, copied, watch=steps.append)
+    assert [(step.done, step.rows, step.laid_out) for step in steps] == [(0, 6, 4), (6, 6, None)]
+
+
 # --- processes that die -----------------------------------------------------------------
 
 
@@ -313,7 +351,7 @@ def test_a_row_at_which_the_process_dies_twice_has_crashed_and_the_others_are_pl
 ) -> None:
     monkeypatch.setattr(local_rows, "_plan_row", dies_at_one)
     bundle = build_bundle(*build_template(whole.study))
-    rows = draw_rows(whole.study)[1:3]
+    rows = whole.rows[1:3]
     found = list(local_rows.plan_locally(bundle, rows, tmp_path, processes=1))
     assert sorted((one.row, one.verdict) for one in found) == [(1, "crashed"), (2, "verified")]
 

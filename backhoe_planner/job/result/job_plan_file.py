@@ -17,6 +17,7 @@ from pydantic import Field, StrictInt, ValidationError
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError, PlanFileError
+from backhoe_planner.files.file_kinds import refuse_other_kind
 from backhoe_planner.files.output_file import check_output, whole_file
 from backhoe_planner.files.provenance import installed_versions, relative_path
 from backhoe_planner.files.records import Figure, Record, explain
@@ -346,6 +347,7 @@ def read_job_plan_file(file: Path) -> JobPlanRecord:
     PlanFileError: it is none, or damaged; names key, what was found and what is allowed.
     """
     text = read_text(file, what="plan", error=PlanFileError)
+    refuse_other_kind(text, "job plan", file=file, error=PlanFileError)
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -84,7 +84,7 @@ def load_job(path: str | Path) -> Job:
     SceneError: names the file, the key's path, what was found, and what is allowed.
     """
     file = shipped_file(check_path(path, key="path"), "scenes/jobs")
-    content, lines = read_yaml(file, what="job", keys="version, dig, dump, ...")
+    content, lines = read_yaml(file, what="job", keys="version, dig, dump, ...", kind="job")
     return job_from_dict(content, folder=file.parent, file=file, lines=lines)
 
 

@@ -23,6 +23,7 @@ from lxml import etree
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.errors import RobotError
+from backhoe_planner.files.file_kinds import refuse_other_kind
 from backhoe_planner.files.provenance import relative_path
 from backhoe_planner.machine.description.plain_urdf import Joint, Tree, names_a_mesh, read_tree
 
@@ -286,6 +287,7 @@ def _parse_xml(data: bytes, path: Path) -> etree._Element:
     try:
         root = etree.fromstring(data, parser=parser)
     except etree.XMLSyntaxError as error:
+        refuse_other_kind(data.decode(errors="replace"), "urdf", file=path, error=RobotError)
         raise RobotError(f"is not well-formed XML: {error.msg}", file=path) from error
     if root.tag != "robot":
         raise RobotError("the outermost element is not a robot", file=path, found=f"<{root.tag}>", allowed="<robot>")

@@ -15,7 +15,9 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, StrictInt, ValidationError, model_serializer, model_validator
 
 from backhoe_planner.errors import InputError, PlanFileError
+from backhoe_planner.files.file_kinds import refuse_other_kind
 from backhoe_planner.files.records import Figure, Record, explain
+from backhoe_planner.files.text_file import read_text
 from backhoe_planner.motion import Detour, Trajectory
 from backhoe_planner.planning.result.bound import Bound
 from backhoe_planner.planning.result.findings import Findings
@@ -279,12 +281,10 @@ def read_plan_file(file: Path) -> PlanRecord:
     ------
     PlanFileError: not a plan file, or damaged; names key, what was found and what is allowed.
     """
+    text = read_text(file, what="plan", error=PlanFileError)
+    refuse_other_kind(text, "plan", file=file, error=PlanFileError)
     try:
-        content = json.loads(file.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except FileNotFoundError:
-        raise PlanFileError("no such plan file", file=file) from None
-    except OSError as error:
-        raise PlanFileError(f"cannot be read: {error.strerror}", file=file) from error
+        content = json.loads(text, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise PlanFileError(f"is not a plan file: not JSON: {error}", file=file) from None
     if not isinstance(content, dict) or content.get("format") != FORMAT:

@@ -38,9 +38,9 @@ class StudyRow:
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
-def draw_rows(study: Study) -> list[StudyRow]:
+def draw_rows(study: Study) -> Iterator[StudyRow]:
     """All rows, in order. A row depends on the study's seed and its own number, not on how many there are."""
-    return [StudyRow(number, values) for number, values in enumerate(_combinations(study))]
+    return (StudyRow(number, values) for number, values in enumerate(_combinations(study)))
 
 
 def _combinations(study: Study) -> Iterator[dict[str, Any]]:

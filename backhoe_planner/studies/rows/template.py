@@ -90,8 +90,8 @@ def build_template(study: Study) -> tuple[Template, Inputs]:
     StudyError: the scene or the job is wrong, or a machine; a key path, a metric, a method or an effort does not exist;
         two parameters set the same place.
     """
-    template = _job_template(study) if study.job is not None else _scene_template(study)
-    kind: Kind = "scene" if isinstance(template, Scene) else "job"
+    kind: Kind = "scene" if study.job is None else "job"
+    template = _load(study, kind)
     content = template.to_dict()
     addresses = dict(_addresses(study, content, kind))
     _check_settings(study)
@@ -148,26 +148,18 @@ def digest_of(template: Template, inputs: Inputs) -> dict[str, Any]:
     }
 
 
-def _scene_template(study: Study) -> Scene:
-    given = study.scene
+def _load(study: Study, kind: Kind) -> Scene | Job:
+    """The scene or the job, from its file or its keys."""
+    given = study.scene if kind == "scene" else study.job
     try:
         if isinstance(given, str):
-            return load_scene(_shipped_or(study.folder, given))
+            file = _shipped_or(study.folder, given)
+            return load_scene(file) if kind == "scene" else load_job(file)
         assert given is not None
-        return scene_from_dict(given, folder=study.folder)
+        made = scene_from_dict if kind == "scene" else job_from_dict
+        return made(given, folder=study.folder)
     except SceneError as error:
-        raise StudyError(str(error), file=study.file, key=study.place("scene")) from None
-
-
-def _job_template(study: Study) -> Job:
-    given = study.job
-    try:
-        if isinstance(given, str):
-            return load_job(_shipped_or(study.folder, given))
-        assert given is not None
-        return job_from_dict(given, folder=study.folder)
-    except SceneError as error:
-        raise StudyError(str(error), file=study.file, key=study.place("job")) from None
+        raise StudyError(str(error), file=study.file, key=study.place(kind)) from None
 
 
 def _shipped_or(folder: Path, name: str) -> Path:

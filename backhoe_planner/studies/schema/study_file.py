@@ -24,7 +24,6 @@ def _readable(found: Any) -> Any:
     return found
 
 
-_OTHERS = {"scene": "task", "job": "dig"}  # files that are no study, and a key by which they are known
 Spec = Annotated[Any, AfterValidator(_readable)]
 
 
@@ -147,12 +146,9 @@ def load_study(path: str | Path) -> Study:
     StudyError: names the file, the key's path, what was found, and what is allowed.
     """
     file = shipped_file(check_path(path, key="path"), "scenes/studies")
-    content, lines = read_yaml(file, what="study", keys="version, machine, scene, parameters, ...", error=StudyError)
-    other = next((kind for kind, key in _OTHERS.items() if key in content and "parameters" not in content), None)
-    if other is not None:
-        raise StudyError(
-            f"is a {other}, not a study", file=file, allowed=f"a file with {other}: {file.name}, and parameters"
-        )
+    content, lines = read_yaml(
+        file, what="study", keys="version, machine, scene, parameters, ...", kind="study", error=StudyError
+    )
     return study_from_dict(content, folder=file.parent, file=file, lines=lines)
 
 
