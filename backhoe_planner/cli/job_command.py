@@ -48,7 +48,8 @@ def job(
 ) -> int:
     """Plan a job: all cycles from the first cut to the last.
 
-    Where the output holds the same job, ended early, it goes on where it was.
+    Where the output holds the same job, ended early, it goes on where it was. Where the machine is best put for
+    a job, and in which places it digs one that is longer than it reaches, `backhoe-planner stand JOB` finds.
     """
     effort = jobs.DEFAULT_EFFORT if effort is None else effort
     if html is not None and html.resolve() == output.resolve():

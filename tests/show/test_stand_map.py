@@ -1,0 +1,159 @@
+"""The map of a site, on the page and as a picture: known places end up where they are, and costs in their order."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import label
+from small_jobs import small_job
+
+import backhoe_planner as bp
+from backhoe_planner.machine import Base
+from backhoe_planner.show import plot_stand, write_stand_page
+from backhoe_planner.standing import SiteMap, Spot
+
+SHADES = ("#0b6e4f", "#5fae7b", "#d5e3a6", "#f2c879", "#c8643c")  # cheap to dear, a quarter of the range apart
+COSTS = [10.0, 11.0, 12.25, 13.0, 14.5, 15.0, 16.75, 17.0, 18.0, 19.0, 25.0]
+"""The dearest tenth has one colour: the range ends at the tenth one, 19, and its quarters are 2.25 apart."""
+AT = {10.0: 0, 12.25: 1, 14.5: 2, 16.75: 3, 19.0: 4, 25.0: 4}  # number of its shade
+EDGE, HEAP = "#e9d3cf", "#d9cdb8"
+STEP = 2.0  # m from place to place
+POINT = re.compile(r"(-?[\d.]+),(-?[\d.]+)")
+
+
+@pytest.fixture(scope="module")
+def plan() -> bp.StandPlan:
+    """A map of 2 x 7 places from x 4, y 3 m on, without an answer; the machine of the job's file stands at 0, 0."""
+
+    def spot(number: int, x: float, y: float) -> Spot:
+        base = Base((x, y), 0.25 * math.pi)
+        if number < len(COSTS):
+            return Spot(base, COSTS[::-1][number], 1.0, ())
+        reason = ("edge", "heap", "reach")[number - len(COSTS)]
+        return Spot(base, math.nan, 0.0, (), reason, reason)
+
+    x, y = np.meshgrid(4.0 + STEP * np.arange(7), 3.0 + STEP * np.arange(2))
+    numbers = np.arange(14).reshape(2, 7)
+    spots = tuple(tuple(spot(int(numbers[i, j]), x[i, j], y[i, j]) for j in range(7)) for i in range(2))
+    outline = np.array([[8.0, -1.0], [12.0, -1.0], [12.0, 0.0], [8.0, 0.0]])
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    found = SiteMap(spots, x, y, (STEP, STEP), np.array([1.0, 0.0]), outline)
+    return bp.StandPlan(small_job(), (), (), found, (square,), "unreachable", "no place is near")
+
+
+def places(plan: bp.StandPlan) -> dict[float, np.ndarray[Any, Any]]:
+    """Where each cost is, x, y [m]."""
+    return {
+        spot.cost: np.array([x, y])
+        for row, xs, ys in zip(plan.map.spots, plan.map.x, plan.map.y, strict=True)
+        for spot, x, y in zip(row, xs, ys, strict=True)
+        if math.isfinite(spot.cost)
+    }
+
+
+@pytest.fixture(scope="module")
+def page(plan: bp.StandPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("page") / "stand.html"
+    write_stand_page(plan, file)
+    return file
+
+
+def test_every_place_of_the_page_is_drawn_where_it_is_in_the_colour_of_its_cost(plan: bp.StandPlan, page: Path) -> None:
+    cells = re.findall(r'<polygon class="cell" points="([^"]*)" fill="([^"]*)" data-told="([^"]*)"', page.read_text())
+    assert len(cells) == len(COSTS) + 2, "places out of reach are not drawn"
+    drawn = {}
+    for points, fill, told in cells:
+        corners = np.array([[float(x), -float(y)] for x, y in POINT.findall(points)])
+        assert np.ptp(corners, axis=0) == pytest.approx([STEP, STEP])
+        said = re.match(r"x (-?[\d.]+), y (-?[\d.]+) m: (?:([\d.]+) s/m³ about, heading 45°)?", told)
+        assert said is not None
+        assert corners.mean(axis=0) == pytest.approx([float(said[1]), float(said[2])], abs=0.005)
+        if said[3]:
+            drawn[corners.mean(axis=0).round(3).tobytes()] = fill
+    where = places(plan)
+    for cost, shade in AT.items():
+        assert drawn[where[cost].tobytes()] == SHADES[shade]
+    fills = [fill for _, fill, told in cells if "about" not in told]
+    assert sorted(fills) == sorted([EDGE, HEAP])
+
+
+def test_between_two_colours_a_dearer_place_is_nearer_to_the_dearer_one(plan: bp.StandPlan, page: Path) -> None:
+    """Along the scale, each colour has parts of its two neighbours that add up to 1."""
+    fills = re.findall(r'class="cell" points="[^"]*" fill="([^"]*)" data-told="[^"]*: ([\d.]+) s/m³', page.read_text())
+
+    def rgb(text: str) -> np.ndarray[Any, Any]:
+        return np.array([int(text[k : k + 2], 16) for k in (1, 3, 5)], dtype=float)
+
+    assert len(fills) == len(COSTS)
+    for fill, said in fills:
+        cost = next(one for one in COSTS if f"{one:.1f}" == said)
+        along = min((cost - 10.0) / 2.25, 4.0)
+        below = min(int(along), 3)
+        low, high = rgb(SHADES[below]), rgb(SHADES[below + 1])
+        assert rgb(fill) == pytest.approx(low + (along - below) * (high - low), abs=0.51)
+
+
+def test_a_place_of_the_page_is_seen_where_it_is(plan: bp.StandPlan, page: Path, browser: Any) -> None:
+    """At 1280 pixels; the metre of the ruler says how large the map is drawn."""
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    complaints: list[str] = []
+    tab.on("console", lambda message: complaints.append(message.text))
+    tab.on("pageerror", lambda error: complaints.append(str(error)))
+    tab.goto(page.as_uri())
+    pixels = np.asarray(Image.open(io.BytesIO(tab.screenshot())).convert("RGB"))
+    x0, y0, metre = tab.evaluate(
+        "(() => { const ruler = document.querySelector('#map .ruler'), m = ruler.getScreenCTM();"
+        " const at = (length) => ruler.getPointAtLength(length).matrixTransform(m);"
+        " const corner = at(0), end = at(1); return [corner.x, corner.y, end.x - corner.x]; })()"
+    )
+    low = np.array([-1.0, -1.0]) - 0.7 + 0.35  # of all that is drawn: the given machine's corner; the ruler's own
+    for cost, place in places(plan).items():
+        x, y = x0 + metre * (place[0] - low[0]), y0 - metre * (place[1] - low[1])
+        tab.mouse.move(x, y)
+        assert tab.locator("#told").text_content().startswith(f"x {place[0]:.2f}, y {place[1]:.2f} m: {cost:.1f} s/m³")
+        if cost in AT:
+            assert "#" + "".join(f"{value:02x}" for value in pixels[round(y), round(x)]) == SHADES[AT[cost]]
+    # a line is as thick as on paper whatever the scale: within a metre across an edge of the given machine, 1 pixel
+    left, right = (round(x0 + metre * (x - low[0])) for x in (0.5, 1.5))
+    rows = [round(y0 - metre * (y - low[1])) for y in np.linspace(-0.9, 0.9, 40)]
+    dark = [int((pixels[row, left:right].sum(axis=1) < 600).sum()) for row in rows]
+    assert max(dark) in (1, 2), "a stroke between two pixels covers both"
+    assert min(dark) == 0, "it is dashed"
+    assert complaints == []
+    tab.close()
+
+
+def test_places_of_the_picture_are_where_they_are(plan: bp.StandPlan, tmp_path: Path) -> None:
+    """Four places with colours of their own: from three of them follows where the fourth one is."""
+    file = tmp_path / "stand.png"
+    plot_stand(plan, file)
+    pixels = np.asarray(Image.open(file).convert("RGB"))
+
+    def middle(shade: str) -> np.ndarray[Any, Any]:
+        """Of the largest area of that colour: x to the right, y up."""
+        same = (pixels == [int(shade[k : k + 2], 16) for k in (1, 3, 5)]).all(axis=2)
+        areas, count = label(same)
+        largest = max(range(1, count + 1), key=lambda number: int((areas == number).sum()))
+        rows, columns = np.nonzero(areas == largest)
+        return np.array([0.5 * (columns.min() + columns.max()), -0.5 * (rows.min() + rows.max())])
+
+    where = places(plan)
+    one, two, three, four = 10.0, 12.25, 14.5, 16.75
+    # by the order of the costs: 16.75 and 14.5 stand in the first row, 12.25 and 10 in the second
+    assert where[four].tolist() == [12.0, 3.0]
+    assert where[three].tolist() == [16.0, 3.0]
+    assert where[two].tolist() == [6.0, 5.0]
+    assert where[one].tolist() == [10.0, 5.0]
+    metre = (middle(SHADES[2]) - middle(SHADES[3]))[0] / 4.0
+    assert metre > 20.0
+    for cost in (one, two, three):
+        moved = middle(SHADES[AT[cost]]) - middle(SHADES[AT[four]])
+        assert moved == pytest.approx(metre * (where[cost] - where[four]), abs=1.5)
+    assert middle(EDGE) - middle(SHADES[3]) == pytest.approx(metre * np.array([0.0, 2.0]), abs=1.5)
