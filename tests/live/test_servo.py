@@ -281,7 +281,7 @@ def test_where_asked_for_it_goes_round(backhoe: Robot) -> None:
     after = {}
     for circulate in (False, True):
         servo = Servo(backhoe, site(backhoe, [ball], q=[-0.2, 0.3, -0.9, -0.5]), circulate=circulate)
-        states = pushed(servo, {"tip_velocity": [0.0, 0.4, 0.0]}, 9000)
+        states = pushed(servo, {"tip_velocity": [0.0, 0.4, 0.0]}, 6000)
         after[circulate] = states[-1].tip_position[1]
         assert least_margin(backhoe, site(backhoe, [ball]), states[-1].q) >= -1e-6
     assert after[True] > 1.0
@@ -452,7 +452,9 @@ def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity
             return q, scene, proximity
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", range(6)
+)  # each shape with each kind of wish; study_servo.py --recoveries has many more
 def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: Robot, seed: int) -> None:
     q, scene, proximity = started_inside(backhoe, seed)
     rng = np.random.default_rng(seed)
@@ -478,7 +480,7 @@ def test_a_post_through_the_machines_own_foot_never_gets_deeper(backhoe: Robot) 
     proximity = Proximity(backhoe, build_obstacles(scene, backhoe))
     servo = Servo(backhoe, scene)
     deepest = [float(np.max(proximity.clearance - proximity.distances(servo.q)))]
-    for _ in range(3000):
+    for _ in range(2200):
         state = servo.step([0.5, 0.5, 0.5])
         deepest.append(float(np.max(proximity.clearance - proximity.distances(state.q))))
     assert deepest[0] > 0.1
