@@ -452,9 +452,8 @@ def started_inside(robot: Robot, seed: int) -> tuple[Vector, bp.Scene, Proximity
             return q, scene, proximity
 
 
-@pytest.mark.parametrize(
-    "seed", range(6)
-)  # each shape with each kind of wish; study_servo.py --recoveries has many more
+# each shape with each kind of wish; scripts/study_servo.py --recoveries has many more
+@pytest.mark.parametrize("seed", [0, 1, 3, 4, 5, 8])
 def test_from_deep_inside_the_deepest_violation_shrinks_at_every_step(backhoe: Robot, seed: int) -> None:
     q, scene, proximity = started_inside(backhoe, seed)
     rng = np.random.default_rng(seed)
