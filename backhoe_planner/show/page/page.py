@@ -111,16 +111,30 @@ def read_parts(package: str, *names: str) -> tuple[str, ...]:
 
 def _page(title: str, content: Any, *, connect: str, css: str = "", body: str = "", script: str = "") -> str:
     own_css, own_body, own_script = read_parts("backhoe_planner.show.page", "page.css", "body.html", "page.js")
-    more = f"<script>\n{script}</script>\n" if script else ""
+    scripts = [f"{_meshcat()}\n", f"{own_script}show({_json_in_script(content)});\n", *([script] if script else [])]
+    return html_page(
+        title, policy=_POLICY.format(connect=connect), css=own_css + css, body=own_body + body, scripts=scripts
+    )
+
+
+def html_page(title: str, *, policy: str, css: str, body: str, scripts: Sequence[str] = ()) -> str:
+    """A page that needs no other file, as text.
+
+    Parameters
+    ----------
+    title: plain text.
+    policy: what its parts may load and run, as a content security policy.
+    css, body, scripts: its parts, each as it is.
+    """
     return "".join(
         (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY.format(connect=connect)}">\n',
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n',
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
             f'<title>{html.escape(title)}</title>\n<link rel="icon" href="data:,">\n',
-            f"<style>\n{own_css}{css}</style>\n</head>\n<body>\n{own_body}{body}",
-            f"<script>\n{_meshcat()}\n</script>\n",
-            f"<script>\n{own_script}show({_json_in_script(content)});\n</script>\n{more}</body>\n</html>\n",
+            f"<style>\n{css}</style>\n</head>\n<body>\n{body}",
+            *(f"<script>\n{script}</script>\n" for script in scripts),
+            "</body>\n</html>\n",
         )
     )
 

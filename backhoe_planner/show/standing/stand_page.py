@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable
 
 from backhoe_planner.arrays import Matrix
-from backhoe_planner.show.page.page import read_parts, write_page_file
+from backhoe_planner.show.page.page import html_page, read_parts, write_page_file
 from backhoe_planner.show.standing.site_sketch import (
     COSTS,
     DIG,
@@ -45,19 +45,12 @@ def stand_page(plan: StandPlan) -> str:
     sketch = sketch_of(plan)
     (common,) = read_parts("backhoe_planner.show.page", "page.css")
     css, script = read_parts("backhoe_planner.show.standing", "standing.css", "standing.js")
-    title = html.escape(plan.job.name or "job")
-    return "".join(
-        (
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
-            f'<title>{title}: where to stand</title>\n<link rel="icon" href="data:,">\n',
-            f"<style>\n{common}{css}</style>\n</head>\n<body>\n",
-            f'<div id="app"><main id="stage">{_drawing(sketch)}<p id="told" role="status">{_FIRST}</p></main>\n',
-            f'<aside id="panel">{_panel(plan, sketch, title)}</aside></div>\n',
-            f"<script>\n{script}</script>\n</body>\n</html>\n",
-        )
+    name = plan.job.name or "job"
+    body = (
+        f'<div id="app"><main id="stage">{_drawing(sketch)}<p id="told" role="status">{_FIRST}</p></main>\n'
+        f'<aside id="panel">{_panel(plan, sketch, html.escape(name))}</aside></div>\n'
     )
+    return html_page(f"{name}: where to stand", policy=_POLICY, css=common + css, body=body, scripts=[script])
 
 
 _FIRST = "Point at a place, or tap it."

@@ -6,7 +6,7 @@ import html
 import math
 import os
 
-from backhoe_planner.show.page.page import read_parts, write_page_file
+from backhoe_planner.show.page.page import html_page, read_parts, write_page_file
 from backhoe_planner.show.study.scatter import scatter
 from backhoe_planner.studies import Map, Share, StudyResult, Summary, map_of_two, summarise_study, trade_offs
 
@@ -34,17 +34,7 @@ def study_page(result: StudyResult) -> str:
     title = result.study.name or "study"
     body = [f"<h1>{_text(title)}</h1>", _head(result), _endings(summary), _best(result, summary)]
     body += [_successes(result, summary), _map(result, summary), _trade_offs(result, summary)]
-    return "".join(
-        (
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
-            f'<title>{_text(title)}</title>\n<link rel="icon" href="data:,">\n',
-            f"<style>\n{css}</style>\n</head>\n<body>\n",
-            "\n".join(filter(None, body)),
-            "\n</body>\n</html>\n",
-        )
-    )
+    return html_page(title, policy=_POLICY, css=css, body="\n".join(filter(None, body)) + "\n")
 
 
 def _head(result: StudyResult) -> str:
