@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import PATIENCE
 
 from backhoe_planner.law import (
     MOST_ITERATIONS,
@@ -138,7 +139,9 @@ def test_hard_and_soft_rows_that_contradict_each_other_leave_memory_alone() -> N
     Here daqp 0.11.0 writes beyond its memory (seen with valgrind in `daqp_update_LDL_add`, and glibc's "free():
     invalid next size"), for which the process would end.
     """
-    done = subprocess.run([sys.executable, "-c", _OVERRUN], stderr=subprocess.PIPE, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", _OVERRUN], stderr=subprocess.PIPE, text=True, timeout=PATIENCE, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 

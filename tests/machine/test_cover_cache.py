@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from waiting import PATIENCE
 
 from backhoe_planner.arrays import Matrix
 from backhoe_planner.errors import InputError
@@ -128,7 +129,7 @@ def test_two_processes_at_once_write_one_whole_entry(home: Path) -> None:
         assert process.stdin is not None
         process.stdin.write("go\n")
         process.stdin.flush()
-    counts = [int(process.communicate(timeout=60)[0]) for process in both]
+    counts = [int(process.communicate(timeout=PATIENCE)[0]) for process in both]
     third = mesh_cover(mesh, 1.0)
     assert third.cached
     assert counts == [len(third.pieces)] * 2

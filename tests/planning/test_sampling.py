@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bar_scenes import BAR, STRETCHED, TURNED, across_bar, problem_of
+from waiting import PATIENCE
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
@@ -268,7 +269,7 @@ run(sys.argv[1])
 def run_script(mode: str, file: Path) -> subprocess.CompletedProcess[str]:
     code = f"import sys; sys.path.insert(0, {str(Path(__file__).parents[1])!r})\n{SCRIPT}"
     return subprocess.run(
-        [sys.executable, "-c", code, mode, str(file)], capture_output=True, text=True, check=False, timeout=120,
+        [sys.executable, "-c", code, mode, str(file)], capture_output=True, text=True, check=False, timeout=PATIENCE,
         # ignored where the tests run in the background
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
