@@ -178,12 +178,12 @@ class CompletedLaw:
         self, at: Configuration, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector]:
         """(n,), (n,) the `primary` and `null` of `wish`, the quickest way, for callers in a loop."""
-        found = self.wish_on_null_line_unchecked(at.q, J_e, xdot_e, nearby)
+        found = self._on_null_line(at.q, J_e, xdot_e, nearby)
         if found is None:
             wish = self.wish_unchecked(at, J_e, xdot_e, nearby)
             return wish.primary, wish.null
-        v, null = found
-        return v - null, null
+        primary, null = found
+        return np.array(primary), np.array(null)
 
     def wish_on_null_line(
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
@@ -211,6 +211,16 @@ class CompletedLaw:
         self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
     ) -> tuple[Vector, Vector] | None:
         """The same for callers in a loop, whose arguments are right as they are made."""
+        found = self._on_null_line(q, J_e, xdot_e, nearby)
+        if found is None:
+            return None
+        primary, null = found
+        return np.array([rate + part for rate, part in zip(primary, null, strict=True)]), np.array(null)
+
+    def _on_null_line(
+        self, q: Vector, J_e: Matrix, xdot_e: Vector, nearby: Nearby | CriticalRows
+    ) -> tuple[list[float], list[float]] | None:
+        """Four numbers each, J_e^+ xdot_e times s_e and H of `wish_on_null_line`, or None."""
         if J_e.shape != (3, 4) or self._turns:
             return None
         found = resolve_on_null_line(J_e, xdot_e)
@@ -231,24 +241,23 @@ class CompletedLaw:
                     hold = min(hold, 1.0) ** 2
                     above -= hold * part * rate
                     below += hold * part * part
-        if above == 0.0:
-            return np.array(primary), np.zeros(4)
         size = above / below
-        null = [size * part for part in z]
-        return np.array([rate + part for rate, part in zip(primary, null, strict=True)]), np.array(null)
+        return primary, [size * part for part in z]
 
     def _sums_of_rows(self, nearby: Nearby | CriticalRows, rates: Matrix) -> tuple[float, float]:
         """Numerator and denominator of H in `wish_on_null_line`, without the holds; rates (K, 2) are g_i z, g_i v_e."""
         if len(rates) <= _FEW:
-            above, below = 0.0, _EPSILON
+            above, below, influence, unity = 0.0, _EPSILON, self.influence, self.unity
             rows = zip(nearby.margin.tolist(), nearby.drift.tolist(), rates.tolist(), strict=True)
             for margin, drift, (along, speed) in rows:
-                if margin >= self.influence:
+                if margin >= influence:
                     continue
-                weight, away = self._s_o * self._activation(margin), -drift
-                if margin < self.unity:
-                    nearest = max(margin, self.unity / _NEAREST_PUSH)
-                    away += self.nominal * max((self.unity / nearest) ** 2 - 1.0, 0.0)
+                weight, away = self._s_o, -drift
+                if margin > unity:
+                    weight *= self._activation(margin)
+                elif margin < unity:
+                    nearest = max(margin, unity / _NEAREST_PUSH)
+                    away += self.nominal * max((unity / nearest) ** 2 - 1.0, 0.0)
                 below += weight * along * along
                 if away > speed:
                     above += weight * along * (away - speed)

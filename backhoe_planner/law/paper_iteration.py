@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.law.directionality import Magnification, Reference, link_chain, link_jacobian, link_velocities
 from backhoe_planner.law.law import joint_velocity
 from backhoe_planner.machine import Configuration, Kinematics, TipTarget, movable_rows
@@ -94,17 +94,17 @@ def run_iteration(
         at = kinematics.at(found[-1])
         nearby = proximity.at(at.q, within=problem.scene.influence)
         obstacles = nearby.only(proximity.owner[nearby.pair] >= 0)  # the paper knows no self-contact
-        step = paper_step(at, goal, _push(at, obstacles), gains)
+        step = paper_step(at, goal, _push(at, obstacles, proximity.moves), gains)
         if not np.all(np.isfinite(step)) or float(np.max(np.abs(step))) > _RUNAWAY:
             break
         found.append(found[-1] + step)
     return np.array(found)
 
 
-def _push(at: Configuration, nearby: Nearby) -> Push | None:
-    """The nearest critical point of those `nearby`, pushed straight away."""
+def _push(at: Configuration, nearby: Nearby, moves: Flags) -> Push | None:
+    """The nearest critical point of those `nearby`, pushed straight away; `moves` as in `Proximity`."""
     if len(nearby) == 0:
         return None
     row = int(np.argmin(nearby.distance))
     J_o = at.J_world[:3] + np.cross(at.J_world[3:].T, nearby.point_link[row]).T
-    return Push(J_o=np.where(nearby.moves[row], J_o, 0.0), xdot_o=-_PUSH * nearby.normal[row])
+    return Push(J_o=np.where(moves[nearby.pair[row]], J_o, 0.0), xdot_o=-_PUSH * nearby.normal[row])

@@ -116,6 +116,10 @@ class StackedRows(NamedTuple):
         blocks = [block for block in rows if len(block.h)]
         if not blocks:
             return _no_rows(n)
+        if len(blocks) == 1 and blocks[0].kind is Kind.SOFT:  # the common case first
+            count = len(blocks[0].h)
+            unbounded, soft_senses = _soft_rows(count, n)
+            return cls(blocks[0].G, unbounded, blocks[0].h, soft_senses, count, count)
         count = sum([len(block.h) for block in blocks])
         soft = sum([len(block.h) for block in blocks if block.kind is Kind.SOFT])
         if soft and count - soft > 1:
@@ -139,6 +143,14 @@ class StackedRows(NamedTuple):
 @lru_cache(maxsize=32)
 def _no_rows(n: int) -> StackedRows:
     return StackedRows(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.zeros(n, dtype=np.int32), 0, 0)
+
+
+@lru_cache(maxsize=128)
+def _soft_rows(count: int, n: int) -> tuple[Vector, Indices]:
+    """The lower sides and the senses of so many rows on x (n,), to be read only."""
+    senses: Indices = np.zeros(n + count, dtype=np.int32)
+    senses[n:] = Kind.SOFT
+    return np.full(count, -UNBOUNDED), senses
 
 
 @lru_cache(maxsize=32)

@@ -36,6 +36,7 @@ _ACROSS_ROOT = math.sqrt(_ACROSS)
 _STOPPING_PART = 1.6  # gamma T; chosen: 2 would stop exactly at the clearance, this stops within 80 % of each margin
 _RECOVERY = 1.0  # 1/s at which a violated clearance or limit is to be left; chosen
 _FASTEST_RECOVERY = 0.25  # m/s or rad/s; chosen
+_NO_PAIRS: Indices = np.zeros(0, dtype=np.intp)
 _MET = 1e-5  # m/s: a soft row that binds is missed by its force over its price, some 1e-6
 
 
@@ -80,7 +81,7 @@ class Shield:
         self.limits = check_kind(limits, JointLimits, key="limits")
         self._n = n = len(limits.velocity)
         self._eye, self._ones = _FREE * np.eye(n), np.ones(n)
-        self._no_clearance = Rows.none("clearance", n), np.zeros(0, dtype=np.intp)
+        self._no_clearance = Rows.none("clearance", n), _NO_PAIRS
         self._per_acceleration = (1.0 / limits.acceleration).tolist()
         columns = limits.lower, limits.upper, limits.velocity, limits.acceleration
         self._joints = list(zip(*(column.tolist() for column in columns), strict=True))
@@ -193,10 +194,18 @@ class Shield:
         """
         low, high = self._bounds(q, v_before, dt)
         time = max(self._braking_time(v_before), self._braking_time(wish))
-        clearance, pairs = self._clearance_rows(nearby, time, dt, extra_margin, low, high)
-        rows = (clearance,) if kept is None else (clearance, self._keep_rows(kept, time, dt))
-        if _is_within(wish, low, high) and all(block.are_kept_by(wish) for block in rows):
-            return Shielded(v=wish, slack=0.0, binding=pairs[:0])
+        count, gradient = len(nearby), nearby.gradient
+        bound = _approach_rates(nearby.margin - extra_margin, time, dt)
+        bound += nearby.drift
+        keep = () if kept is None else (self._keep_rows(kept, time, dt),)
+        if (
+            _is_within(wish, low, high)
+            and not (count and np.count_nonzero(gradient.dot(wish) < -bound))
+            and all(block.are_kept_by(wish) for block in keep)
+        ):
+            return Shielded(v=wish, slack=0.0, binding=_NO_PAIRS)
+        clearance, pairs = self._clearance_rows(gradient, bound, low, high) if count else self._no_clearance
+        rows = (clearance, *keep)
         H = self._weight(wish, J_tip)
         solution = solve_program(QuadraticProgram(H, -H.dot(wish), low, high, rows))
         x = self._braked(v_before, dt) if solution is None else solution.x
@@ -228,15 +237,9 @@ class Shield:
         """The rows -k v <= gamma left."""
         return Rows("keep", -kept.gradient, _approach_rates(kept.margin, braking_time, dt))
 
-    def _clearance_rows(
-        self, nearby: Nearby, braking_time: float, dt: float, extra_margin: Vector | float, low: Vector, high: Vector
-    ) -> tuple[Rows, Indices]:
-        """The rows -g v <= gamma margin + drift that can bind within the bounds, and the nearby pairs they are of."""
-        if len(nearby) == 0:
-            return self._no_clearance
-        bound = _approach_rates(nearby.margin - extra_margin, braking_time, dt)
-        bound += nearby.drift
-        G = -nearby.gradient
+    def _clearance_rows(self, gradient: Matrix, bound: Vector, low: Vector, high: Vector) -> tuple[Rows, Indices]:
+        """The rows -g v <= bound (K,) that can bind from `low` to `high`, and which of the K they are."""
+        G = -gradient
         fastest = np.maximum(G * low, G * high).dot(self._ones)
         pairs = (bound < fastest).nonzero()[0]
         return (Rows("clearance", G[pairs], bound[pairs]), pairs) if len(pairs) else self._no_clearance

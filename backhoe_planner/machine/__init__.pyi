@@ -65,4 +65,5 @@ from .shape.convex import terrain_columns as terrain_columns
 from .shape.convex import voxel_boxes as voxel_boxes
 from .shape.cover_cache import cache_folder as cache_folder
 from .shape.cover_cache import mesh_cover as mesh_cover
+from .shape.result_table import ResultTable as ResultTable
 from .shape.shapes import Piece as Piece

@@ -23,7 +23,6 @@ import reprlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -32,6 +31,7 @@ from backhoe_planner.arrays import Flags, Indices, Matrix, Vector, as_array, as_
 from backhoe_planner.errors import InputError, check_flag, check_kind
 from backhoe_planner.machine import (
     Reading,
+    ResultTable,
     Robot,
     reach_ball,
     self_pairs,
@@ -43,10 +43,13 @@ from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistance
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction, Pair
 from backhoe_planner.site.pairs.approach import ApproachBounds, Lead
-from backhoe_planner.site.pairs.nearby import Nearby, read_results
+from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
+from backhoe_planner.site.pairs.nearby import Nearby
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
-from backhoe_planner.site.pairs.reachable import PairSelection, distances_from_ball
+from backhoe_planner.site.pairs.reachable import distances_from_ball
 
+# what n_a p_b omega_c counts in n . (omega x p), (a b, c)
+_TURNS = np.array([np.cross(np.eye(3), axis) for axis in np.eye(3)]).reshape(9, 3)
 _FEW = 40  # pairs; measured: to measure as many takes as long as to bound how fast they approach
 
 
@@ -71,6 +74,7 @@ class Proximity:
     travel: (P, n) r of every pair: travel @ |dq| bounds how much the distance changes; within the
         limits, and in every posture that was measured or given to `cover`.
     speed: (P,) of the obstacle [m/s].
+    moves: (P, n) which joints move the link.
     owner: (P,) index of the obstacle, -1 for the machine itself.
     second: (P,) index of the other body's piece, in the obstacle's pieces or in the machine's.
     appears_at: (P,) when the obstacle appears [s]; minus infinity for the machine itself.
@@ -87,6 +91,8 @@ class Proximity:
         self._n = robot.n
         self._pieces = self_pieces(robot) if self_collision else robot.pieces
         self._data = robot.model.createData()
+        # a view of Pinocchio's own memory: its joint Jacobians at the present placements; of one joint alone it is 1-D
+        self._J: Matrix = self._data.J.reshape(6, self._n)
         pairs: list[Pair] = []
         owner: list[int] = []
         second: list[int] = []
@@ -119,7 +125,7 @@ class Proximity:
         joint_of = np.array([own.joint for own in self._pieces], dtype=int)
         joints = np.concatenate((joint_of, np.zeros(len(self._bodies) + 1, dtype=int)))
         self._other_joint = np.where(self.owner < 0, joints[np.minimum(self._body, len(joints) - 1)], 0)
-        self._moves = robot.support[joint_of[first]] > 0.0
+        self.moves = robot.support[joint_of[first]] > 0.0
         # +1 for joints that move the other body alone, -1 for those that move the link alone
         self._sense = robot.support[self._other_joint] - robot.support[joint_of[first]]
         self._first, self._slides = first, bool(robot.prismatic.any())
@@ -149,9 +155,10 @@ class Proximity:
             robot, self._pieces, self._bodies, self._away, data=self._data, first=first[plain], second=self._body[plain]
         )
         self._time = 0.0  # for which obstacles are placed
-        # from the last measurement: lower bounds of the distances of some pairs, and where and when they were found
-        self._known, self._bound = self._every, np.full(len(pairs), -np.inf)
-        self._q_bound, self._bound_time = np.zeros(robot.n), 0.0
+        self._known = KnownBounds(
+            self.clearance, self.speed, self.appears_at,
+            travel=self.travel, floor=self.floor, always=len(self._clusters),
+        )  # fmt: skip
         self.measured = 0
 
     def cover(self, q: Matrix) -> None:
@@ -166,17 +173,15 @@ class Proximity:
         if self._slides:
             run_out = np.abs(np.reshape(q, (-1, self.robot.n))).max(axis=0)
             if np.count_nonzero(run_out > self._run_out):
-                every = self._lower_of_every(self._q_bound, self._bound_time)
                 self._run_out = np.maximum(self._run_out, run_out)
                 self._take_travel()
                 self._take_ball()
-                self._known, self._bound = self._every, every
+                self._known.renew(self.travel, self.floor)
 
     def _take_travel(self) -> None:
         # joints that move both bodies do not change their distance
         shared, ever = self.robot.support[self._other_joint] > 0.0, self._run_out
         self.travel = np.where(shared, 0.0, travel_bounds(self.robot, ever, pieces=self._pieces)[self._first])
-        self._furthest: Vector = self.travel.max(axis=0, initial=0.0)
 
     def _take_ball(self) -> None:
         """Find out which pairs the machine can bring near, by the ball that it never leaves."""
@@ -187,19 +192,6 @@ class Proximity:
         around = (self.owner >= 0) & (np.arange(len(self.owner)) < self.plain)
         self.floor = np.full(len(self.owner), -np.inf)
         self.floor[around] = self._away[self._body[around] - len(self._pieces)]
-        self._some_far = bool((self.floor > -np.inf).any())
-        everything = np.arange(len(self.owner))
-        travel = np.asfortranarray(self.travel)
-        self._every = PairSelection(np.inf, everything, self.clearance, travel, self.speed, self.appears_at)
-        self._selected = self._every
-
-    def _within(self, margin: float) -> PairSelection:
-        """The pairs that some posture brings within `margin` [m] beyond their clearance."""
-        if self._selected.margin != margin:
-            pairs = (self.floor - self.clearance <= margin).nonzero()[0]
-            travel, speed = np.asfortranarray(self.travel[pairs]), self.speed[pairs]
-            self._selected = PairSelection(margin, pairs, self.clearance[pairs], travel, speed, self.appears_at[pairs])
-        return self._selected
 
     @cached_property
     def _approach(self) -> ApproachBounds:
@@ -237,32 +229,35 @@ class Proximity:
         if within < np.inf:
             reach = np.minimum(reach, within)
         self._place(q, time)
-        return self._rows(*self._measure_within(self._every, reach, self._lower(self._every, q, time), q, time))
+        every = self._known.every
+        return self._rows(*self._measure_within(every, reach, self._known.lower(every, q, time), q, time))
 
     def at_unchecked(
-        self, q: Vector, *, time: float, margin: float, low: Vector, high: Vector, stop: float, longest: float
+        self, q: Vector, *, time: float, margin: float, v: Vector, fastest: Vector, stop: float, longest: float
     ) -> Nearby:
         """The pairs that are near, and those that count because the machine moves, for callers in a loop.
 
         The rows are those of `at`: all that are within `margin` beyond their clearance, and beyond it those of the
         pairs that some posture brings within it (see `floor`) that would use up their margin within `stop` if they
         came nearer as fast as they ever can, and within `longest` if they came nearer as fast as they can here
-        at the velocities from `low` to `high`.
+        at the velocities that are possible next.
 
         Parameters
         ----------
         margin: [m].
-        low, high: (n,) the joint velocities that are possible next [rad/s or m/s].
+        v: (n,) the joint velocities [rad/s or m/s]; what is possible next is as far from each on either side.
+        fastest: (n,) the highest speeds that are possible next [rad/s or m/s].
         stop, longest: in which the machine stops from these, and from the greatest that it may be asked for [s].
         """
         self._place(q, time)
-        some = self._within(margin)
-        lower = self._lower(some, q, time)
-        fastest = np.maximum(np.abs(low), np.abs(high))
+        further = stop * (float(self._known.furthest.dot(fastest)) + self._fastest)
+        some = self._known.around(margin, max(margin, further), q, time)
+        lower = self._known.lower(some, q, time)
         reach = some.clearance + margin
-        if stop * (float(self._furthest.dot(fastest)) + self._fastest) <= margin:
+        if further <= margin:
             return self._rows(*self._measure_within(some, reach, lower, q, time))
-        lead, near = Lead(low, high, longest), lower <= reach
+        change = fastest - np.abs(v)
+        lead, near = Lead(v - change, v + change, longest), lower <= reach
         np.maximum(reach, some.clearance + stop * (some.travel.dot(fastest) + some.speed), out=reach)
         doubtful = ((lower <= reach) & ~near).nonzero()[0]
         doubtful = doubtful[: np.searchsorted(doubtful, len(lower) - len(self._clusters))]  # clusters have no ball
@@ -284,51 +279,63 @@ class Proximity:
         """
         velocity = self._velocity[pairs]
         return self._approach.at(
-            self._data, self._J(), v, piece=self._first[pairs], body=self._body[pairs],
-            shift=velocity * _age(time, self.appears_at[pairs])[:, None], velocity=velocity,
+            self._data, self._J, v, piece=self._first[pairs], body=self._body[pairs],
+            shift=velocity * age(time, self.appears_at[pairs])[:, None], velocity=velocity,
         )  # fmt: skip
 
     def _measure_within(
         self, some: PairSelection, reach: Vector, lower: Vector, q: Vector, time: float
-    ) -> tuple[Indices, list[Any]]:
+    ) -> tuple[Indices, Matrix]:
         """Measure those of M pairs whose lower bounds (M,) are within `reach` (M,), at the present placements.
 
-        Those that are within it, and what was measured of them. What is known of all distances is kept.
+        Those that are within it, K, and (K, 10) their distances, normals and nearest points. What is known of all
+        distances is kept.
         """
         if len(self._clusters):
             self._raise_by_grids(lower, reach)
         rows = (lower <= reach).nonzero()[0]
         self.measured += len(rows)
         near, reach = some.pairs.take(rows), reach.take(rows)
-        results, distances = self._measure(near, reach, lower[rows])
-        measured = np.array(distances)
+        found, unread = self._measure(near, reach, lower[rows] if len(self._clusters) else None)
+        measured = found[:, 0]
         lower[rows] = measured
-        self._keep(some, lower, q, time)
+        self._known.keep(some, lower, q, time)
         is_near = measured <= reach
+        is_near[unread] = False
         if self._some_appear:
             is_near &= self.appears_at[near] <= time
-        if len(self._clusters):
-            is_near &= np.array([result is not None for result in results], dtype=bool)
-        return near[is_near], [results[k] for k in is_near.nonzero()[0].tolist()]
+        if np.count_nonzero(is_near) == len(near):
+            return near, found
+        return near[is_near], found[is_near]
 
-    def _measure(self, pairs: Indices, reach: Vector, lower: Vector | None) -> tuple[list[Any], list[float]]:
-        """Results and distances [m] of `pairs` (K,) at the present placements; None and reach (K,) of far clusters.
+    def _measure(self, pairs: Indices, reach: Vector, lower: Vector | None) -> tuple[Matrix, list[int]]:
+        """(K, 10) distances, normals and nearest points of `pairs` (K,) at the present placements.
 
+        And which rows are of far clusters: they have their reach for the distance, and nothing else.
+
+        Parameters
+        ----------
+        reach: (K,) from which on a cluster is far [m].
         lower: (K,) what distances are known to be at least [m], if anything is.
         """
         if not len(self._clusters):
-            return self._geometry.measure_each(pairs.tolist())
+            return self._geometry.measure_each(pairs), []
         if lower is None:
             bounds = np.full(len(self.pairs), -np.inf)
             self._raise_by_grids(bounds, np.full(len(self.pairs), np.inf))
             lower = bounds[pairs]
         plain = pairs < self.plain
-        results, distances = self._geometry.measure_each(pairs[plain].tolist())
-        for index in (~plain).nonzero()[0].tolist():
-            reading = self._nearest(int(pairs[index]), float(lower[index]), float(reach[index]))
-            results.insert(index, reading)
-            distances.insert(index, float(reach[index]) if reading is None else reading.distance)
-        return results, distances
+        found = np.zeros((len(pairs), ResultTable.COLUMNS))
+        found[plain] = self._geometry.measure_each(pairs[plain])
+        unread = []
+        for row in (~plain).nonzero()[0].tolist():
+            reading = self._nearest(int(pairs[row]), float(lower[row]), float(reach[row]))
+            if reading is None:
+                unread.append(row)
+                found[row, 0] = reach[row]
+            else:
+                found[row] = np.concatenate(([reading.distance], *reading[1:]))
+        return found, unread
 
     def is_at(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the last measurement was made at `q` and `time`."""
@@ -337,7 +344,7 @@ class Proximity:
 
     def is_at_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
         """The same for callers in a loop, whose arguments are right as they are made."""
-        return self._bound_time == time and not np.count_nonzero(self._q_bound != q)
+        return self._known.is_at(q, time)
 
     def stays_clear(self, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the last measurement proves that every clearance holds on the straight way from there to `q`.
@@ -357,34 +364,7 @@ class Proximity:
         That is on the straight way from there to `q` (n,), which ends at `time` [s].
         """
         self.cover_unchecked(q)
-        some = self._known if self._known.margin >= spare else self._every
-        needed = some.clearance + spare if spare else some.clearance
-        return some.pairs[(self._lower(some, q, time) < needed).nonzero()[0]]
-
-    def _lower(self, some: PairSelection, q: Vector, time: float) -> Vector:
-        """(M,) lower bounds of the distances of M pairs from the last measurement alone [m]; q is covered already."""
-        if self._known is not some:
-            every = self._lower_of_every(q, time)
-            return every if some is self._every else every[some.pairs]
-        lower: Vector = self._bound - some.travel.dot(np.abs(q - self._q_bound))
-        if self._moving:
-            lower -= some.speed * np.abs(_age(time, some.appears_at) - _age(self._bound_time, some.appears_at))
-        if some is self._every and self._some_far:
-            np.maximum(lower, self.floor, out=lower)
-        return lower
-
-    def _lower_of_every(self, q: Vector, time: float) -> Vector:
-        """(P,) the same of all pairs."""
-        known = self._known
-        if known is self._every:
-            return self._lower(known, q, time)
-        lower = self.floor.copy()
-        lower[known.pairs] = np.maximum(lower[known.pairs], self._lower(known, q, time))
-        return lower
-
-    def _keep(self, some: PairSelection, lower: Vector, q: Vector, time: float) -> None:
-        """Keep the lower bounds (M,) that were found of M pairs; all others are known by their `floor`."""
-        self._known, self._bound, self._q_bound, self._bound_time = some, lower, q.copy(), time
+        return self._known.unproven(q, time, spare)
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
         """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears.
@@ -432,14 +412,15 @@ class Proximity:
         if not isinstance(floor, np.ndarray) or floor.shape != self.clearance.shape:
             floor = as_array(floor, len(self.pairs), key="floor", finite=False)
         self._place(q, time)
-        lower = self._lower(self._every, q, time)
+        every = self._known.every
+        lower = self._known.lower(every, q, time)
         self._raise_by_grids(lower, floor)
         needed = lower < floor
         pairs = needed.nonzero()[0]
-        results, distances = self._measure(pairs, floor[pairs], lower[pairs])
-        lower[pairs] = distances
-        needed[pairs] = [result is not None for result in results]
-        self._keep(self._every, lower, q, time)
+        found, unread = self._measure(pairs, floor[pairs], lower[pairs])
+        lower[pairs] = found[:, 0]
+        needed[pairs[unread]] = False
+        self._known.keep(every, lower, q, time)
         return lower.copy(), needed
 
     def distance_of(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
@@ -471,11 +452,11 @@ class Proximity:
         """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
         if not len(self._clusters):
-            return np.array(self._geometry.measure_each(pairs.tolist())[1])
+            return self._geometry.measure_each(pairs)[:, 0]
         found = np.full(len(self.pairs), -np.inf)
         plain = pairs < self.plain
         self._measure_clusters(pairs[~plain].tolist(), found)
-        found[pairs[plain]] = self._geometry.measure_each(pairs[plain].tolist())[1]
+        found[pairs[plain]] = self._geometry.measure_each(pairs[plain])[:, 0]
         return found[pairs]
 
     def distances_below_unchecked(self, pairs: Indices, floor: Vector, q: Vector, *, time: float) -> Vector:
@@ -484,8 +465,7 @@ class Proximity:
         Instead of one above `floor` (K,) it may be any number from there to the distance.
         """
         self._place(q, time)
-        _, distances = self._measure(pairs, floor, None)
-        return np.array(distances)
+        return self._measure(pairs, floor, None)[0][:, 0]
 
     def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
         """Whether the distances of `pairs` (K,) at `q` are at least `least` (K,) [m]; stops at the first less."""
@@ -567,35 +547,27 @@ class Proximity:
         pin.computeJointJacobians(self.robot.model, self._data, q)
         self._geometry.place()
 
-    def _rows(self, pair: Indices, results: list[Any], margin: float = np.inf, lead: Lead | None = None) -> Nearby:
-        """The rows of what was measured; with a lead only those within `margin` [m], and those it takes in."""
-        raw = read_results(results)
-        # a point p has the speed n . v + (p x n) . omega along n; so has its witness, which lies along n from it
-        gradient = raw[:, :6].dot(self._J())
+    def _rows(self, pair: Indices, found: Matrix, margin: float = np.inf, lead: Lead | None = None) -> Nearby:
+        """The rows of what was `found` (K, 10) of pairs; with a lead only those within `margin` [m], and its own."""
+        J, normal, point = self._J, found[:, 1:4], found[:, 4:7]
+        # a point p has the speed n . v + n . (omega x p) along n; so has its witness, which lies along n from it
+        gradient = normal.dot(J[:3])
+        gradient += (normal[:, :, None] * point[:, None, :]).reshape(-1, 9).dot(_TURNS.dot(J[3:]))
         gradient *= self._sense.take(pair, axis=0)
-        left = raw[:, 9] - self.clearance.take(pair)
-        drift = np.vecdot(raw[:, :3], self._velocity[pair]) if self._moving else np.zeros(len(pair))
+        left = found[:, 0] - self.clearance.take(pair)
+        drift = np.vecdot(normal, self._velocity[pair]) if self._moving else np.zeros(len(pair))
         if lead is not None:
             counts = left <= margin
             if np.count_nonzero(counts) < len(counts):
                 counts |= lead.can_bind(left, gradient, drift)
-                pair, raw, gradient, left, drift = (
+                pair, found, gradient, left, drift = (
                     pair[counts],
-                    raw[counts],
+                    found[counts],
                     gradient[counts],
                     left[counts],
                     drift[counts],
                 )
         return Nearby(
-            pair, raw[:, 9], left, normal=raw[:, :3], point_link=raw[:, 6:9], point_obstacle=raw[:, 10:],
-            gradient=gradient, drift=drift, moves=self._moves.take(pair, axis=0),
+            pair, found[:, 0], left, normal=found[:, 1:4], point_link=found[:, 4:7], point_obstacle=found[:, 7:],
+            gradient=gradient, drift=drift,
         )  # fmt: skip
-
-    def _J(self) -> Matrix:
-        """(6, n) Pinocchio's joint Jacobians at the present placements."""
-        return np.asarray(self._data.J.reshape(6, self._n))  # of one joint alone it is 1-D
-
-
-def _age(time: float, appears_at: Vector) -> Vector:
-    """(P,) how long obstacles have been there at `time` [s]."""
-    return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)

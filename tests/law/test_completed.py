@@ -48,7 +48,6 @@ def one_pair(margin: float, gradient: Vector) -> Nearby:
         point_obstacle=flat,
         gradient=gradient[None, :],
         drift=np.zeros(1),
-        moves=np.ones((1, len(gradient)), dtype=bool),
     )
 
 
@@ -124,7 +123,7 @@ def test_bounded_where_the_printed_law_explodes(planar4: Robot) -> None:
         largest = max(largest, size)
         row = int(np.argmin(nearby.distance))
         J_o = at.J_world[:3] + np.cross(at.J_world[3:].T, nearby.point_link[row]).T
-        J_o = np.where(nearby.moves[row], J_o, 0.0)[:2]
+        J_o = np.where(proximity.moves[nearby.pair[row]], J_o, 0.0)[:2]
         H_o = null_space_term(J_e, xdot_e, J_o, -0.2 * nearby.normal[row, :2])
         printed = max(printed, float(np.linalg.norm(H_o)))
     assert largest < 20.0

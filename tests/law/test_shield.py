@@ -33,7 +33,6 @@ def rows(gradient: list[list[float]], margin: list[float], drift: list[float] | 
         point_obstacle=np.zeros((count, 3)),
         gradient=np.array(gradient, dtype=float).reshape(count, n),
         drift=np.zeros(count) if drift is None else np.array(drift),
-        moves=np.ones((count, n), dtype=bool),
     )
 
 

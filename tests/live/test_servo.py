@@ -627,7 +627,6 @@ def test_the_law_with_one_spare_joint_is_the_law(backhoe: Robot) -> None:
             pair=np.arange(count), distance=np.zeros(count), margin=rng.uniform(-0.05, 0.4, count),
             normal=np.zeros((count, 3)), point_link=np.zeros((count, 3)), point_obstacle=np.zeros((count, 3)),
             gradient=rng.normal(size=(count, 4)), drift=rng.normal(size=count) * 0.1,
-            moves=np.zeros((count, count), dtype=bool),
         )  # fmt: skip
         plain, found = law.wish(at, J, xdot, nearby), law.wish_on_null_line(at.q, J, xdot, nearby)
         primary, null = law.terms_unchecked(at, J, xdot, nearby)

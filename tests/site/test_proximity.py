@@ -145,7 +145,7 @@ def test_record_of_a_pair_by_hand(planar4: Robot) -> None:
     np.testing.assert_allclose(near.point_link[row][:2], [2.5, 0.04], atol=1e-6)
     np.testing.assert_allclose(near.point_obstacle[row], [2.5, 0.7, 0.0], atol=1e-6)
     np.testing.assert_allclose(near.gradient[row], [-2.5, -1.5, -0.5, 0.0], atol=1e-6)
-    np.testing.assert_array_equal(near.moves[row], [True, True, True, False])
+    np.testing.assert_array_equal(proximity.moves[near.pair[row]], [True, True, True, False])
     assert near.drift[row] == 0.0
 
 
@@ -291,9 +291,9 @@ def test_moving_along_the_gradient_moves_away(any_robot: Robot) -> None:
 def test_joints_beyond_a_link_do_not_change_its_distance(any_robot: Robot) -> None:
     proximity = around(any_robot, ball(0.7, 0.4, 0.5, radius=0.1))
     near = proximity.at(any_robot.random_q(np.random.default_rng(0)))
-    assert not np.any(near.gradient[~near.moves])
+    assert not np.any(near.gradient[~proximity.moves[near.pair]])
     joints = np.array([any_robot.pieces[proximity.pairs[index].piece].joint for index in near.pair])
-    np.testing.assert_array_equal(near.moves.sum(axis=1), joints)
+    np.testing.assert_array_equal(proximity.moves[near.pair].sum(axis=1), joints)
 
 
 def test_distance_changes_at_most_by_the_travel_bound(any_robot: Robot) -> None:
@@ -545,7 +545,7 @@ def test_nothing_near_is_an_empty_record_of_the_right_shapes(planar4: Robot) -> 
     for proximity in (around(planar4), around(planar4, ball(100.0, 0.0))):
         near = proximity.at(STRETCHED, within=1.0)
         assert len(near) == 0
-        assert near.gradient.shape == near.moves.shape == (0, 4)
+        assert near.gradient.shape == (0, 4)
         assert near.normal.shape == near.point_link.shape == (0, 3)
 
 

@@ -7,7 +7,7 @@ bound it, so that how far it can travel is computed without asking coal.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -322,6 +322,14 @@ def in_doubt(distance: Any) -> Any:
     return (abs(distance) <= _CONTACT) | (distance <= _NONSENSE) | (distance != distance)
 
 
+def rows_in_doubt(distances: Vector) -> list[int]:
+    """Which of many distances (K,) to measure again; see `in_doubt`."""
+    if np.count_nonzero(distances > _CONTACT) == len(distances):  # the common case first
+        return []
+    found: list[int] = in_doubt(distances).nonzero()[0].tolist()
+    return found
+
+
 def measure(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) -> Any:
     """Coal's result for one pair of a geometry model, at the present placements."""
     result = pin.computeDistance(model, geometry, index)
@@ -329,22 +337,6 @@ def measure(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) ->
     if distance > _CONTACT or not in_doubt(distance):  # the common case first: this is called millions of times
         return result
     return measure_pair_again(model, geometry, index)
-
-
-def measure_each(
-    model: pin.GeometryModel, geometry: pin.GeometryData, pairs: Iterable[int]
-) -> tuple[list[Any], list[float]]:
-    """Coal's results for some pairs, at the present placements, and their signed distances [m]."""
-    results, distances, compute = [], [], pin.computeDistance
-    for index in pairs:
-        result = compute(model, geometry, index)
-        distance = result.min_distance
-        if not distance > _CONTACT and in_doubt(distance):
-            result = measure_pair_again(model, geometry, index)
-            distance = result.min_distance
-        results.append(result)
-        distances.append(distance)
-    return results, distances
 
 
 def measure_pair_again(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) -> Any:

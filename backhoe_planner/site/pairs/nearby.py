@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
-from backhoe_planner.machine import Reading
 
 
 @dataclass(eq=False, slots=True)
@@ -27,7 +24,6 @@ class Nearby:
     point_link, point_obstacle: (K, 3) critical point and its witness [m], world.
     gradient: (K, n) derivative of the distance [m/rad].
     drift: (K,) rate at which the obstacle's own motion changes the distance [m/s].
-    moves: (K, n) which joints move the link.
     """
 
     pair: Indices
@@ -38,7 +34,6 @@ class Nearby:
     point_obstacle: Matrix
     gradient: Matrix
     drift: Vector
-    moves: Flags
 
     def __len__(self) -> int:
         return len(self.pair)
@@ -50,20 +45,3 @@ class Nearby:
             raise InputError("is not true or false of every row", key="rows", found=reprlib.repr(rows), allowed=allowed)
         rows = np.asarray(rows)
         return Nearby(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-
-def read_results(results: Sequence[Any]) -> Matrix:
-    """(K, 13) normal n, moment p x n of the critical point p, p itself, distance, and witness of K measurements."""
-    # for a handful of rows, one list of floats costs less than several arrays per row
-    flat: list[float] = []
-    for result in results:
-        if isinstance(result, Reading):
-            distance, normal, first, second = result
-        else:
-            distance, normal = result.min_distance, result.normal
-            first, second = result.getNearestPoint1(), result.getNearestPoint2()
-        nx, ny, nz = normal.tolist()
-        px, py, pz = first.tolist()
-        flat += (nx, ny, nz, py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx, px, py, pz, distance)
-        flat += second.tolist()
-    return np.array(flat).reshape(-1, 13)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Flags, Indices, Vector
-from backhoe_planner.machine import LinkPiece, Robot, geometry_model
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import LinkPiece, ResultTable, Robot, geometry_model
 from backhoe_planner.machine.shape import shapes
 
 _PIECES = 250  # in a part; measured: 250 take 0.02 s to add, 3,000 take 11 s
@@ -27,6 +27,7 @@ class GeometryPart:
     ----------
     pairs: (k,) their numbers, in the order in which `model` has them.
     model, data: Pinocchio's.
+    results: of the pairs, numbered as in `model`.
     """
 
     def __init__(self, robot: Robot, own: pin.GeometryModel, bodies: Sequence[tuple[shapes.Piece, pin.SE3]]) -> None:
@@ -36,6 +37,7 @@ class GeometryPart:
             self.model.addGeometryObject(pin.GeometryObject(f"obstacle {index}", 0, 0, placement, piece.shape))
         self.pairs: Indices = np.zeros(0, dtype=np.intp)
         self.data: pin.GeometryData
+        self.results: ResultTable
         self._all_placed = False
 
     def add_pairs(self, pairs: Indices, pieces: Sequence[tuple[int, int]]) -> None:
@@ -46,6 +48,7 @@ class GeometryPart:
         self.data = self.model.createData()
         for request in self.data.distanceRequests:
             shapes.prepare(request)
+        self.results = ResultTable(self.model, self.data)
 
     def move(self, piece: int, placement: pin.SE3) -> None:
         """Let a piece stand elsewhere from the next `place` on."""
@@ -91,7 +94,7 @@ class PairGeometry:
         slots = np.zeros(len(first), dtype=np.intp)
         for pairs in self._pairs:
             slots[pairs] = np.arange(len(pairs))
-        self._slots, self._numbers = slots.tolist(), self._part_of.tolist()
+        self._slots = slots
         self._made: dict[int, GeometryPart] = {}
         self._placed: set[int] = set()
         self._only = self._part(0) if len(self._members) == 1 else None
@@ -137,26 +140,30 @@ class PairGeometry:
 
     def measure(self, pair: int) -> Any:
         """Coal's result for a pair."""
-        part = self._only or self._placed_part(self._numbers[pair])
-        return shapes.measure(part.model, part.data, self._slots[pair])
+        part = self._only or self._placed_part(int(self._part_of[pair]))
+        return shapes.measure(part.model, part.data, int(self._slots[pair]))
 
-    def measure_each(self, pairs: list[int]) -> tuple[list[Any], list[float]]:
-        """Coal's results for some pairs, and their signed distances [m]."""
+    def measure_each(self, pairs: Indices) -> Matrix:
+        """(K, 10) signed distances, normals and nearest points of `pairs` (K,) [m], see `ResultTable.measure`."""
         if self._only is not None:
-            return shapes.measure_each(self._only.model, self._only.data, pairs)
-        results = [self.measure(pair) for pair in pairs]
-        return results, [result.min_distance for result in results]
+            return self._only.results.measure(pairs)
+        found = np.empty((len(pairs), ResultTable.COLUMNS))
+        for part, rows in self._by_part(pairs):
+            found[rows] = part.results.measure(self._slots[pairs[rows]])
+        return found
+
+    def _by_part(self, pairs: Indices) -> Iterator[tuple[GeometryPart, Indices]]:
+        """The parts that have some of `pairs` (K,), placed, each with the rows of these."""
+        numbers = self._part_of[pairs]
+        for number in np.unique(numbers).tolist():
+            yield self._placed_part(number), (numbers == number).nonzero()[0]
 
     def measure_all(self) -> Vector:
         """(P,) the signed distances of all pairs [m]."""
         found = np.zeros(len(self._first))
         for number in range(len(self._members)):
             part = self._only or self._placed_part(number)
-            pin.computeDistances(part.model, part.data)
-            own = np.array([result.min_distance for result in part.data.distanceResults])
-            for slot in np.flatnonzero(shapes.in_doubt(own)).tolist():
-                own[slot] = shapes.measure_pair_again(part.model, part.data, slot).min_distance
-            found[part.pairs] = own
+            found[part.pairs] = part.results.measure_all()
         return found
 
     def _placed_part(self, number: int) -> GeometryPart:

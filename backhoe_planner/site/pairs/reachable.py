@@ -3,31 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Vector
 from backhoe_planner.machine.shape import shapes
-
-
-class PairSelection(NamedTuple):
-    """Some of the pairs, and what is needed of them to bound their distances.
-
-    Attributes
-    ----------
-    margin: all other pairs stay further away than this beyond their clearance, in every posture [m].
-    pairs: (M,) their numbers, ascending.
-    clearance, travel, speed, appears_at: (M,), (M, n), (M,), (M,) as in `Proximity`; `travel` column by column, as
-        its product with a few joints' motion then takes half the time.
-    """
-
-    margin: float
-    pairs: Indices
-    clearance: Vector
-    travel: Matrix
-    speed: Vector
-    appears_at: Vector
 
 
 def distances_from_ball(bodies: Sequence[shapes.Piece], centre: Vector, radius: float) -> Vector:

@@ -1,0 +1,148 @@
+"""What coal found of many pairs, read at once.
+
+A geometry's data holds one result per pair, one after the other in memory: the distance, the normal and
+both nearest points are ten numbers in a row. Python asks for each of them by a call of its own, four for a
+pair, and for a dozen pairs that takes longer than to measure them. The normal of a result is handed
+out as a view of that memory, so that one array over all results shows the same numbers.
+
+Where the numbers stand is up to coal's version. It is found out once, on a few pairs whose numbers are all
+different, and where they do not stand as said here, results are read one by one.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine.shape.shapes import measure_pair_again, rows_in_doubt, sphere
+
+_NUMBERS = 10  # of a result: distance, normal, nearest points
+_BYTES = 8  # of a number
+_DISTANCE, _NORMAL, _FIRST, _SECOND = 0, slice(1, 4), slice(4, 7), slice(7, 10)
+
+
+class ResultTable:
+    """The results of all P pairs of one geometry, which must get no further pairs.
+
+    Where the memory cannot be read at once it gives the same numbers, more slowly.
+
+    Parameters
+    ----------
+    model, data: Pinocchio's; their pairs are measured at the placements that `data` has.
+
+    Attributes
+    ----------
+    COLUMNS: how many numbers a result has.
+    """
+
+    COLUMNS = _NUMBERS
+
+    def __init__(self, model: pin.GeometryModel, data: pin.GeometryData) -> None:
+        self._model, self._data = model, data
+        self._numbers = _numbers_of(data)
+
+    def measure(self, pairs: Indices) -> Matrix:
+        """(K, 10) what is found of `pairs` (K,), world.
+
+        Distance, normal from the first piece to the second (3), and nearest points of both (3, 3) [m].
+        """
+        model, data, compute = self._model, self._data, pin.computeDistance
+        for pair in pairs.tolist():
+            compute(model, data, pair)
+        found = self._read(pairs)
+        doubtful = rows_in_doubt(found[:, _DISTANCE])
+        if doubtful:
+            for pair in pairs[doubtful].tolist():
+                measure_pair_again(model, data, pair)
+            found[doubtful] = self._read(pairs[doubtful])
+        return found
+
+    def measure_all(self) -> Vector:
+        """(P,) the signed distances of all pairs [m]."""
+        pin.computeDistances(self._model, self._data)
+        if self._numbers is None:
+            distances = np.array([result.min_distance for result in self._data.distanceResults])
+        else:
+            distances = self._numbers[:, _DISTANCE].copy()
+        for pair in rows_in_doubt(distances):
+            distances[pair] = measure_pair_again(self._model, self._data, pair).min_distance
+        return distances
+
+    def _read(self, pairs: Indices) -> Matrix:
+        if self._numbers is None:
+            return _read_each(self._data, pairs)
+        return np.asarray(self._numbers[pairs])  # a copy; `take` would copy all of them first
+
+
+def _read_each(data: pin.GeometryData, pairs: Indices) -> Matrix:
+    """(K, 10) the results of `pairs` (K,), as the library says them one by one."""
+    found = np.empty((len(pairs), _NUMBERS))
+    results = data.distanceResults
+    for row, pair in enumerate(pairs.tolist()):
+        result = results[pair]
+        found[row, _DISTANCE], found[row, _NORMAL] = result.min_distance, result.normal
+        found[row, _FIRST], found[row, _SECOND] = result.getNearestPoint1(), result.getNearestPoint2()
+    return found
+
+
+def _numbers_of(data: pin.GeometryData) -> Matrix | None:
+    """(P, 10) a view of all results, or None where they cannot be seen at once."""
+    step = _bytes_of_a_result()
+    results = data.distanceResults
+    if step is None or len(results) == 0:
+        return None
+    first, last = results[0].normal, results[len(results) - 1].normal
+    if first.flags.owndata or _address(last) - _address(first) != step * (len(results) - 1):
+        return None
+    return _view(first, len(results), step)
+
+
+@cache
+def _bytes_of_a_result() -> int | None:
+    """How far apart two results stand in memory; None where their numbers do not stand as this module has them."""
+    model, robot = pin.GeometryModel(), pin.Model()
+    for radius, place in ((0.25, (0.1, 0.2, 0.4)), (0.75, (3.0, -1.7, 2.3)), (0.5, (-2.9, 5.1, 1.3))):
+        ball = sphere(radius, pin.SE3(np.eye(3), np.array(place)))
+        model.addGeometryObject(pin.GeometryObject(f"ball {radius}", 0, 0, ball.placement, ball.shape))
+    for first, second in ((0, 1), (1, 2), (0, 2)):
+        model.addCollisionPair(pin.CollisionPair(first, second))
+    data = model.createData()
+    pin.updateGeometryPlacements(robot, robot.createData(), model, data, np.zeros(0))
+    pin.computeDistances(model, data)
+    normals = [result.normal for result in data.distanceResults]
+    steps = {_address(after) - _address(before) for before, after in pairwise(normals)}
+    step = steps.pop()
+    if steps or any(normal.flags.owndata or normal.dtype != np.float64 for normal in normals):
+        return None
+    if step < _NUMBERS * _BYTES or step % _BYTES:
+        return None
+    # all but the last, so that nothing beyond the results is looked at before it is known where they end
+    seen, said = _view(normals[0], len(normals) - 1, step), _read_each(data, np.arange(len(normals) - 1))
+    return step if np.array_equal(seen, said) else None
+
+
+def _view(normal: Vector, count: int, step: int) -> Matrix:
+    """(count, 10) the numbers of `count` results, `step` bytes from each other; the first has this normal (3,)."""
+    return np.asarray(_Memory(normal, (count, _NUMBERS), (step, _BYTES)))
+
+
+class _Memory:
+    """Memory around an array as numpy asks for it; it holds what the array is a view of."""
+
+    def __init__(self, normal: Vector, shape: tuple[int, int], strides: tuple[int, int]) -> None:
+        self._holds = normal
+        self.__array_interface__ = {
+            "data": (_address(normal) - _BYTES, True),  # the distance stands before the normal
+            "shape": shape,
+            "strides": strides,
+            "typestr": "<f8",
+            "version": 3,
+        }
+
+
+def _address(array: Vector) -> int:
+    return int(array.__array_interface__["data"][0])

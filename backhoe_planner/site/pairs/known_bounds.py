@@ -1,0 +1,211 @@
+"""What is known of the distances of all pairs from what was measured before.
+
+A pair that was d apart is at least d - sum_j |dq_j| r_j apart after the joints moved by dq, and an
+obstacle that moves takes off its own way. So a pair that is provably out of reach is not measured again.
+
+To work out these bounds for every pair at every step takes longer than to measure the few that are near.
+So pairs are chosen in two steps, and the others are left alone as long as one number says of all of them that
+they are too far away: those that some posture brings near (`within`), and of these, those that are near where the
+machine is now and a little further (`around`), until it has moved as far as that little.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+
+_SKIN = 0.4  # m of travel after which pairs are chosen anew; chosen, some ten steps of a quick motion
+_SMALL = 400  # pairs; measured: to bound as many takes as long as to keep a choice of them
+
+
+class PairSelection(NamedTuple):
+    """Some of the pairs, and what is needed of them to bound their distances.
+
+    Attributes
+    ----------
+    margin: all other pairs stay further away than this beyond their clearance, in every posture [m].
+    pairs: (M,) their numbers, ascending.
+    clearance, travel, speed, appears_at: (M,), (M, n), (M,), (M,) as in `Proximity`; `travel` column by column, as
+        its product with a few joints' motion then takes half the time.
+    """
+
+    margin: float
+    pairs: Indices
+    clearance: Vector
+    travel: Matrix
+    speed: Vector
+    appears_at: Vector
+
+
+class _Around(NamedTuple):
+    """Those of a wider selection that were near when they were chosen.
+
+    Attributes
+    ----------
+    some: they.
+    rows: (M,) their rows in the wider selection.
+    wider, lower: that selection, and lower bounds (W,) of its distances when they were chosen [m].
+    q, time: (n,) where and when that was [rad or m, s].
+    reach: they were all pairs whose bounds were within this beyond their clearance [m].
+    beyond: how much further than their clearance the nearest of all others was [m].
+    """
+
+    some: PairSelection
+    rows: Indices
+    wider: PairSelection
+    lower: Vector
+    q: Vector
+    time: float
+    reach: float
+    beyond: float
+
+
+class KnownBounds:
+    """Lower bounds of the distances of P pairs, from the last measurement.
+
+    Parameters
+    ----------
+    clearance, speed, appears_at: (P,) see `Proximity`.
+    travel, floor: (P, n), (P,) likewise; see `renew`.
+    always: as many pairs, the last ones, belong to every selection.
+
+    Attributes
+    ----------
+    every: the selection of all pairs.
+    furthest: (n,) the most that a joint can change any distance [m/rad].
+    """
+
+    def __init__(
+        self, clearance: Vector, speed: Vector, appears_at: Vector, *, travel: Matrix, floor: Vector, always: int
+    ) -> None:
+        self._clearance, self._speed, self._appears_at = clearance, speed, appears_at
+        self._first_always = len(clearance) - always
+        self._fastest = float(speed.max(initial=0.0))
+        self._lower = np.full(len(clearance), -np.inf)
+        self._q, self._time = np.zeros(travel.shape[1]), 0.0
+        self._take(travel, floor)
+
+    def renew(self, travel: Matrix, floor: Vector) -> None:
+        """From now on `travel` and `floor` hold, which are not as good as those of before; what is known stays."""
+        self._lower = self._of_every(self._q, self._time)
+        self._take(travel, floor)
+
+    def _take(self, travel: Matrix, floor: Vector) -> None:
+        self._travel, self._floor = travel, floor
+        self._some_far = bool((floor > -np.inf).any())
+        self.furthest: Vector = travel.max(axis=0, initial=0.0)
+        self.every = self._select(np.arange(len(floor)), np.inf)
+        self._known = self._within = self.every
+        self._around: _Around | None = None
+        # how far beyond their clearance those are at least that are not among the ones measured last, for their place
+        self._others = np.inf
+
+    def is_at(self, q: Vector, time: float) -> bool:
+        """Whether what is known was measured at q (n,) and `time`."""
+        return self._time == time and not np.count_nonzero(self._q != q)
+
+    def within(self, margin: float) -> PairSelection:
+        """The pairs that some posture brings within `margin` [m] beyond their clearance."""
+        if self._within.margin != margin:
+            self._within = self._select((self._floor - self._clearance <= margin).nonzero()[0], margin)
+        return self._within
+
+    def around(self, margin: float, reach: float, q: Vector, time: float) -> PairSelection:
+        """Of the pairs `within` the margin, some that contain all that can be near at q (n,) and `time` [s].
+
+        Parameters
+        ----------
+        reach: how far beyond their clearance that is, not less than `margin` [m].
+        """
+        wider, known = self.within(margin), self._around
+        if len(wider.pairs) <= _SMALL:
+            return wider
+        if known is not None and known.wider is wider and known.some is self._known:
+            wasteful = known.reach > reach + 2.0 * _SKIN and len(known.rows) > _SMALL
+            others = known.beyond - self._way(np.abs(q - known.q), time - known.time)
+            if not wasteful and others > reach:
+                self._others = others
+                return known.some
+        lower = self.lower(wider, q, time)
+        beyond = lower - wider.clearance
+        near = beyond <= reach + _SKIN
+        near[np.searchsorted(wider.pairs, self._first_always) :] = True
+        rows = near.nonzero()[0]
+        some = self._select(wider.pairs[rows], margin)
+        others = float(beyond[~near].min(initial=np.inf))
+        self._around = _Around(some, rows, wider, lower, q.copy(), time, reach + _SKIN, others)
+        self.keep(some, lower[rows], q, time)
+        self._others = others
+        return some
+
+    def keep(self, some: PairSelection, lower: Vector, q: Vector, time: float) -> None:
+        """Keep the lower bounds (M,) of the distances of `some` that were found at q (n,) and `time`.
+
+        Pairs that are `around` a place are kept for that place.
+        """
+        if some is not self._known:
+            self._others = np.inf
+        self._known, self._lower, self._q, self._time = some, lower, q.copy(), time
+
+    def lower(self, some: PairSelection, q: Vector, time: float) -> Vector:
+        """(M,) lower bounds of the distances of `some` at q (n,) and `time` [m]."""
+        if some is self._known:
+            lower = self._after(some, self._lower, self._q, self._time, q, time)
+            if some is self.every and self._some_far:
+                np.maximum(lower, self._floor, out=lower)
+            return lower
+        known = self._around
+        if known is not None and known.some is self._known and known.wider is some:
+            lower = self._after(some, known.lower, known.q, known.time, q, time)
+            lower[known.rows] = np.maximum(lower[known.rows], self.lower(known.some, q, time))
+            return lower
+        every = self._of_every(q, time)
+        return every if some is self.every else every[some.pairs]
+
+    def unproven(self, q: Vector, time: float, spare: float) -> Indices:
+        """The pairs that are not known to keep their clearance and `spare` [m].
+
+        That is on the straight way from where they were measured last to q (n,), which ends at `time` [s].
+        """
+        some = self._known
+        dq = np.abs(q - self._q)
+        if some.margin < spare or (self._others < np.inf and self._others - self._way(dq, time - self._time) < spare):
+            some = self.every
+        lower = self.lower(some, q, time)
+        needed = some.clearance + spare if spare else some.clearance
+        return some.pairs[(lower < needed).nonzero()[0]]
+
+    def _of_every(self, q: Vector, time: float) -> Vector:
+        """(P,) lower bounds of all distances [m]."""
+        if self._known is self.every:
+            return self.lower(self.every, q, time)
+        known = self._around
+        some = known.wider if known is not None and known.some is self._known else self._known
+        if some is self.every:
+            return np.maximum(self.lower(some, q, time), self._floor)
+        lower = self._floor.copy()
+        lower[some.pairs] = np.maximum(lower[some.pairs], self.lower(some, q, time))
+        return lower
+
+    def _way(self, dq: Vector, dt: float) -> float:
+        """The most by which any distance changes while the joints move by dq (n,), not negative, in dt [s]."""
+        return float(self.furthest.dot(dq)) + self._fastest * abs(dt)
+
+    def _after(self, some: PairSelection, lower: Vector, q_0: Vector, time_0: float, q: Vector, time: float) -> Vector:
+        """(M,) what is left of lower bounds (M,) after the way from q_0 (n,) to q (n,)."""
+        lower = lower - some.travel.dot(np.abs(q - q_0))
+        if self._fastest:
+            lower -= some.speed * np.abs(age(time, some.appears_at) - age(time_0, some.appears_at))
+        return lower
+
+    def _select(self, pairs: Indices, margin: float) -> PairSelection:
+        travel = np.asfortranarray(self._travel[pairs])
+        return PairSelection(margin, pairs, self._clearance[pairs], travel, self._speed[pairs], self._appears_at[pairs])
+
+
+def age(time: float, appears_at: Vector) -> Vector:
+    """(P,) how long obstacles have been there at `time` [s]."""
+    return np.maximum(time - np.maximum(appears_at, 0.0), 0.0)
