@@ -452,11 +452,11 @@ class Proximity:
         """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
         if not len(self._clusters):
-            return self._geometry.measure_each(pairs)[:, 0]
+            return self._geometry.distances(pairs)
         found = np.full(len(self.pairs), -np.inf)
         plain = pairs < self.plain
         self._measure_clusters(pairs[~plain].tolist(), found)
-        found[pairs[plain]] = self._geometry.measure_each(pairs[plain])[:, 0]
+        found[pairs[plain]] = self._geometry.distances(pairs[plain])
         return found[pairs]
 
     def distances_below_unchecked(self, pairs: Indices, floor: Vector, q: Vector, *, time: float) -> Vector:
@@ -465,6 +465,8 @@ class Proximity:
         Instead of one above `floor` (K,) it may be any number from there to the distance.
         """
         self._place(q, time)
+        if not len(self._clusters):
+            return self._geometry.distances(pairs)
         return self._measure(pairs, floor, None)[0][:, 0]
 
     def all_at_least(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:

@@ -7,7 +7,7 @@ bound it, so that how far it can travel is computed without asking coal.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -337,6 +337,17 @@ def measure(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) ->
     if distance > _CONTACT or not in_doubt(distance):  # the common case first: this is called millions of times
         return result
     return measure_pair_again(model, geometry, index)
+
+
+def measure_distances(model: pin.GeometryModel, geometry: pin.GeometryData, pairs: Iterable[int]) -> list[float]:
+    """The signed distances of some pairs, at the present placements [m]."""
+    distances, compute = [], pin.computeDistance
+    for index in pairs:
+        distance = compute(model, geometry, index).min_distance
+        if not distance > _CONTACT and in_doubt(distance):
+            distance = measure_pair_again(model, geometry, index).min_distance
+        distances.append(distance)
+    return distances
 
 
 def measure_pair_again(model: pin.GeometryModel, geometry: pin.GeometryData, index: int) -> Any:
