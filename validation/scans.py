@@ -22,8 +22,9 @@ from scipy.spatial import ConvexHull
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.motion import build_problem
+from backhoe_planner.planning import plan_problem
 from backhoe_planner.show import plan_page
-from backhoe_planner.site import build_obstacles
 from validation.step_times import time_servo
 
 GROUND = -0.45  # m: mean height of the ground around the machine
@@ -169,56 +170,93 @@ def least_gap(robot: bp.Robot, motion: Matrix, points: Matrix) -> float:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a site costs on the processor.
+    """What a site costs on the processor, beside planning.
 
     Attributes
     ----------
     intake: to take it in [s].
-    plans: (goals,) to plan to each goal, without taking the site in [s].
-    durations: (goals,) of the plans that are verified, nan of the others [s].
     steps: (steps,) of the servo [us].
     memory: the most that the process has had by then [MB].
-    least_gap: of all verified plans from the raw points [m]; infinite where nothing was surveyed.
     page: of one plan [MB].
     """
 
     intake: float
-    plans: Vector
-    durations: Vector
     steps: Vector
     memory: float
-    least_gap: float
     page: float
 
 
-def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, count: int, steps: int, seed: int) -> Cost:
+def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vector, steps: int, seed: int) -> Cost:
     """The cost of the yard with these kinds of surveys.
 
     Parameters
     ----------
-    count: of goals.
+    goal: (3,) to which one motion is planned [m].
     steps: of the servo.
     """
-    raw = survey.raw_points(kinds)
-    places = goals(robot, np.random.default_rng(seed))
-    scenes = [site_scene(survey, next(places), kinds=kinds) for _ in range(count)]
+    scene = site_scene(survey, goal, kinds=kinds)
     begun = time.process_time()
-    build_obstacles(scenes[0], robot)
+    problem = build_problem(robot, scene)
     intake = time.process_time() - begun
-    plans, durations, gap, page = [], [], np.inf, 0.0
-    for scene in scenes:
-        begun = time.process_time()
-        plan = bp.plan(robot, scene)
-        plans.append(time.process_time() - begun - intake)
-        durations.append(plan.trajectory.duration if plan.certificate.verified else np.nan)
-        if plan.certificate.verified and len(raw):
-            gap = min(gap, least_gap(robot, plan.trajectory.q[::_EVERY], raw))
-        if plan.certificate.verified and not page:
-            page = len(plan_page(plan)[0]) / 1e6
-    servo = bp.Servo(robot, scenes[0])
+    page = len(plan_page(plan_problem(problem))[0]) / 1e6
+    servo = bp.Servo(robot, scene)
     gc.collect()
     gc.freeze()  # as a program that keeps a clock does: else Python looks through all that is loaded now and then
     taken = time_servo(servo, steps, 0, np.random.default_rng(seed)).times["processor"]
     gc.unfreeze()
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    return Cost(intake, np.array(plans), np.array(durations), taken, memory, gap, page)
+    return Cost(intake, taken, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, page)
+
+
+@dataclass(frozen=True)
+class PlanCosts:
+    """What planning to G goals costs on the processor with each of S sets of surveys.
+
+    Attributes
+    ----------
+    seconds: (G, S) to plan, without taking the site in [s].
+    durations: (G, S) of the plans that are verified, nan of the others [s].
+    least_gap: (S,) of all verified plans from the raw points [m]; infinite where nothing was surveyed.
+    """
+
+    seconds: Matrix
+    durations: Matrix
+    least_gap: Vector
+
+
+def plan_in_turn(robot: bp.Robot, survey: Survey, sets: Sequence[Sequence[str]], *, count: int, seed: int) -> PlanCosts:
+    """Plan to goals that are reached in the yard without surveys, with all sets in turn for each.
+
+    Parameters
+    ----------
+    sets: of kinds, the first of them empty. It is planned with before the others and after them, for the mean.
+    count: of goals.
+    """
+    raw = [survey.raw_points(kinds) for kinds in sets]
+    places = goals(robot, np.random.default_rng(seed))
+    seconds: list[list[float]] = []
+    durations: list[list[float]] = []
+    gaps = np.full(len(sets), np.inf)
+    while len(seconds) <= count:  # the first goal warms up
+        goal = next(places)
+        taken, plan = _timed(robot, site_scene(survey, goal, kinds=()))
+        if not plan.certificate.verified:
+            continue
+        row, lasts = [taken], [plan.trajectory.duration]
+        for number, kinds in enumerate(sets[1:], start=1):
+            taken, plan = _timed(robot, site_scene(survey, goal, kinds=kinds))
+            row.append(taken)
+            lasts.append(plan.trajectory.duration if plan.certificate.verified else np.nan)
+            if plan.certificate.verified:
+                gaps[number] = min(gaps[number], least_gap(robot, plan.trajectory.q[::_EVERY], raw[number]))
+        row[0] = 0.5 * (row[0] + _timed(robot, site_scene(survey, goal, kinds=()))[0])
+        seconds.append(row)
+        durations.append(lasts)
+    return PlanCosts(np.array(seconds[1:]), np.array(durations[1:]), gaps)
+
+
+def _timed(robot: bp.Robot, scene: bp.Scene) -> tuple[float, bp.Plan]:
+    """A plan, and what it costs on the processor once the site is taken in [s]."""
+    problem = build_problem(robot, scene)
+    begun = time.process_time()
+    plan = plan_problem(problem)
+    return time.process_time() - begun, plan

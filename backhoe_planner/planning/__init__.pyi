@@ -63,4 +63,5 @@ from .search.shortening import shorten as shorten
 from .sequence.leg import Leg as Leg
 from .sequence.legs_planning import plan_legs as plan_legs
 from .sequence.plan_task import plan as plan
+from .sequence.plan_task import plan_problem as plan_problem
 from .world import World as World

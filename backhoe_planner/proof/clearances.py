@@ -32,6 +32,7 @@ STEP_ROUNDING = (
 )
 _TOUCHING_DEPTH = 9  # halvings: 1/512 of a step of 0.02 m moves no point by more than `TOUCH`
 _FIRST_LOOKS = 16  # samples from one first look to the next; chosen
+_TOGETHER = 128  # samples that are bounded together; chosen
 _NEVER = 10.0  # m: an obstacle whose margin is always above this is not reported; chosen, beyond a machine's reach
 
 
@@ -71,8 +72,21 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     # row by row: samples times pairs may be more than a machine's memory holds
     steps, spans = np.abs(np.diff(q, axis=0, append=q[-1:])), np.diff(time, append=time[-1])
     travel = proximity.travel.dot(steps[0]) + spans[0] * proximity.speed
+    clusters = slice(proximity.plain, None)
+
+    def expect(first: int) -> None:
+        """Bound the distances from clusters at the next samples together."""
+        rows, moves = slice(first, first + _TOGETHER), slice(max(first - 1, 0), first + _TOGETHER)
+        furthest = proximity.travel[clusters].dot(steps[moves].max(axis=0))
+        furthest += spans[moves].max() * proximity.speed[clusters]
+        needed = least[owners[clusters]] + proximity.clearance[clusters] + 0.5 * furthest
+        proximity.clusters.expect(q[rows], time[rows], needed=needed)
+
+    expect(0)
     before, known_before = look(0, 0.5 * travel)
     for row in range(1, len(time)):
+        if row % _TOGETHER == 0:
+            expect(row)
         came, travel = travel, proximity.travel.dot(steps[row]) + spans[row] * proximity.speed
         margins, known = look(row, 0.5 * np.maximum(came, travel))
         bounds = 0.5 * (before + margins - came)
@@ -240,6 +254,11 @@ def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
     time: (T,) of the samples, not decreasing [s]; where all are equal, obstacles stand as they are then.
     q: (T, n) joints there [rad or m].
     """
+    if len(proximity.clusters):
+        own = slice(proximity.plain, None)
+        reach = np.abs(np.diff(q, axis=0, append=q[-1:])) @ proximity.travel[own].T
+        reach += np.diff(time, append=time[-1])[:, None] * proximity.speed[own]
+        proximity.clusters.expect(q, time, needed=reach + proximity.clearance[own] - STEP_ROUNDING)
     return all(
         segment_is_clear(
             proximity, q[k], q[k + 1], time=float(time[k]), dt=float(time[k + 1] - time[k]),

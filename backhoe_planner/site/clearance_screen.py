@@ -12,7 +12,6 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
 from backhoe_planner.machine.shape import shapes
-from backhoe_planner.site.cluster_distances import ClusterDistances
 from backhoe_planner.site.proximity import Proximity
 
 _ALL_AGAINST_ALL = 90  # pieces up to which every box is compared with every other, beyond which they are sorted first
@@ -57,7 +56,7 @@ class ClearanceScreen:
     def __init__(self, proximity: Proximity, *, time: float = 0.0, spare: float | Vector = 0.0) -> None:
         self._robot = proximity.robot.model
         self._data = self._robot.createData()
-        self._clusters, self._time = ClusterDistances(proximity.robot, proximity.obstacles), time
+        self._clusters, self._time = proximity.clusters.with_own_memory(), time
         present = proximity.appears_at <= time
         least = np.where(present, proximity.clearance + spare, -np.inf)
         self._least = least[proximity.plain :]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -9,10 +10,12 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Distances, Reading, Robot, reach_ball
-from backhoe_planner.site.link_balls import LinkBalls
+from backhoe_planner.site.link_balls import BallLevel, LinkBalls, Poses
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 
 EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; chosen, about how far obstacles act
+_MOST_BALLS = (4, 24)  # of a piece, on each level; chosen
+_TOGETHER = 2_000  # links that are bounded more finely at once; chosen to bound the memory
 _FIRST_REACH = 0.25  # m beyond what is known already, within which a cluster is first looked for; chosen
 
 
@@ -35,35 +38,84 @@ class ClusterDistances:
         self.owner, self.piece = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         self._reach = reach_ball(robot)
         pieces, self._column = np.unique(self.piece, return_inverse=True)
-        self._balls = LinkBalls(robot, pieces.tolist()) if pairs else None
+        self._balls = LinkBalls(robot, pieces.tolist(), most=_MOST_BALLS) if pairs else None
         self._rows = [(index, np.flatnonzero(self.owner == index)) for index in np.unique(self.owner).tolist()]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}
+        # bounds of the configurations that are expected, and what was needed of them
+        self._expected: dict[tuple[bytes, float], tuple[Vector, Vector]] = {}
         self._kinematics = BatchKinematics(robot)
         self._data = robot.model.createData()
 
     def __len__(self) -> int:
         return len(self.owner)
 
-    def lower(self, data: pin.Data, time: float) -> Vector:
-        """(K,) lower bounds of the distances [m] where the joints of `data` are, or minus infinity."""
-        assert self._balls is not None
-        found = np.full(len(self), -np.inf)
-        for rows, bounds in self.lower_of_balls(self._balls.at(data), time):
-            found[rows] = bounds
-        return found
+    def with_own_memory(self) -> ClusterDistances:
+        """The same with working memory of its own; what was built to bound distances is shared."""
+        other = copy.copy(self)
+        other._data, other._expected = self._robot.model.createData(), {}
+        return other
 
-    def lower_of_balls(self, centres: Array, time: float) -> Iterator[tuple[Indices, Array]]:
-        """For each cluster its pairs (k,), and (..., k) lower bounds of their distances [m].
+    def lower(self, data: pin.Data, time: float, *, q: Vector | None = None, needed: float | Vector = np.inf) -> Vector:
+        """(K,) lower bounds of the distances [m] where the joints of `data` are, or minus infinity.
 
-        centres: (..., S, 3) of the balls that cover the links, see `LinkBalls` [m], world.
+        One that is at least `needed`, a number or (K,), may fall far short of the distance.
+
+        q: (n,) where that is, if it may have been expected.
         """
         assert self._balls is not None
-        for index, rows in self._rows:
-            away = self._grid(index).lower(centres, self._shift(index, time))
-            bounds = self._balls.least_of_pieces(away)[..., self._column[rows]]
-            # where a ball may touch it, nothing is known of how deep the piece is inside
-            yield rows, np.where(bounds > 0.0, bounds, -np.inf)
+        known = None if q is None else self._expected.get((q.tobytes(), time if self._moving else 0.0))
+        if known is not None:
+            bounds, enough = known
+            if not ((bounds < needed) & (enough < needed)).any():
+                return bounds
+        return np.asarray(self._lower(self._balls.poses_at(data), np.array([time]), needed)[0])
+
+    def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix) -> None:
+        """Find the same for each of `q` (N, n) at once, as `lower_each`; kept for `lower` until others are expected."""
+        if not len(self):
+            return
+        bounds = self.lower_each(q, time, needed=needed)
+        times = np.broadcast_to(time if self._moving else 0.0, len(q)).tolist()
+        rows = zip(q, times, bounds, np.broadcast_to(needed, bounds.shape), strict=True)
+        self._expected = {(at.tobytes(), moment): (found, enough) for at, moment, found, enough in rows}
+
+    def lower_each(self, q: Matrix, time: float | Vector, *, needed: float | Array = np.inf) -> Matrix:
+        """(N, K) the same for each of `q` (N, n), `time` one or (N,) [s], `needed` a number, (K,) or (N, K)."""
+        assert self._balls is not None
+        if not len(q):
+            return np.zeros((0, len(self)))
+        return self._lower(self._balls.poses_of(self._kinematics.at(q)), np.broadcast_to(time, len(q)), needed)
+
+    def _lower(self, poses: Poses, time: Vector, needed: float | Array) -> Matrix:
+        assert self._balls is not None
+        first, *finer = self._balls.levels
+        found = np.empty((len(poses), len(self)))
+        needed = np.broadcast_to(needed, found.shape)
+        centres = first.centres(poses)
+        for index, pairs in self._rows:
+            grid, shift = self._grid(index), self._shifts(index, time)
+            away = grid.lower(centres.reshape(3, -1), None if shift is None else shift.repeat(len(first), axis=1))
+            bounds = first.least(away.reshape(len(poses), -1))
+            found[:, pairs] = bounds.take(self._column[pairs], axis=1)
+            for level in finer:
+                self._refine(level, grid, pairs, shift, poses, needed, found)
+        # where a ball may touch it, nothing is known of how deep the piece is inside
+        found[found <= 0.0] = -np.inf
+        return found
+
+    def _refine(
+        self, level: BallLevel, grid: Distances, pairs: Indices, shift: Matrix | None, poses: Poses, needed: Matrix,
+        found: Matrix,
+    ) -> None:  # fmt: skip
+        """Raise the bounds in `found` (N, K) of some pairs with one cluster that are below what is needed (N, K)."""
+        rows, which = (found[:, pairs] < needed[:, pairs]).nonzero()
+        for start in range(0, len(rows), _TOGETHER):
+            few, those = rows[start : start + _TOGETHER], pairs.take(which[start : start + _TOGETHER])
+            pieces = self._column.take(those)
+            centres, counts = level.centres_of(poses, few, pieces)
+            away = grid.lower(centres, None if shift is None else shift.take(few, axis=1).repeat(counts, axis=1))
+            found[few, those] = np.maximum(found[few, those], level.least_of(away, counts, pieces))
 
     def measure(self, pair: int, data: pin.Data, time: float, reach: float) -> Reading | None:
         """The distance of a pair where the joints of `data` are; None where it is not less than `reach` [m]."""
@@ -81,17 +133,20 @@ class ClusterDistances:
                 return found
             within = min(2.0 * within, reach)
 
+    def make_exact(self, found: Vector, pairs: Indices, data: pin.Data, time: float) -> None:
+        """Replace lower bounds `found` (K,) of some pairs by distances, exact within `EXACT_WITHIN` [m]."""
+        for pair in pairs.tolist():
+            if found[pair] < EXACT_WITHIN:
+                reading = self.nearest(pair, data, time, lower=float(found[pair]), reach=EXACT_WITHIN)
+                found[pair] = EXACT_WITHIN if reading is None else reading.distance
+
     def keep(self, least: Vector, data: pin.Data, time: float) -> bool:
         """Whether all distances are at least `least` (K,) [m]."""
-        return self._keep(least, self.lower(data, time), data, time)
+        return self._keep(least, self.lower(data, time, needed=least), data, time)
 
     def keep_each(self, least: Vector, q: Matrix, time: float) -> Iterator[bool]:
         """Whether they are, at each of `q` (N, n), one after the other; the bounds of all of them are found at once."""
-        assert self._balls is not None
-        at = self._kinematics.at(q)
-        lower = np.full((len(q), len(self)), -np.inf)
-        for rows, bounds in self.lower_of_balls(self._balls.at_each(at.origins, at.rotations), time):
-            lower[:, rows] = bounds
+        lower = self.lower_each(q, time, needed=least)
         doubtful = np.asarray((lower < least).any(axis=1))
         for row, is_doubtful in enumerate(doubtful.tolist()):
             if is_doubtful:
@@ -114,6 +169,12 @@ class ClusterDistances:
         if index not in self._moving:
             return None
         return offset_at(self._obstacles[index], time)
+
+    def _shifts(self, index: int, time: Vector) -> Matrix | None:
+        """(3, N) the same at N times."""
+        if index not in self._moving:
+            return None
+        return np.array([offset_at(self._obstacles[index], moment) for moment in time.tolist()]).T
 
     def _grid(self, index: int) -> Distances:
         if index not in self._grids:

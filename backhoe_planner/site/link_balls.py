@@ -3,51 +3,117 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Matrix
-from backhoe_planner.machine import Robot, covering_balls
+from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.machine import ConfigurationBatch, Robot, covering_balls
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where the J joints that carry some pieces are in N configurations.
+
+    Attributes
+    ----------
+    R, t: (N, J, 3, 3) and (N, J, 3) T_world_joint [m].
+    """
+
+    R: Array
+    t: Array
+
+    def __len__(self) -> int:
+        return len(self.R)
 
 
 class LinkBalls:
-    """S balls that cover some pieces of one machine.
+    """Balls that cover K pieces of one machine: a few for each, and more and smaller ones for each on further levels.
 
     Parameters
     ----------
-    pieces: rows of the robot's pieces, K of them.
+    pieces: rows of the robot's pieces.
+    most: the greatest number of balls for a piece, for each level.
     """
 
-    def __init__(self, robot: Robot, pieces: Sequence[int]) -> None:
-        balls = [covering_balls(robot.pieces[row].piece) for row in pieces]
-        counts = [len(centres) for centres, _ in balls]
-        self._first = np.cumsum([0, *counts[:-1]])
-        self._radii = np.repeat([radius for _, radius in balls], counts)
-        joints = np.repeat([robot.pieces[row].joint for row in pieces], counts)
-        centres = np.vstack([centres for centres, _ in balls])
-        self._of_joints = [
-            (joint, rows := np.flatnonzero(joints == joint), centres[rows]) for joint in set(joints.tolist())
-        ]
+    def __init__(self, robot: Robot, pieces: Sequence[int], *, most: Sequence[int]) -> None:
+        own = [robot.pieces[row] for row in pieces]
+        self._joints = sorted({piece.joint for piece in own})
+        slot = np.array([self._joints.index(piece.joint) for piece in own], dtype=np.intp)
+        self.levels = tuple(
+            BallLevel([covering_balls(piece.piece, most=count) for piece in own], slot) for count in most
+        )
 
-    def at(self, data: pin.Data) -> Matrix:
-        """(S, 3) centres of all balls [m], world, where the joints of `data` are."""
-        found = np.empty((len(self._radii), 3))
-        for joint, rows, centres in self._of_joints:
-            place = data.oMi[joint]
-            found[rows] = centres @ place.rotation.T + place.translation
+    def poses_at(self, data: pin.Data) -> Poses:
+        """Where the joints of `data` are."""
+        places = [data.oMi[joint] for joint in self._joints]
+        return Poses(
+            np.array([[place.rotation for place in places]]), np.array([[place.translation for place in places]])
+        )
+
+    def poses_of(self, at: ConfigurationBatch) -> Poses:
+        """Where the joints of some configurations are."""
+        if self._joints[0]:
+            rows = np.array(self._joints) - 1
+            return Poses(at.rotations[:, rows], at.origins[:, rows])
+        rows = np.array(self._joints[1:], dtype=np.intp) - 1
+        R, t = np.zeros((len(at.q), len(self._joints), 3, 3)), np.zeros((len(at.q), len(self._joints), 3))
+        R[:, 0], R[:, 1:], t[:, 1:] = np.eye(3), at.rotations[:, rows], at.origins[:, rows]
+        return Poses(R, t)
+
+
+class BallLevel:
+    """S balls that cover K pieces.
+
+    Parameters
+    ----------
+    balls: centres (k, 3) in the frame of its joint and radius of each piece [m], see `covering_balls`.
+    slot: (K,) which of the joints of `Poses` carries each piece.
+    """
+
+    def __init__(self, balls: Sequence[tuple[Matrix, float]], slot: Indices) -> None:
+        self._counts = np.array([len(centres) for centres, _ in balls])
+        self._first = np.cumsum(self._counts) - self._counts
+        self._slot = slot
+        self._radius = np.array([radius for _, radius in balls])
+        self._radii = self._radius.repeat(self._counts)
+        self._centres = np.ascontiguousarray(np.vstack([centres for centres, _ in balls]).T)
+        of_balls = slot.repeat(self._counts)
+        self._of_slots = [(one, (of_balls == one).nonzero()[0]) for one in np.unique(slot).tolist()]
+
+    def __len__(self) -> int:
+        return len(self._radii)
+
+    def centres(self, poses: Poses) -> Array:
+        """(3, N, S) of all balls [m], world."""
+        found = np.empty((3, len(poses), len(self)))
+        for slot, balls in self._of_slots:
+            at = poses.R[:, slot] @ self._centres.take(balls, axis=1)
+            at += poses.t[:, slot, :, None]
+            found[:, :, balls] = at.transpose(1, 0, 2)
         return found
 
-    def at_each(self, origins: Array, rotations: Array) -> Array:
-        """(N, S, 3) the same for N configurations: joints at `origins` (N, n, 3) [m], `rotations` (N, n, 3, 3)."""
-        found = np.empty((len(origins), len(self._radii), 3))
-        for joint, rows, centres in self._of_joints:
-            if joint:
-                found[:, rows] = centres @ rotations[:, joint - 1].transpose(0, 2, 1) + origins[:, None, joint - 1]
-            else:
-                found[:, rows] = centres
-        return found
+    def least(self, away: Array) -> Array:
+        """(..., K) the least over each piece's balls of distances `away` (..., S) less their radii [m]."""
+        return np.asarray(np.minimum.reduceat(away - self._radii, self._first, axis=-1))
 
-    def least_of_pieces(self, values: Array) -> Array:
-        """(..., K) the least over each piece's balls of `values` (..., S) less their radii [m]."""
-        return np.asarray(np.minimum.reduceat(values - self._radii, self._first, axis=-1))
+    def centres_of(self, poses: Poses, rows: Indices, pieces: Indices) -> tuple[Matrix, Indices]:
+        """(3, F) of the balls of some pieces (M,) in the configurations `rows` (M,), one after the other [m], world.
+
+        Also how many each of them has, (M,).
+        """
+        counts = self._counts.take(pieces)
+        ends = counts.cumsum()
+        balls = np.arange(ends[-1]) + (self._first.take(pieces) - ends + counts).repeat(counts)
+        slots = self._slot.take(pieces)
+        R = poses.R[rows, slots].transpose(1, 2, 0).repeat(counts, axis=2)
+        t = poses.t[rows, slots].T.repeat(counts, axis=1)
+        centres = self._centres.take(balls, axis=1)
+        R *= centres
+        t += np.add.reduce(R, axis=1)
+        return t, counts
+
+    def least_of(self, away: Vector, counts: Indices, pieces: Indices) -> Vector:
+        """(M,) the same as `least` of those pieces alone, from distances (F,) of their balls [m]."""
+        return np.asarray(np.minimum.reduceat(away, counts.cumsum() - counts) - self._radius.take(pieces))

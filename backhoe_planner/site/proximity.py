@@ -81,6 +81,7 @@ class Proximity:
     floor: (P,) no posture brings a pair nearer than that [m], as `travel`; minus infinity where that is not known.
     plain: the first so many pairs are of two convex pieces; the others of a piece and a cluster.
     measured: how many distances `at` has measured so far.
+    clusters: the pairs of a piece and a cluster.
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle] = (), *, self_collision: bool = True) -> None:
@@ -108,8 +109,8 @@ class Proximity:
             owner.append(-1)
             second.append(inner)
         self.plain = len(pairs)
-        self._clusters = ClusterDistances(robot, self.obstacles)
-        for index, row in zip(self._clusters.owner.tolist(), self._clusters.piece.tolist(), strict=True):
+        self.clusters = ClusterDistances(robot, self.obstacles)
+        for index, row in zip(self.clusters.owner.tolist(), self.clusters.piece.tolist(), strict=True):
             obstacle = self.obstacles[index]
             pairs.append(Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance))
             owner.append(index)
@@ -154,10 +155,10 @@ class Proximity:
         self._geometry = PairGeometry(
             robot, self._pieces, self._bodies, self._away, data=self._data, first=first[plain], second=self._body[plain]
         )
-        self._time = 0.0  # for which obstacles are placed
+        self._time, self._q = 0.0, np.zeros(robot.n)  # for which obstacles and joints are placed
         self._known = KnownBounds(
             self.clearance, self.speed, self.appears_at,
-            travel=self.travel, floor=self.floor, always=len(self._clusters),
+            travel=self.travel, floor=self.floor, always=len(self.clusters),
         )  # fmt: skip
         self.measured = 0
 
@@ -260,7 +261,7 @@ class Proximity:
         lead, near = Lead(v - change, v + change, longest), lower <= reach
         np.maximum(reach, some.clearance + stop * (some.travel.dot(fastest) + some.speed), out=reach)
         doubtful = ((lower <= reach) & ~near).nonzero()[0]
-        doubtful = doubtful[: np.searchsorted(doubtful, len(lower) - len(self._clusters))]  # clusters have no ball
+        doubtful = doubtful[: np.searchsorted(doubtful, len(lower) - len(self.clusters))]  # clusters have no ball
         if len(doubtful) > _FEW:
             far = lower[doubtful] - some.clearance[doubtful]
             reach[doubtful[~self._may_bind(some.pairs[doubtful], far, lead, time)]] = -np.inf
@@ -291,12 +292,12 @@ class Proximity:
         Those that are within it, K, and (K, 10) their distances, normals and nearest points. What is known of all
         distances is kept.
         """
-        if len(self._clusters):
+        if len(self.clusters):
             self._raise_by_grids(lower, reach)
         rows = (lower <= reach).nonzero()[0]
         self.measured += len(rows)
         near, reach = some.pairs.take(rows), reach.take(rows)
-        found, unread = self._measure(near, reach, lower[rows] if len(self._clusters) else None)
+        found, unread = self._measure(near, reach, lower[rows] if len(self.clusters) else None)
         measured = found[:, 0]
         lower[rows] = measured
         self._known.keep(some, lower, q, time)
@@ -318,11 +319,12 @@ class Proximity:
         reach: (K,) from which on a cluster is far [m].
         lower: (K,) what distances are known to be at least [m], if anything is.
         """
-        if not len(self._clusters):
+        if not len(self.clusters):
             return self._geometry.measure_each(pairs), []
         if lower is None:
-            bounds = np.full(len(self.pairs), -np.inf)
-            self._raise_by_grids(bounds, np.full(len(self.pairs), np.inf))
+            bounds, needed = np.full((2, len(self.pairs)), -np.inf)
+            needed[pairs] = reach
+            self._raise_by_grids(bounds, needed)
             lower = bounds[pairs]
         plain = pairs < self.plain
         found = np.zeros((len(pairs), ResultTable.COLUMNS))
@@ -375,7 +377,7 @@ class Proximity:
         self._place(q, time)
         found = np.full(len(self.pairs), -np.inf)
         found[: self.plain] = self._geometry.measure_all()
-        self._measure_clusters(range(self.plain, len(self.pairs)), found)
+        self._measure_clusters(np.arange(self.plain, len(self.pairs)), found)
         if self._some_appear:
             found[self.appears_at > time] = np.inf
         return found
@@ -451,11 +453,11 @@ class Proximity:
     def distances_of_unchecked(self, pairs: Indices, q: Vector, *, time: float = 0.0) -> Vector:
         """The same for callers in a loop, whose arguments are right as they are made."""
         self._place(q, time)
-        if not len(self._clusters):
+        if not len(self.clusters):
             return self._geometry.distances(pairs)
         found = np.full(len(self.pairs), -np.inf)
         plain = pairs < self.plain
-        self._measure_clusters(pairs[~plain].tolist(), found)
+        self._measure_clusters(pairs[~plain], found)
         found[pairs[plain]] = self._geometry.distances(pairs[plain])
         return found[pairs]
 
@@ -465,7 +467,7 @@ class Proximity:
         Instead of one above `floor` (K,) it may be any number from there to the distance.
         """
         self._place(q, time)
-        if not len(self._clusters):
+        if not len(self.clusters):
             return self._geometry.distances(pairs)
         return self._measure(pairs, floor, None)[0][:, 0]
 
@@ -484,7 +486,7 @@ class Proximity:
         return all(
             self._geometry.measure(pair).min_distance >= bound
             if pair < self.plain
-            else self._clusters.is_at_least(pair - self.plain, self._data, self._time, bound)
+            else self.clusters.is_at_least(pair - self.plain, self._data, self._time, bound)
             for pair, bound in zip(pairs.tolist(), least.tolist(), strict=True)
         )
 
@@ -492,28 +494,22 @@ class Proximity:
 
     def _raise_by_grids(self, lower: Vector, needed: Vector) -> None:
         """Raise the lower bounds of clusters, the last of (M,), at the present placements, if one is below `needed`."""
-        first = len(lower) - len(self._clusters)
-        own = lower[first:]
-        if len(own) and (own < needed[first:]).any():
-            np.maximum(own, self._clusters.lower(self._data, self._time), out=own)
+        first = len(lower) - len(self.clusters)
+        own, needed = lower[first:], needed[first:]
+        short = own < needed
+        if short.any():
+            asked = np.where(short, needed, -np.inf)
+            np.maximum(own, self.clusters.lower(self._data, self._time, q=self._q, needed=asked), out=own)
 
-    def _measure_clusters(self, pairs: Iterable[int], found: Vector) -> None:
-        """Enter distances from clusters into `found` (P,), exact within `EXACT_WITHIN`."""
-        pairs = list(pairs)
-        if not pairs:
-            return
-        self._raise_by_grids(found, np.full(len(found), EXACT_WITHIN))
-        for index in pairs:
-            if found[index] < EXACT_WITHIN:
-                reading = self._nearest(index, float(found[index]), EXACT_WITHIN)
-                found[index] = EXACT_WITHIN if reading is None else reading.distance
+    def _measure_clusters(self, pairs: Indices, found: Vector) -> None:
+        """Enter distances of pairs with clusters into `found` (P,), exact within `EXACT_WITHIN`."""
+        if len(pairs):
+            self._raise_by_grids(found, np.full(len(found), EXACT_WITHIN))
+            self.clusters.make_exact(found[self.plain :], pairs - self.plain, self._data, self._time)
 
     def _nearest(self, pair: int, lower: float, reach: float) -> Reading | None:
-        """The distance of a pair with a cluster, at the present placements; None where it is not less than `reach`.
-
-        lower: what it is known to be at least [m].
-        """
-        return self._clusters.nearest(pair - self.plain, self._data, self._time, lower=lower, reach=reach)
+        """The distance of a pair with a cluster, at least `lower` [m], where it is placed; None from `reach` on."""
+        return self.clusters.nearest(pair - self.plain, self._data, self._time, lower=lower, reach=reach)
 
     def obstacle_offset(self, index: int, time: float) -> Vector:
         """(3,) how far obstacle `index` has moved by `time` [m]."""
@@ -547,6 +543,7 @@ class Proximity:
                     self._geometry.move(body, moved)
             self._time = time
         pin.computeJointJacobians(self.robot.model, self._data, q)
+        self._q = q
         self._geometry.place()
 
     def _rows(self, pair: Indices, found: Matrix, margin: float = np.inf, lead: Lead | None = None) -> Nearby:

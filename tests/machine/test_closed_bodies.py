@@ -71,7 +71,7 @@ def test_what_is_inside(name: str) -> None:
         assert found is not None
         assert (found.distance < 0.0) == (x in inside)
         assert (cluster.inside_of(shapes.sphere(0.05, HERE), place) is not None) == (x in inside)
-        bound = float(grid.lower(place.translation[None])[0])
+        bound = float(grid.lower(place.translation[:, None])[0])
         assert bound <= max(found.distance + 0.05, 0.0)
 
 
@@ -84,4 +84,4 @@ def test_a_coarse_body_with_a_fine_detail_is_solid_right_below_its_surface() -> 
     for radius in (1.0, 6.0):
         grid = cluster.grid(np.array([0.0, 0.0, -1.0]), radius)
         below = np.column_stack((np.full((8, 2), 0.1), -np.linspace(0.05, 1.9, 8)))
-        assert not grid.lower(below).any()
+        assert not grid.lower(below.T).any()

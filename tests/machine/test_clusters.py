@@ -117,12 +117,12 @@ def test_bounds_beside_ground_with_a_step() -> None:
     heights = np.where(np.arange(81) <= 40, 0.0, -1.0) + np.zeros((81, 1))
     bounds = terrain(heights, 4.0).grid(np.zeros(3), 2.0)
     z = np.array([-0.2, 0.0, 0.1, 0.7, 1.3])
-    above = bounds.lower(np.column_stack((np.full(5, -0.51), np.full(5, 0.31), z)))
+    above = bounds.lower(np.array((np.full(5, -0.51), np.full(5, 0.31), z)))
     assert above == pytest.approx(np.maximum(z, 0.0), abs=1e-6)
     # 0.525 m beside the upper edge of the step, by whole cells in between 0.5 m, and 0.7 m over the ground below
-    beside = float(bounds.lower(np.array([[0.525, 0.3, -0.3]]))[0])
+    beside = float(bounds.lower(np.array([[0.525], [0.3], [-0.3]]))[0])
     assert 0.3 <= beside <= 0.525 + 0.05
-    beyond = bounds.lower(np.array([[3.0, 0.0, 0.0], [0.0, 0.0, 30.0]]))
+    beyond = bounds.lower(np.array([[3.0, 0.0, 0.0], [0.0, 0.0, 30.0]]).T)
     assert 0.5 <= beyond[0] <= 1.0
     assert beyond[1] > 1.0
 
@@ -204,7 +204,7 @@ def test_distance_is_that_of_all_cells(kind: str) -> None:
         if found > 0.0:
             assert found == pytest.approx(least, abs=1e-8)
             assert cluster.measure(link, place, found - 1e-6) is None
-        far = cluster.grid(*BALL).lower(covering_balls(link)[0] @ place.rotation.T + place.translation)
+        far = cluster.grid(*BALL).lower((covering_balls(link)[0] @ place.rotation.T + place.translation).T)
         bound = float(far.min()) - covering_balls(link)[1]
         assert bound <= found + 1e-9 or bound <= 0.0
     assert min(signs) >= 3
@@ -242,7 +242,7 @@ def test_bounds_hold_where_the_grid_is_smaller_than_the_solid(kind: str) -> None
         grid = cluster.grid(np.array([0.3, 0.2, 0.4]), radius)
         for _ in range(60):
             place = random_place(rng, 3.0)
-            bound = float(grid.lower(place.translation[None])[0])
+            bound = float(grid.lower(place.translation[:, None])[0])
             true = distance(cluster, ball(0.01), place) + 0.01
             assert bound <= max(true, 0.0) + 1e-9
             known += bound > 0.5 * true > 0.0
@@ -274,33 +274,27 @@ def test_boxes_of_coarse_cells_do_not_reach_a_link_above_them(cell: float) -> No
         assert (0.0 if coarse else 0.85) * height <= least <= height + 1e-9
 
 
-def test_bounds_stay_true_where_the_ground_is_dug_and_heaped() -> None:
+def test_bounds_are_true_where_the_ground_is_dug_and_heaped() -> None:
     rng = np.random.default_rng(11)
     heights = 0.1 * rng.uniform(size=(41, 41))
     ground = TerrainSolid(heights, (8.0, 8.0), depth=5.0, most=10**6)
     place = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.4), np.array([1.0, 0.5, 0.2]))
     cluster, around = Cluster(ground, place), (np.array([1.0, 0.5, 0.0]), 4.0)
     cluster.prepare(*around)
-    carried, closer = 0, 0
+    known, closer = 0, 0
     for step in range(8):
         heights = heights.copy()
         r, c = rng.integers(0, 36, 2)
         heights[r : r + 4, c : c + 5] += -0.4 if step % 2 == 0 else 0.3
-        if step == 6:  # in more places than are looked at one by one
-            heights[::4, ::4] -= 0.1
         assert isinstance(cluster.solid, TerrainSolid)
-        ground = cluster.solid.with_heights(heights)
-        before, cluster = cluster, cluster.with_solid(ground, cluster.solid.changes_to(ground))
-        carried += len(cluster._grids)
+        before, cluster = cluster, Cluster(cluster.solid.with_heights(heights), place)
         points = around[0] + rng.uniform(-3.5, 3.5, (150, 3)) * [1.0, 1.0, 0.3]
-        lower = cluster.grid(*around).lower(points)
-        fresh = Cluster(ground, place).grid(*around).lower(points)
-        old = before.grid(*around).lower(points)
+        lower, old = cluster.grid(*around).lower(points.T), before.grid(*around).lower(points.T)
         true = np.array([distance(cluster, ball(1e-4), at(*point)) + 1e-4 for point in points])
         assert (lower <= np.maximum(true, 0.0) + 1e-6).all()
-        assert (lower >= np.minimum(fresh, 0.8) - 1e-6).mean() > 0.9
+        known += int((lower > 0.7 * true).sum())
         closer += int((old > np.maximum(true, 0.0) + 1e-6).sum())
-    assert carried >= 6  # the box around it grew at most twice
+    assert known > 500
     assert closer > 0  # the old bounds would have been wrong
 
 

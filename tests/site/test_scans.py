@@ -137,3 +137,48 @@ def test_messages_name_the_file(tmp_path: Path, record: dict[str, object], text:
         build_obstacle(spec, folder=tmp_path, clearance=0.05)
     for part in (str(tmp_path / "survey.csv"), *parts):
         assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("machine", ["planar4", "backhoe"])
+def test_bounds_of_many_configurations_hold_for_each(
+    machine: str, scan: Obstacle, request: pytest.FixtureRequest
+) -> None:
+    robot: Robot = request.getfixturevalue(machine)
+    moving = replace(scan, name="moving", velocity=np.array([0.1, -0.2, 0.05]), appears_at=1.0)
+    proximity = Proximity(robot, [scan, moving], self_collision=False)
+    clusters = proximity.clusters
+    rng = np.random.default_rng(5)
+    q, times = np.array([robot.random_q(rng) for _ in range(30)]), rng.uniform(0.0, 4.0, 30)
+    coarse = clusters.lower_each(q, times, needed=-np.inf)
+    some = clusters.lower_each(q, times, needed=0.3)
+    fine = clusters.lower_each(q, times)
+    true = np.array(
+        [[proximity.distance_of(k, at, time=t) for k in range(len(clusters))] for at, t in zip(q, times, strict=True)]
+    )
+    assert (coarse <= some).all()
+    assert (some <= fine).all()
+    assert (fine <= np.maximum(true, 0.0) + 1e-9).all()
+    assert (some == fine)[fine < 0.3].all()
+    assert (coarse < fine).any()
+    assert (fine > 0.3).any()
+    assert (fine[true < 0.0] == -np.inf).all()
+
+
+def test_what_is_expected_is_answered_alike(backhoe: Robot, scan: Obstacle) -> None:
+    moving = replace(scan, velocity=np.array([0.1, -0.2, 0.05]))
+    rng = np.random.default_rng(6)
+    q = np.array([backhoe.random_q(rng) for _ in range(12)])
+    for obstacle in (scan, moving):
+        plain, ahead = (Proximity(backhoe, [obstacle]) for _ in range(2))
+        ahead.clusters.expect(q, 1.5, needed=np.full(len(ahead.clusters), 0.2))
+        for time in (1.5, 0.5):  # the second is another moment than was expected
+            for row in q:
+                floor = plain.clearance + rng.uniform(0.0, 0.5, len(plain.pairs))
+                (bounds, measured), (alike, also) = (
+                    one.lower_bounds(row, time=time, floor=floor) for one in (plain, ahead)
+                )
+                true = np.array([plain.distance_of(k, row, time=time) for k in range(len(plain.pairs))])
+                for found, exact in ((bounds, measured), (alike, also)):
+                    assert found[exact] == pytest.approx(true[exact], abs=1e-9)
+                    assert (found <= true + 1e-9).all()
+                    assert (found >= np.minimum(floor, true) - 1e-9).all()

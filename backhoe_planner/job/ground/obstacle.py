@@ -10,7 +10,7 @@ import pinocchio as pin
 from backhoe_planner.arrays import Vector, as_number
 from backhoe_planner.errors import check_kind
 from backhoe_planner.job.ground.terrain import Terrain
-from backhoe_planner.machine import TerrainSolid
+from backhoe_planner.machine import Cluster, TerrainSolid
 from backhoe_planner.machine.shape import shapes
 from backhoe_planner.site import Obstacle, terrain_body
 from backhoe_planner.site.schema import obstacle_shapes
@@ -44,8 +44,7 @@ def terrain_obstacle(
         and cluster.placement == place
         and cluster.solid.is_over(heights, size)
     ):
-        solid = cluster.solid.with_heights(heights)
-        body = cluster.with_solid(solid, cluster.solid.changes_to(solid))
+        body = Cluster(cluster.solid.with_heights(heights), place)
     else:
         body = terrain_body(heights, size, place)
     return Obstacle(

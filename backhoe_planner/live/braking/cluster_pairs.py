@@ -80,7 +80,7 @@ class ClusterPairs:
         """
         T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
         centres, radius = self.balls
-        at = centres @ T.rotation.T + T.translation
+        at = T.rotation @ centres.T + T.translation[:, None]
         away = float(self._bounds.lower(at).min()) - radius
         if away > reach:
             self.covered = self.nearest = away

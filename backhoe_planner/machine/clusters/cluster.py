@@ -2,7 +2,8 @@
 
 Three questions are answered, each by what answers it fastest:
 
-- How far away is it at least, of many points at once: a grid of lower bounds, one look-up each.
+- How far away is it at least, of many points at once: a grid of lower bounds, one look-up each, or for
+  ground its heights around them.
 - How far away is it exactly, within a reach: trees of coal, which descend only where it matters.
 - What of it stands around a link, as few convex pieces: `Cluster.around`.
 """
@@ -10,15 +11,14 @@ Three questions are answered, each by what answers it fastest:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Indices, Matrix, Vector
+from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.machine.clusters.cell_set import CellSet, CoarseCells, LinkBox
-from backhoe_planner.machine.clusters.distance_grid import Change, DistanceGrid, GridFrame
+from backhoe_planner.machine.clusters.distance_grid import DistanceGrid, GridFrame, off_box
 from backhoe_planner.machine.clusters.height_bounds import HeightBounds
 from backhoe_planner.machine.clusters.solid import Placed, Solid
 from backhoe_planner.machine.clusters.trees import Reading
@@ -47,8 +47,7 @@ class Cluster:
         self.solid, self.placement = solid, placement
         self._R, self._t = np.array(placement.rotation), np.array(placement.translation)
         self._is_upright = bool((np.eye(3) == self._R).all())
-        self._grids: dict[bytes, DistanceGrid] = {}
-        self._heights: dict[bytes, HeightBounds | None] = {}
+        self._bounds: dict[bytes, tuple[DistanceGrid | None, HeightBounds | None]] = {}
         self._coarser: dict[bytes, CoarseCells] = {}
         self._coarse_of: tuple[object, CoarseCells | None] = None, None  # asked for last
 
@@ -62,22 +61,8 @@ class Cluster:
     def moved_to(self, placement: pin.SE3) -> Cluster:
         """The same solid elsewhere, with what was built to measure it."""
         found = Cluster(self.solid, placement)
-        found._grids.update(self._grids)
-        found._heights.update(self._heights)
+        found._bounds.update(self._bounds)
         found._coarser.update(self._coarser)
-        return found
-
-    def with_solid(self, solid: Solid, changes: Sequence[Change] | None = None) -> Cluster:
-        """Another solid at the same place.
-
-        Parameters
-        ----------
-        changes: wherever it is another than this one; then the grids of bounds are not built anew. None: everywhere.
-        """
-        found = Cluster(solid, self.placement)
-        if changes is not None and (solid.bounds == self.solid.bounds).all():
-            for key, grid in self._grids.items():
-                found._grids[key] = grid.renewed(solid.taken(grid.frame), changes) if changes else grid
         return found
 
     @property
@@ -98,12 +83,17 @@ class Cluster:
         if (high <= low).any():
             return Distances(self._R, self._t, None, None, self.solid.bounds, self._is_upright)
         key = np.round(np.concatenate((low, high)), 6).tobytes()
-        if key not in self._grids:
-            frame = GridFrame(low, high, least_step=self.solid.finest)
-            self._grids[key] = DistanceGrid(frame, self.solid.taken(frame), self.solid.bounds)
-        if key not in self._heights:
-            self._heights[key] = self.solid.height_bounds(low, high)
-        return Distances(self._R, self._t, self._grids[key], self._heights[key], self.solid.bounds, self._is_upright)
+        if key not in self._bounds:
+            self._bounds[key] = self._make_bounds(low, high)
+        return Distances(self._R, self._t, *self._bounds[key], self.solid.bounds, self._is_upright)
+
+    def _make_bounds(self, low: Vector, high: Vector) -> tuple[DistanceGrid | None, HeightBounds | None]:
+        """Bounds in the box from `low` to `high` (3,) [m]: from the heights of ground, from a grid of all else."""
+        heights = self.solid.height_bounds(low, high)
+        if heights is not None:
+            return None, heights
+        frame = GridFrame(low, high, least_step=self.solid.finest)
+        return DistanceGrid(frame, self.solid.taken(frame), self.solid.bounds), None
 
     def prepare(self, centre: Vector, radius: float) -> None:
         """Build what answers questions within `radius` [m] of `centre` (3,), world, before the first is asked."""
@@ -385,23 +375,20 @@ class Distances:
     bounds: Matrix
     is_upright: bool
 
-    def lower(self, points: Array, shift: Vector | None = None) -> Array:
-        """(...) lower bounds of the distance of points (..., 3), world [m]; 0 where nothing is known.
+    def lower(self, points: Matrix, shift: Matrix | None = None) -> Vector:
+        """(k,) lower bounds of the distance of points (3, k), world [m]; 0 where nothing is known.
 
-        shift: (3,) how far the cluster has moved [m].
+        shift: (3, k) how far the cluster has moved, for each of them [m].
         """
-        own = points - (self.t if shift is None else self.t + shift)
+        own = points - self.t[:, None]
+        if shift is not None:
+            own -= shift
         if not self.is_upright:
-            own = own @ self.R
-        if self.heights is not None and self.grid is not None:
-            found, over = self.heights.lower(own)
-            if not over.all():
-                found[~over] = self.grid.lower(own[~over])
-            return found
+            own = self.R.T @ own
         if self.grid is not None:
             return self.grid.lower(own)
-        away = np.maximum(np.maximum(self.bounds[0] - own, own - self.bounds[1]), 0.0)
-        return np.asarray(np.sqrt((away * away).sum(axis=-1)))
+        off = off_box(own, self.bounds)
+        return off if self.heights is None else np.maximum(self.heights.lower(own)[0], off, out=off)
 
 
 _NO_SHIFT = np.zeros(3)

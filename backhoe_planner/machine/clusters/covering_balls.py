@@ -11,19 +11,20 @@ _SMALL = 0.02  # m, half edge of a part that needs no smaller balls; chosen
 _MOST_BALLS = 24  # that cover one piece; chosen: more are tighter, and take longer
 
 
-def covering_balls(piece: Piece) -> tuple[Matrix, float]:
-    """(k, 3) centres and a radius [m]: balls that cover a link's piece, in its body's frame."""
+def covering_balls(piece: Piece, *, most: int = _MOST_BALLS) -> tuple[Matrix, float]:
+    """(k, 3) centres and a radius [m]: up to `most` balls that cover a link's piece, in its body's frame."""
     R, middle, half, radius = _box_around(piece) or (np.eye(3), np.zeros(3), np.zeros(3), 0.0)
-    counts, cell = np.ones(3, dtype=int), half.copy()
-    while cell.max() > max(radius, _SMALL):
-        longest = int(np.argmax(cell))
-        if counts.prod() // counts[longest] * (counts[longest] + 1) > _MOST_BALLS:
+    edges, counts = half.tolist(), [1, 1, 1]
+    while True:
+        cells = [edge / count for edge, count in zip(edges, counts, strict=True)]
+        longest = cells.index(max(cells))
+        more = [count + (axis == longest) for axis, count in enumerate(counts)]
+        if cells[longest] <= max(radius, _SMALL) or more[0] * more[1] * more[2] > most:
             break
-        counts[longest] += 1
-        cell[longest] = half[longest] / counts[longest]
-    places = np.array(list(np.ndindex(*counts.tolist())), dtype=float)
-    centres = middle + ((2.0 * places + 1.0) * cell - half) @ R.T
-    return centres, float(np.linalg.norm(cell)) + radius
+        counts = more
+    places = np.indices(counts).reshape(3, -1).T
+    centres = middle + ((2.0 * places + 1.0) * cells - half) @ R.T
+    return centres, float(np.linalg.norm(cells)) + radius
 
 
 def _box_around(piece: Piece) -> tuple[Matrix, Vector, Vector, float] | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 
 _RINGS = (0, 1, 2, 3, 4, 6, 8, 12, 17, 24, 34)  # cells from that of the point to the ends of each square; chosen
 REACH = _RINGS[-1]  # cells around a region that are looked at
@@ -33,25 +33,32 @@ class HeightBounds:
         tops = np.nextafter(tops.astype(np.float32), np.float32(np.inf))
         own = slice(REACH, -REACH)
         rings = [maximum_filter(tops, size=2 * ring + 1, mode="constant", cval=-np.inf)[own, own] for ring in _RINGS]
-        self._counts = np.array(rings[0].shape)
+        self._counts = np.array(rings[0].shape)[:, None]
         self._highest = np.stack(rings, axis=2).reshape(-1, len(_RINGS))
-        self._low, self._per_cell = low, 1.0 / cell
+        self._low, self._per_cell = low[:, None], 1.0 / cell[:, None]
         aside = np.maximum(np.array(_RINGS) * float(cell.min()) - _ROUNDING, 0.0)
         # ground that is in a square and not in the one before is that far to the side at least
-        self._squared_aside = np.concatenate(([0.0], aside[:-1] ** 2))
+        self._squared_aside = np.concatenate(([0.0], aside[:-1] ** 2))[:, None]
         self._furthest = float(aside[-1])
 
-    def lower(self, points: Array) -> tuple[Array, Flags]:
-        """(...) lower bounds of the distance from points (..., 3) [m], and (...) which points are over the region.
+    def lower(self, points: Matrix) -> tuple[Vector, Flags]:
+        """(k,) lower bounds of the distance from points (3, k) [m], and (k,) which points are over the region.
 
         The others have 0.
         """
-        at = (points[..., :2] - self._low) * self._per_cell
-        over = np.asarray(((at >= 0.0) & (at < self._counts)).all(axis=-1))
-        cell = np.minimum(np.maximum(at, 0.0), self._counts - 1).astype(np.intp)
-        above = points[..., 2:] - self._highest.take(cell[..., 0] * self._counts[1] + cell[..., 1], axis=0)
+        at = points[:2] - self._low
+        at *= self._per_cell
+        over = np.logical_and.reduce((at >= 0.0) & (at < self._counts), axis=0)
+        x, y = np.minimum(np.maximum(at, 0.0, out=at), self._counts - 1, out=at).astype(np.intp)
+        x *= int(self._counts[1, 0])
+        x += y
+        # squares run along the first axis, in which numpy is quick
+        above = np.empty((len(_RINGS), len(x)))
+        np.subtract(points[2], self._highest.take(x, axis=0).T, out=above)
         np.maximum(above, 0.0, out=above)
         above *= above
         above += self._squared_aside
-        found = np.minimum(np.sqrt(np.minimum.reduce(above, axis=-1)), self._furthest)
-        return np.asarray(found * over), over
+        found = np.sqrt(np.minimum.reduce(above, axis=0))
+        np.minimum(found, self._furthest, out=found)
+        found *= over
+        return found, over

@@ -17,7 +17,7 @@ import numpy as np
 from backhoe_planner.arrays import Array, Flags, Indices, Matrix, Vector
 from backhoe_planner.errors import InputError
 from backhoe_planner.machine.clusters.cell_set import CellSet
-from backhoe_planner.machine.clusters.distance_grid import Change, GridFrame
+from backhoe_planner.machine.clusters.distance_grid import GridFrame
 from backhoe_planner.machine.clusters.height_bounds import REACH, HeightBounds
 from backhoe_planner.machine.clusters.solid import Placed
 from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, surface_tree
@@ -25,8 +25,6 @@ from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, s
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
 _MOST_TREES = 256  # that are kept; chosen: some 330 MB
 _LOWERED = 0.5  # of the depth by which the lowest point may come nearer to the floor before that is lowered; chosen
-_MOST_CHANGES = 6  # places looked at one by one, others as one; chosen, a cut has one and what slumps after it few
-_RAISED = 0.5  # m by which the box around it grows at a time, so that what rests on it lasts; chosen
 _MOST_PARTS = 500_000  # into which they are divided then; chosen: 22 MB
 _FINE = 0.05  # m, edge up to which cells are divided to bound distances; chosen
 _SKIRT = (-1, -1)  # the tile of the walls and the floor
@@ -83,14 +81,11 @@ class TerrainSolid:
     def with_heights(self, heights: Matrix) -> TerrainSolid:
         """The ground with other heights (rows, columns) [m] at the same places.
 
-        Trees of tiles in which no height is another are taken over; the box around it does not become smaller.
+        Trees of tiles in which no height is another are taken over.
         """
         found = TerrainSolid(heights, self._size, depth=self._depth, most=self._most)
         found._floor = min(self._floor, found._floor + _LOWERED * self._depth)
-        top = float(self.bounds[1, 2])
-        if found.bounds[1, 2] > top:
-            top += _RAISED * np.ceil((found.bounds[1, 2] - top) / _RAISED)
-        found.bounds = np.array([[*found._low, found._floor], [*-found._low, top]])
+        found.bounds[0, 2] = found._floor
         same = heights == self._heights
         for tile, tree in self._trees.items():
             if tile == _SKIRT:
@@ -102,25 +97,6 @@ class TerrainSolid:
                 is_same = bool(same[r0 : r1 + 1, c0 : c1 + 1].all())
             if is_same:
                 found._trees[tile] = tree
-        return found
-
-    def changes_to(self, other: TerrainSolid) -> list[Change] | None:
-        """Where another ground over the same places differs; None where that is everywhere, as with another floor."""
-        from scipy.ndimage import find_objects, label
-
-        if other._floor != self._floor:
-            return None
-        found = []
-        for came in (False, True):
-            differs = other._heights > self._heights if came else other._heights < self._heights
-            numbers, count = label(differs, np.ones((3, 3), dtype=int))
-            if count > _MOST_CHANGES:
-                numbers = differs.astype(int)
-            for rows, columns in find_objects(numbers):
-                r, c = (slice(max(one.start - 1, 0), one.stop + 1) for one in (rows, columns))
-                both = np.stack((self._heights[r, c], other._heights[r, c]))
-                x, y = self._x[c], self._y[r]
-                found.append(Change(np.array([x[0], y[0], both.min()]), np.array([x[-1], y[-1], both.max()]), came))
         return found
 
     def prepare(self) -> None:

@@ -58,6 +58,9 @@ def find_margins(
     """
     least, found = np.inf, []
     margins = np.broadcast_to(reach + spare, len(q)).tolist()
+    if len(proximity.clusters):
+        needed = proximity.clearance[proximity.plain :] + np.array(margins)[:, None]
+        proximity.clusters.expect(q, time, needed=needed)
     for place, row in enumerate(q):
         nearby = proximity.at(row, time=time, margin=margins[place])
         if len(nearby):

@@ -11,7 +11,7 @@ from backhoe_planner.arrays import Indices, Matrix, Vector
 from backhoe_planner.planning.search.motion_check import MotionCheck, places
 from backhoe_planner.site import ClearanceScreen
 
-_TOGETHER = 16  # places asked about at once where there are clusters, after the first few; chosen
+_TOGETHER = 16  # places asked about at once where there are clusters; chosen
 _APART = 0.04  # m between two looks, of the point that moves most; chosen: a motion of 1 s is looked at 20 to 60 times
 
 
@@ -34,12 +34,10 @@ class SampledCheck(MotionCheck):
         parts = places(steps)
         if not self._screen.has_clusters:
             return all(self._is_clear_at(point(part)) for part in parts)
-        first, count = 0, 1
-        while first < len(parts):
-            if not self._are_clear_at(np.array([point(part) for part in parts[first : first + count]])):
-                return False
-            first, count = first + count, min(2 * count, _TOGETHER)
-        return True
+        return all(
+            self._are_clear_at(np.array([point(part) for part in parts[first : first + _TOGETHER]]))
+            for first in range(0, len(parts), _TOGETHER)
+        )
 
     def _are_clear_at(self, q: Matrix) -> bool:
         """The same as `_is_clear_at` of all of `q` (N, n)."""

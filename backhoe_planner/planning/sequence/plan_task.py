@@ -77,17 +77,43 @@ def plan(
     begun = clock.monotonic()
     brake = Brake(budget)
     problem = build_problem(robot, scene)
-    if problem.legs and checked == "paper":
-        allowed = ", ".join(name for name in METHODS if name != checked)
-        raise InputError("plans one motion; this scene has a sequence", key="method", found=checked, allowed=allowed)
+    return plan_problem(problem, checked, seed=seed, effort=asked, brake=brake, watch=watch, begun=begun)
+
+
+def plan_problem(
+    problem: Problem,
+    method: Method = "auto",
+    *,
+    seed: int = 0,
+    effort: EffortName = "normal",
+    brake: Brake | None = None,
+    watch: Watcher | None = None,
+    begun: float | None = None,
+) -> Plan:
+    """The same for a problem that is built already.
+
+    Parameters
+    ----------
+    method, seed, effort, watch: as of `plan`.
+    brake: ends what takes too long; by default nothing does.
+    begun: when the clock stood at the beginning of what counts as planning time [s]; by default now.
+
+    Raises
+    ------
+    InputError: the method is not one for this task.
+    """
+    begun, brake = clock.monotonic() if begun is None else begun, brake or Brake()
+    if problem.legs and method == "paper":
+        allowed = ", ".join(name for name in METHODS if name != method)
+        raise InputError("plans one motion; this scene has a sequence", key="method", found=method, allowed=allowed)
     if problem.legs:
-        return _plan_sequence(problem, checked, seed=seed, effort=asked, brake=brake, watch=watch, begun=begun)
-    if checked == "paper" and (len(problem.goals) != 1 or problem.goals[0].q is not None):
+        return _plan_sequence(problem, method, seed=seed, effort=effort, brake=brake, watch=watch, begun=begun)
+    if method == "paper" and (len(problem.goals) != 1 or problem.goals[0].q is not None):
         has = "list of goals, or joints" if problem.goals else "path"
-        allowed = ", ".join(name for name in METHODS if name != checked)
+        allowed = ", ".join(name for name in METHODS if name != method)
         problem_text = f"needs a goal given by the tip's pose; this scene has a {has}"
-        raise InputError(problem_text, key="method", found=checked, allowed=allowed)
-    outcome, certificate = plan_motion(problem, checked, seed=seed, effort=EFFORTS[asked], brake=brake, watch=watch)
+        raise InputError(problem_text, key="method", found=method, allowed=allowed)
+    outcome, certificate = plan_motion(problem, method, seed=seed, effort=EFFORTS[effort], brake=brake, watch=watch)
     planning_time = clock.monotonic() - begun
     note = outcome.message
     if note and not outcome.reason and not certificate.verified:
@@ -96,7 +122,7 @@ def plan(
         note = "; ".join(filter(None, (note, _describe_unused_limits(problem, outcome.trajectory))))
     return Plan(
         problem=problem,
-        method=checked,
+        method=method,
         seed=seed,
         trajectory=outcome.trajectory,
         certificate=certificate,
@@ -106,13 +132,13 @@ def plan(
             certificate,
             planning_time=planning_time,
             detours=outcome.findings.detours,
-            compare=checked in ("auto", "optimal"),
+            compare=method in ("auto", "optimal"),
         ),
         findings=outcome.findings,
         failure=outcome.reason,
         note=note,
-        effort=asked,
-        boxes=EFFORTS[asked].boxes,
+        effort=effort,
+        boxes=EFFORTS[effort].boxes,
     )
 
 
