@@ -210,6 +210,32 @@ def test_distance_is_that_of_all_cells(kind: str) -> None:
     assert min(signs) >= 3
 
 
+def test_few_cells_of_ground_tell_what_its_trees_tell(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(16)
+    heights = 0.2 * np.sin(0.2 * np.arange(101))[:, None] + rng.normal(0.0, 0.02, (101, 101))
+    few, plain = (TerrainSolid(heights, (6.0, 6.0), depth=5.0, most=10**5) for _ in range(2))
+    asked, ways = few._from_few_cells, []
+
+    def watched(*given: Any) -> Any:
+        ways.append(asked(*given))
+        return ways[-1]
+
+    monkeypatch.setattr(few, "_from_few_cells", watched)
+    monkeypatch.setattr(plain, "_from_few_cells", lambda *_: (False, None))
+    for number in range(240):
+        link, turn = LINKS[number % 3], rng.normal(0.0, 0.3 * (number % 2), 3)
+        T = pin.SE3(pin.exp3(turn), rng.uniform([-3.2, -3.2, -0.3], [3.2, 3.2, 1.2]))
+        reach = float(rng.uniform(0.0, 1.0))
+        found, true = (Cluster(solid, HERE).measure(link, T, reach) for solid in (few, plain))
+        assert (found is None) == (true is None)
+        if found is not None and true is not None:
+            assert found.distance == pytest.approx(true.distance, abs=1e-9)
+            assert found.distance <= 0.0 or found.normal @ true.normal > 1.0 - 1e-6
+    assert sum(decides and reading is None for decides, reading in ways) >= 8
+    assert sum(decides and reading is not None for decides, reading in ways) >= 8
+    assert sum(not decides for decides, _ in ways) >= 8
+
+
 @pytest.mark.parametrize("kind", ["scan", "terrain", "mesh"])
 def test_boxes_around_a_link_contain_all_cells(kind: str) -> None:
     rng = np.random.default_rng(8)
