@@ -312,7 +312,7 @@ class MotionSearch:
         goals = [self._postures[index] for index in ends]
         check = SampledCheck(
             self._problem, self._world.proximity, [start, *goals],
-            spare=_SPARES[turn % len(_SPARES)], time=self._time, brake=work.brake,
+            spare=_SPARES[turn % len(_SPARES)], time=self._time, brake=work.brake, hurried=not self._goes_on(),
         )  # fmt: skip
         seed = (self._world.seed + turn * _SEEDS_APART) % 2**32
         before = self._sampling.motions
