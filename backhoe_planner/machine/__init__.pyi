@@ -7,6 +7,7 @@ from .capability.denavit_hartenberg import dh_table as dh_table
 from .clusters.cluster import Cluster as Cluster
 from .clusters.cluster import Distances as Distances
 from .clusters.cluster import Part as Part
+from .clusters.covering_balls import box_around as box_around
 from .clusters.covering_balls import covering_balls as covering_balls
 from .clusters.mesh_solid import MeshSolid as MeshSolid
 from .clusters.terrain import TerrainSolid as TerrainSolid

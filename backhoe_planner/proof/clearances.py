@@ -1,7 +1,7 @@
 """Proven distances between samples: whether one segment is clear, and the least distances of a whole motion.
 
-On a segment from q_a to q_b, joints moving linearly, no point of a link moves further than
-B = sum_j |dq_j| r_j relative to an obstacle (its own travel added), so the distance
+On a segment from q_a to q_b, joints moving linearly, no point of a link moves further than some
+B relative to an obstacle (its own travel added; `site.pairs.ways`), so the distance
 anywhere between is at least (d_a + d_b - B) / 2. Where that bound does not decide, the
 segment is halved; over a whole motion, always the segment with the lowest bound, until no
 bound is below what was measured, to within `RESOLUTION` (or 2 % of the margin, where that is
@@ -54,11 +54,14 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
     searches = [_Search(proximity, time, q) for _ in range(len(proximity.obstacles) + 1)]
     least = np.full(len(searches), _NEVER)
 
-    def look(row: int, beyond: Vector | float) -> tuple[Vector, Flags]:
-        """(P,) margins at a sample, or lower bounds that are more by `beyond` (P,) than the least; (P,) which are."""
+    def look(row: int, beyond: Vector | float, known: Vector) -> tuple[Vector, Flags]:
+        """(P,) margins at a sample, or lower bounds that are more by `beyond` (P,) than the least; (P,) which are.
+
+        The distances are known to be at least `known` (P,) [m].
+        """
         here = proximity.appears_at <= time[row]
         floor = np.where(here, least[owners] + proximity.clearance + beyond, -np.inf)
-        lower, measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor)
+        lower, measured = proximity.lower_bounds(q[row], time=float(time[row]), floor=floor, known=known)
         margins = np.where(here, lower - proximity.clearance, np.inf)
         pairs = np.flatnonzero(measured & here)
         for pair in pairs[margins[pairs] < least[owners[pairs]]].tolist():
@@ -67,32 +70,36 @@ def find_clearances(proximity: Proximity, trajectory: Trajectory) -> tuple[Obstr
         return margins, measured
 
     # where an obstacle is nearest is known about after a few looks; what is further away is then hardly measured
-    for row in range(0, len(time), _FIRST_LOOKS):
-        look(row, 0.0)
+    firsts = np.arange(0, len(time), _FIRST_LOOKS)
+    for row, bounds in zip(firsts.tolist(), proximity.bounds_unchecked(q[firsts]), strict=True):
+        look(row, 0.0, bounds)
     # row by row: samples times pairs may be more than a machine's memory holds
-    steps, spans = np.abs(np.diff(q, axis=0, append=q[-1:])), np.diff(time, append=time[-1])
-    travel = proximity.travel.dot(steps[0]) + spans[0] * proximity.speed
+    steps, spans, ways = np.abs(np.diff(q, axis=0, append=q[-1:])), np.diff(time), proximity.ways_unchecked(q)
     clusters = slice(proximity.plain, None)
 
     def expect(first: int) -> None:
         """Bound the distances from clusters at the next samples together."""
         rows, moves = slice(first, first + _TOGETHER), slice(max(first - 1, 0), first + _TOGETHER)
         furthest = proximity.travel[clusters].dot(steps[moves].max(axis=0))
-        furthest += spans[moves].max() * proximity.speed[clusters]
+        furthest += spans[moves].max(initial=0.0) * proximity.speed[clusters]
         needed = least[owners[clusters]] + proximity.clearance[clusters] + 0.5 * furthest
         proximity.clusters.expect(q[rows], time[rows], needed=needed)
 
     expect(0)
-    before, known_before = look(0, 0.5 * travel)
-    for row in range(1, len(time)):
+    still = np.zeros(len(owners))
+    travel = still if len(time) == 1 else next(ways) + spans[0] * proximity.speed
+    every = proximity.bounds_unchecked(q)
+    before, known_before = look(0, 0.5 * travel, next(every))
+    for row, known_here in enumerate(every, start=1):
         if row % _TOGETHER == 0:
             expect(row)
-        came, travel = travel, proximity.travel.dot(steps[row]) + spans[row] * proximity.speed
-        margins, known = look(row, 0.5 * np.maximum(came, travel))
+        came = travel
+        travel = next(ways) + spans[row] * proximity.speed if row < len(spans) else still
+        margins, known = look(row, 0.5 * np.maximum(came, travel), known_here)
         bounds = 0.5 * (before + margins - came)
         for pair in np.flatnonzero(~(bounds >= _to_prove(least)[owners])).tolist():
             ends = (float(before[pair]), float(margins[pair])) if known_before[pair] and known[pair] else None
-            searches[owners[pair]].open(float(bounds[pair]), row - 1, pair, ends)
+            searches[owners[pair]].open(float(bounds[pair]), row - 1, pair, float(came[pair]), ends)
         before, known_before = margins, known
     found = [clearance for search in searches if (clearance := search.finish()) is not None]
     return tuple(sorted(found, key=lambda clearance: clearance.margin))
@@ -115,8 +122,9 @@ class _Search:
         self._proximity, self._time, self._q = proximity, time, q
         self.least = _NEVER
         self._where = (0.0, 0)  # moment and pair of the least margin
-        # (bound, tie-breaker, segment, pair, from, to, margins there): parts 0..1 of a segment
-        self._open: list[tuple[float, int, int, int, float, float, tuple[float, float] | None]] = []
+        # (bound, tie-breaker, segment, pair, how much the margin can change on the segment, from, to, margins there):
+        # parts 0..1 of a segment
+        self._open: list[tuple[float, int, int, int, float, float, float, tuple[float, float] | None]] = []
         self._measured = 0
 
     def note(self, margin: float, moment: float, pair: int) -> None:
@@ -124,9 +132,12 @@ class _Search:
         if margin < self.least:
             self.least, self._where = margin, (moment, pair)
 
-    def open(self, bound: float, segment: int, pair: int, ends: tuple[float, float] | None) -> None:
-        """On this segment the margin may be as low as `bound`; `ends` are the margins at its ends, where measured."""
-        heapq.heappush(self._open, (bound, len(self._open), segment, pair, 0.0, 1.0, ends))
+    def open(self, bound: float, segment: int, pair: int, way: float, ends: tuple[float, float] | None) -> None:
+        """On this segment the margin may be as low as `bound`, and changes by `way` at most [m].
+
+        `ends` are the margins at its ends, where measured.
+        """
+        heapq.heappush(self._open, (bound, len(self._open), segment, pair, way, 0.0, 1.0, ends))
 
     def finish(self) -> Obstruction | None:
         """Halve the segment with the lowest bound until no bound is below what is to be proven.
@@ -138,16 +149,16 @@ class _Search:
         while self._open and self._open[0][0] < _to_prove(self.least):
             if self._measured > (_EFFORT_REFUTED if self.least < -KEPT_WITHIN else _EFFORT):
                 break
-            _, _, segment, pair, a, b, known = heapq.heappop(self._open)
+            _, _, segment, pair, way, a, b, known = heapq.heappop(self._open)
             middle = 0.5 * (a + b)
             m_a, m_b = known or (self._measure(segment, pair, a), self._measure(segment, pair, b))
             m_m = self._measure(segment, pair, middle)
-            half = 0.5 * (b - a) * self._travel(segment, pair)
+            half = 0.5 * (b - a) * way
             for start, m_1, m_2 in ((a, m_a, m_m), (middle, m_m, m_b)):
                 tie += 1
                 bound = 0.5 * (m_1 + m_2 - half)
                 end = start + 0.5 * (b - a)
-                heapq.heappush(self._open, (bound, tie, segment, pair, start, end, (m_1, m_2)))
+                heapq.heappush(self._open, (bound, tie, segment, pair, way, start, end, (m_1, m_2)))
         proven = float(_to_prove(self.least))
         if self.least >= _NEVER and not (self._open and self._open[0][0] < proven):
             return None
@@ -156,11 +167,6 @@ class _Search:
         moment, index = self._where
         tightest = self._proximity.pairs[index]
         return tightest.at(proven + tightest.clearance, time=moment)
-
-    def _travel(self, segment: int, pair: int) -> float:
-        """How much the distance of a pair can change on a segment [m]."""
-        dq, dt = self._q[segment + 1] - self._q[segment], self._time[segment + 1] - self._time[segment]
-        return float(np.abs(dq) @ self._proximity.travel[pair] + dt * self._proximity.speed[pair])
 
     def _measure(self, segment: int, pair: int, part: float) -> float:
         """Margin of a pair at `part` 0..1 of a segment [m]."""
@@ -183,7 +189,7 @@ def _with_appearances(trajectory: Trajectory, proximity: Proximity) -> tuple[Vec
 
 def segment_is_clear(
     proximity: Proximity, q_a: Vector, q_b: Vector, *, time: float = 0.0, dt: float = 0.0, depth: int = 6,
-    spare: float = 0.0,
+    spare: float = 0.0, known: Vector | None = None, way: Vector | None = None,
 ) -> bool:  # fmt: skip
     """Whether every clearance provably holds on one segment.
 
@@ -194,46 +200,47 @@ def segment_is_clear(
     time, dt: when the segment begins, and how long it takes [s].
     depth: how often it may be halved.
     spare: distance to be kept in addition to every clearance [m]; negative to allow less.
+    known: (P,) what the distances at `q_a` are known to be at least [m].
+    way: (P,) how much the distances can change on the segment, obstacles' own motions apart, see
+        `Proximity.ways_unchecked`; by default it is bounded anew.
     """
-    if not proximity.is_at_unchecked(q_a, time=time):
+    if way is None:
         proximity.cover_unchecked(np.array([q_a, q_b]))
-        reach = proximity.clearance + spare + proximity.travel @ np.abs(q_b - q_a) + dt * proximity.speed
-        proximity.lower_bounds(q_a, time=time, floor=reach)
-    pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare)
+        way = proximity.travel.dot(np.abs(q_b - q_a))
+    way = way + dt * proximity.speed
+    if not proximity.is_at_unchecked(q_a, time=time):
+        proximity.lower_bounds(q_a, time=time, floor=proximity.clearance + spare + way, known=known)
+    pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare, way=way)
     if not len(pairs):
         return True
-    ends = [
-        proximity.distances_below_unchecked(pairs, _floor(proximity, pairs, q_b - q_a, dt, spare), q, time=moment)
+    way = way[pairs]
+    floor = proximity.clearance[pairs] + spare + way
+    d_a, d_b = (
+        proximity.distances_below_unchecked(pairs, floor, q, time=moment)
         for q, moment in ((q_a, time), (q_b, time + dt))
-    ]
-    return _keep(proximity, pairs, q_a, q_b, *ends, time=time, dt=dt, depth=depth, spare=spare)
-
-
-def _floor(proximity: Proximity, pairs: Indices, delta: Vector, dt: float, spare: float) -> Vector:
-    """(K,) distances [m] from which a motion `delta` (n,) in dt [s] does not lead below the clearances of `pairs`."""
-    travel = proximity.travel[pairs].dot(np.abs(delta)) + dt * proximity.speed[pairs]
-    return np.asarray(proximity.clearance[pairs] + spare + travel)
+    )
+    return _keep(proximity, pairs, q_a, q_b, d_a, d_b, way, time=time, dt=dt, depth=depth, spare=spare)
 
 
 def _keep(
-    proximity: Proximity, pairs: Indices, q_a: Vector, q_b: Vector, d_a: Vector, d_b: Vector,
+    proximity: Proximity, pairs: Indices, q_a: Vector, q_b: Vector, d_a: Vector, d_b: Vector, way: Vector,
     *, time: float, dt: float, depth: int, spare: float,
 ) -> bool:  # fmt: skip
-    """`segment_is_clear` of some pairs (K,), with distances d_a, d_b (K,) at the ends [m]."""
+    """`segment_is_clear` of some pairs (K,), with distances d_a, d_b (K,) at the ends that change by `way` (K,) [m]."""
     least = proximity.clearance[pairs] + spare
-    floor = _floor(proximity, pairs, q_b - q_a, dt, spare)
+    floor = least + way
     undecided = (d_a + d_b < least + floor) & (proximity.appears_at[pairs] <= time + dt)
     if not np.count_nonzero(undecided):
         return True
     pairs, d_a, d_b, least, floor = pairs[undecided], d_a[undecided], d_b[undecided], least[undecided], floor[undecided]
     if depth == 0 or np.count_nonzero(np.minimum(d_a, d_b) < least):
         return False
-    half, middle = 0.5 * dt, 0.5 * (q_a + q_b)
+    half, middle, way = 0.5 * dt, 0.5 * (q_a + q_b), 0.5 * way[undecided]
     d_m = proximity.distances_below_unchecked(pairs, floor, middle, time=time + half)
     return _keep(
-        proximity, pairs, q_a, middle, d_a, d_m, time=time, dt=half, depth=depth - 1, spare=spare
+        proximity, pairs, q_a, middle, d_a, d_m, way, time=time, dt=half, depth=depth - 1, spare=spare
     ) and _keep(
-        proximity, pairs, middle, q_b, d_m, d_b, time=time + half, dt=half, depth=depth - 1, spare=spare
+        proximity, pairs, middle, q_b, d_m, d_b, way, time=time + half, dt=half, depth=depth - 1, spare=spare
     )  # fmt: skip
 
 
@@ -262,7 +269,9 @@ def motion_is_clear(proximity: Proximity, time: Vector, q: Matrix) -> bool:
     return all(
         segment_is_clear(
             proximity, q[k], q[k + 1], time=float(time[k]), dt=float(time[k + 1] - time[k]),
-            depth=_TOUCHING_DEPTH, spare=-STEP_ROUNDING,
+            depth=_TOUCHING_DEPTH, spare=-STEP_ROUNDING, known=known, way=way,
         )
-        for k in range(len(q) - 1)
+        for k, (known, way) in enumerate(
+            zip(proximity.bounds_unchecked(q[:-1]), proximity.ways_unchecked(q), strict=True)
+        )
     )  # fmt: skip

@@ -10,8 +10,8 @@ import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Distances, Reading, Robot, reach_ball
-from backhoe_planner.site.link_balls import BallLevel, LinkBalls, Poses
 from backhoe_planner.site.obstacles import Obstacle, offset_at
+from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
 
 EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; chosen, about how far obstacles act
 _MOST_BALLS = (4, 24)  # of a piece, on each level; chosen
@@ -38,7 +38,8 @@ class ClusterDistances:
         self.owner, self.piece = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
         self._reach = reach_ball(robot)
         pieces, self._column = np.unique(self.piece, return_inverse=True)
-        self._balls = LinkBalls(robot, pieces.tolist(), most=_MOST_BALLS) if pairs else None
+        own = [robot.pieces[row] for row in pieces.tolist()]
+        self._balls = LinkBalls(own, most=_MOST_BALLS) if pairs else None
         self._rows = [(index, np.flatnonzero(self.owner == index)) for index in np.unique(self.owner).tolist()]
         self._moving = {index for index, _ in self._rows if obstacles[index].moves}
         self._grids: dict[int, Distances] = {}

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -34,19 +33,19 @@ from backhoe_planner.machine import (
     ResultTable,
     Robot,
     reach_ball,
-    self_pairs,
     self_pieces,
-    tracking_room,
-    travel_bounds,
 )
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
-from backhoe_planner.site.obstruction import Obstruction, Pair
+from backhoe_planner.site.obstruction import Obstruction
 from backhoe_planner.site.pairs.approach import ApproachBounds, Lead
+from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
+from backhoe_planner.site.pairs.listing import list_pairs, travel_within, with_tracking_room
 from backhoe_planner.site.pairs.nearby import Nearby
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
 from backhoe_planner.site.pairs.reachable import distances_from_ball
+from backhoe_planner.site.pairs.ways import link_ways
 
 # what n_a p_b omega_c counts in n . (omega x p), (a b, c)
 _TURNS = np.array([np.cross(np.eye(3), axis) for axis in np.eye(3)]).reshape(9, 3)
@@ -94,27 +93,9 @@ class Proximity:
         self._data = robot.model.createData()
         # a view of Pinocchio's own memory: its joint Jacobians at the present placements; of one joint alone it is 1-D
         self._J: Matrix = self._data.J.reshape(6, self._n)
-        pairs: list[Pair] = []
-        owner: list[int] = []
-        second: list[int] = []
-        for index, obstacle in enumerate(self.obstacles):
-            rows = robot.pieces_of(obstacle.links)
-            own = [Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance) for row in rows]
-            for part in range(len(obstacle.pieces)):
-                pairs += own
-                owner += [index] * len(rows)
-                second += [part] * len(rows)
-        for outer, inner in self_pairs(robot).kept if self_collision else ():
-            pairs.append(Pair(self._pieces[outer].link, "machine", self._pieces[inner].link, outer, 0.0))
-            owner.append(-1)
-            second.append(inner)
-        self.plain = len(pairs)
         self.clusters = ClusterDistances(robot, self.obstacles)
-        for index, row in zip(self.clusters.owner.tolist(), self.clusters.piece.tolist(), strict=True):
-            obstacle = self.obstacles[index]
-            pairs.append(Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance))
-            owner.append(index)
-            second.append(0)
+        pairs, owner, second = list_pairs(robot, self.obstacles, self._pieces, self.clusters, own=self_collision)
+        self.plain = len(pairs) - len(self.clusters)
         self.second = tuple(second)
         self.owner = np.array(owner, dtype=int)
         self._bodies = [piece for obstacle in self.obstacles for piece in obstacle.pieces]
@@ -134,13 +115,7 @@ class Proximity:
         limits = robot.limits
         self._run_out = np.where(robot.prismatic, np.maximum(np.abs(limits.lower), np.abs(limits.upper)), np.inf)
         self._take_travel()
-        room = np.zeros(len(pairs))
-        if robot.tube is not None:
-            room = tracking_room(robot, [self._pieces[row] for row in first.tolist()], self.travel)
-        self.pairs = tuple(
-            replace(pair, clearance=pair.clearance + more, tracking=more) if more else pair
-            for pair, more in zip(pairs, room.tolist(), strict=True)
-        )
+        self.pairs = with_tracking_room(robot, pairs, self._pieces, self.travel)
         self.clearance = np.array([pair.clearance for pair in self.pairs])
         velocity = np.array([obstacle.velocity for obstacle in self.obstacles]).reshape(-1, 3)
         self._velocity = np.vstack((velocity, np.zeros((1, 3))))[self.owner]
@@ -182,7 +157,7 @@ class Proximity:
     def _take_travel(self) -> None:
         # joints that move both bodies do not change their distance
         shared, ever = self.robot.support[self._other_joint] > 0.0, self._run_out
-        self.travel = np.where(shared, 0.0, travel_bounds(self.robot, ever, pieces=self._pieces)[self._first])
+        self.travel = np.where(shared, 0.0, travel_within(self.robot, tuple(ever.tolist()))[self._first])
 
     def _take_ball(self) -> None:
         """Find out which pairs the machine can bring near, by the ball that it never leaves."""
@@ -198,6 +173,25 @@ class Proximity:
     def _approach(self) -> ApproachBounds:
         return ApproachBounds(self._pieces, self._bodies)
 
+    @cached_property
+    def _balls(self) -> BallBounds:
+        asked = (self.floor == -np.inf) & (self.speed == 0.0) & (np.arange(len(self.pairs)) < self.plain)
+        return BallBounds(
+            self.robot, len(self._pieces), self._bodies, first=self._first, second=self._body, asked=asked
+        )
+
+    def bounds_unchecked(self, q: Matrix) -> Iterator[Vector]:
+        """(P,) lower bounds of the distances [m] for each of `q` (N, n), found together and without coal.
+
+        They hold at all times, and are minus infinity where nothing is known.
+        """
+        return self._balls.of(q)
+
+    def ways_unchecked(self, q: Matrix) -> Iterator[Vector]:
+        """(P,) the most each distance changes [m] on each straight motion through `q` (N + 1, n); see `link_ways`."""
+        self.cover_unchecked(q)
+        return link_ways(self.robot, self.travel, self._first, self.owner >= 0, q)
+
     @property
     def geometry(self) -> tuple[pin.GeometryModel, pin.GeometryData]:
         """Pinocchio's geometry model with all pairs, and its data; to be read only."""
@@ -211,7 +205,10 @@ class Proximity:
         for part in self._geometry.parts_with(asked):
             yield part.pairs, part.model
 
-    def at(self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf) -> Nearby:
+    def at(
+        self, q: Vector, *, time: float = 0.0, within: float = np.inf, margin: float | Vector = np.inf,
+        known: Vector | None = None,
+    ) -> Nearby:  # fmt: skip
         """The pairs that are near at configuration `q` (n,) and `time` [s].
 
         Obstacles that have not appeared by `time` are left out.
@@ -220,6 +217,7 @@ class Proximity:
         ----------
         within: largest distance [m].
         margin: largest distance beyond the clearance to be kept, one number or (P,) [m].
+        known: (P,) what the distances are known to be at least [m].
         """
         q, time = self._checked(q, time)
         if not (isinstance(margin, float) and margin == margin):
@@ -230,8 +228,7 @@ class Proximity:
         if within < np.inf:
             reach = np.minimum(reach, within)
         self._place(q, time)
-        every = self._known.every
-        return self._rows(*self._measure_within(every, reach, self._known.lower(every, q, time), q, time))
+        return self._rows(*self._measure_within(self._known.every, reach, self._lower_with(known, q, time), q, time))
 
     def at_unchecked(
         self, q: Vector, *, time: float, margin: float, v: Vector, fastest: Vector, stop: float, longest: float
@@ -360,13 +357,19 @@ class Proximity:
         """The same for callers in a loop, whose arguments are right as they are made."""
         return not len(self.unproven_unchecked(q, time=time))
 
-    def unproven_unchecked(self, q: Vector, *, time: float, spare: float = 0.0) -> Indices:
+    def unproven_unchecked(self, q: Vector, *, time: float, spare: float = 0.0, way: Vector | None = None) -> Indices:
         """The pairs of which the last measurement does not prove that they keep their clearance and `spare` [m].
 
-        That is on the straight way from there to `q` (n,), which ends at `time` [s].
+        That is on the straight way from there to `q` (n,), which ends at `time` [s]. By how much the distances can
+        change on it, obstacles' own motions counted in, may be known already: `way` (P,) [m].
         """
         self.cover_unchecked(q)
-        return self._known.unproven(q, time, spare)
+        return self._known.unproven(q, time, spare, way)
+
+    def _lower_with(self, known: Vector | None, q: Vector, time: float) -> Vector:
+        """(P,) lower bounds of all distances from the last measurement [m]; some may be `known` (P,) to be more."""
+        lower = self._known.lower(self._known.every, q, time)
+        return lower if known is None else np.maximum(lower, as_array(known, len(lower), key="known", finite=False))
 
     def distances(self, q: Vector, *, time: float = 0.0) -> Vector:
         """(P,) signed distance of every pair at q (n,), `time` [s], in m; infinite before an obstacle appears.
@@ -397,13 +400,16 @@ class Proximity:
         distance = float(distances[index])
         return self.pairs[index].at(distance, time=time) if np.isfinite(distance) else None
 
-    def lower_bounds(self, q: Vector, *, time: float, floor: Vector) -> tuple[Vector, Flags]:
+    def lower_bounds(
+        self, q: Vector, *, time: float, floor: Vector, known: Vector | None = None
+    ) -> tuple[Vector, Flags]:
         """Signed distances, measured only where they may be below `floor`.
 
         Parameters
         ----------
         q: (n,) joint positions [rad or m]; time: of the site [s].
         floor: (P,) a lower bound above this is good enough [m].
+        known: (P,) what the distances are known to be at least [m].
 
         Returns
         -------
@@ -415,7 +421,7 @@ class Proximity:
             floor = as_array(floor, len(self.pairs), key="floor", finite=False)
         self._place(q, time)
         every = self._known.every
-        lower = self._known.lower(every, q, time)
+        lower = self._lower_with(known, q, time)
         self._raise_by_grids(lower, floor)
         needed = lower < floor
         pairs = needed.nonzero()[0]
@@ -559,13 +565,7 @@ class Proximity:
             counts = left <= margin
             if np.count_nonzero(counts) < len(counts):
                 counts |= lead.can_bind(left, gradient, drift)
-                pair, found, gradient, left, drift = (
-                    pair[counts],
-                    found[counts],
-                    gradient[counts],
-                    left[counts],
-                    drift[counts],
-                )
+                pair, found, gradient, left, drift = (part[counts] for part in (pair, found, gradient, left, drift))
         return Nearby(
             pair, found[:, 0], left, normal=found[:, 1:4], point_link=found[:, 4:7], point_obstacle=found[:, 7:],
             gradient=gradient, drift=drift,

@@ -13,7 +13,7 @@ _MOST_BALLS = 24  # that cover one piece; chosen: more are tighter, and take lon
 
 def covering_balls(piece: Piece, *, most: int = _MOST_BALLS) -> tuple[Matrix, float]:
     """(k, 3) centres and a radius [m]: up to `most` balls that cover a link's piece, in its body's frame."""
-    R, middle, half, radius = _box_around(piece) or (np.eye(3), np.zeros(3), np.zeros(3), 0.0)
+    R, middle, half, radius = box_around(piece) or (np.eye(3), np.zeros(3), np.zeros(3), 0.0)
     edges, counts = half.tolist(), [1, 1, 1]
     while True:
         cells = [edge / count for edge, count in zip(edges, counts, strict=True)]
@@ -27,7 +27,7 @@ def covering_balls(piece: Piece, *, most: int = _MOST_BALLS) -> tuple[Matrix, fl
     return centres, float(np.linalg.norm(cells)) + radius
 
 
-def _box_around(piece: Piece) -> tuple[Matrix, Vector, Vector, float] | None:
+def box_around(piece: Piece) -> tuple[Matrix, Vector, Vector, float] | None:
     """The box around a piece's hull in its own axes: R (3, 3), middle (3,), half edges (3,), and radius [m].
 
     None for a half-space.

@@ -61,8 +61,9 @@ def find_margins(
     if len(proximity.clusters):
         needed = proximity.clearance[proximity.plain :] + np.array(margins)[:, None]
         proximity.clusters.expect(q, time, needed=needed)
-    for place, row in enumerate(q):
-        nearby = proximity.at(row, time=time, margin=margins[place])
+    bounds = proximity.bounds_unchecked(q)
+    for place, (row, known) in enumerate(zip(q, bounds, strict=True)):
+        nearby = proximity.at(row, time=time, margin=margins[place], known=known)
         if len(nearby):
             margin = nearby.margin - spare
             least = min(least, float(margin.min()))

@@ -165,12 +165,15 @@ class KnownBounds:
         every = self._of_every(q, time)
         return every if some is self.every else every[some.pairs]
 
-    def unproven(self, q: Vector, time: float, spare: float) -> Indices:
+    def unproven(self, q: Vector, time: float, spare: float, way: Vector | None = None) -> Indices:
         """The pairs that are not known to keep their clearance and `spare` [m].
 
-        That is on the straight way from where they were measured last to q (n,), which ends at `time` [s].
+        That is on the straight way from where they were measured last to q (n,), which ends at `time` [s]. By how much
+        all distances change on it at most may be known already: `way` (P,) [m].
         """
         some = self._known
+        if way is not None and some is self.every:
+            return (self._lower - way < self._clearance + spare).nonzero()[0]
         dq = np.abs(q - self._q)
         if some.margin < spare or (self._others < np.inf and self._others - self._way(dq, time - self._time) < spare):
             some = self.every

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.machine import ConfigurationBatch, Robot, covering_balls
+from backhoe_planner.machine import ConfigurationBatch, LinkPiece, covering_balls
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,15 @@ class LinkBalls:
 
     Parameters
     ----------
-    pieces: rows of the robot's pieces.
+    pieces: K of the machine's.
     most: the greatest number of balls for a piece, for each level.
     """
 
-    def __init__(self, robot: Robot, pieces: Sequence[int], *, most: Sequence[int]) -> None:
-        own = [robot.pieces[row] for row in pieces]
-        self._joints = sorted({piece.joint for piece in own})
-        slot = np.array([self._joints.index(piece.joint) for piece in own], dtype=np.intp)
+    def __init__(self, pieces: Sequence[LinkPiece], *, most: Sequence[int]) -> None:
+        joints, slot = np.unique([own.joint for own in pieces], return_inverse=True)
+        self._joints: list[int] = joints.tolist()
         self.levels = tuple(
-            BallLevel([covering_balls(piece.piece, most=count) for piece in own], slot) for count in most
+            BallLevel([covering_balls(own.piece, most=count) for own in pieces], slot, joints) for count in most
         )
 
     def poses_at(self, data: pin.Data) -> Poses:
@@ -70,20 +69,28 @@ class BallLevel:
     ----------
     balls: centres (k, 3) in the frame of its joint and radius of each piece [m], see `covering_balls`.
     slot: (K,) which of the joints of `Poses` carries each piece.
+    joints: (J,) the numbers of these joints; 0 for the base.
+
+    Attributes
+    ----------
+    first: (K,) the number of each piece's first ball.
+    radii: (S,) of the balls [m].
+    joints: (S,) the joint that each ball is fixed to.
     """
 
-    def __init__(self, balls: Sequence[tuple[Matrix, float]], slot: Indices) -> None:
+    def __init__(self, balls: Sequence[tuple[Matrix, float]], slot: Indices, joints: Indices) -> None:
         self._counts = np.array([len(centres) for centres, _ in balls])
-        self._first = np.cumsum(self._counts) - self._counts
+        self.first: Indices = np.cumsum(self._counts) - self._counts
         self._slot = slot
         self._radius = np.array([radius for _, radius in balls])
-        self._radii = self._radius.repeat(self._counts)
+        self.radii: Vector = self._radius.repeat(self._counts)
         self._centres = np.ascontiguousarray(np.vstack([centres for centres, _ in balls]).T)
         of_balls = slot.repeat(self._counts)
+        self.joints: Indices = joints[of_balls]
         self._of_slots = [(one, (of_balls == one).nonzero()[0]) for one in np.unique(slot).tolist()]
 
     def __len__(self) -> int:
-        return len(self._radii)
+        return len(self.radii)
 
     def centres(self, poses: Poses) -> Array:
         """(3, N, S) of all balls [m], world."""
@@ -96,7 +103,7 @@ class BallLevel:
 
     def least(self, away: Array) -> Array:
         """(..., K) the least over each piece's balls of distances `away` (..., S) less their radii [m]."""
-        return np.asarray(np.minimum.reduceat(away - self._radii, self._first, axis=-1))
+        return np.asarray(np.minimum.reduceat(away - self.radii, self.first, axis=-1))
 
     def centres_of(self, poses: Poses, rows: Indices, pieces: Indices) -> tuple[Matrix, Indices]:
         """(3, F) of the balls of some pieces (M,) in the configurations `rows` (M,), one after the other [m], world.
@@ -105,7 +112,7 @@ class BallLevel:
         """
         counts = self._counts.take(pieces)
         ends = counts.cumsum()
-        balls = np.arange(ends[-1]) + (self._first.take(pieces) - ends + counts).repeat(counts)
+        balls = np.arange(ends[-1]) + (self.first.take(pieces) - ends + counts).repeat(counts)
         slots = self._slot.take(pieces)
         R = poses.R[rows, slots].transpose(1, 2, 0).repeat(counts, axis=2)
         t = poses.t[rows, slots].T.repeat(counts, axis=1)

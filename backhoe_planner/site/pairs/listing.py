@@ -1,0 +1,71 @@
+"""Which pairs are measured, and how far a machine's own pieces can travel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from backhoe_planner.arrays import Matrix
+from backhoe_planner.machine import LinkPiece, Robot, self_pairs, self_pieces, tracking_room, travel_bounds
+from backhoe_planner.site.cluster_distances import ClusterDistances
+from backhoe_planner.site.obstacles import Obstacle
+from backhoe_planner.site.obstruction import Pair
+
+
+def list_pairs(
+    robot: Robot, obstacles: Sequence[Obstacle], pieces: Sequence[LinkPiece], clusters: ClusterDistances, *, own: bool
+) -> tuple[list[Pair], list[int], list[int]]:
+    """The pairs of convex pieces, then those with clusters; of each the index of its obstacle, and of its other piece.
+
+    Parameters
+    ----------
+    pieces: of the machine, those of `robot.pieces` first.
+    own: whether the machine's own parts are measured, too: their index of an obstacle is -1.
+    """
+    pairs: list[Pair] = []
+    owner: list[int] = []
+    second: list[int] = []
+    for index, obstacle in enumerate(obstacles):
+        rows = robot.pieces_of(obstacle.links)
+        each = [Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance) for row in rows]
+        for part in range(len(obstacle.pieces)):
+            pairs += each
+            owner += [index] * len(rows)
+            second += [part] * len(rows)
+    for outer, inner in self_pairs(robot).kept if own else ():
+        pairs.append(Pair(pieces[outer].link, "machine", pieces[inner].link, outer, 0.0))
+        owner.append(-1)
+        second.append(inner)
+    for index, row in zip(clusters.owner.tolist(), clusters.piece.tolist(), strict=True):
+        obstacle = obstacles[index]
+        pairs.append(Pair(robot.pieces[row].link, "obstacle", obstacle.name, row, obstacle.clearance))
+        owner.append(index)
+        second.append(0)
+    return pairs, owner, second
+
+
+def with_tracking_room(
+    robot: Robot, pairs: Sequence[Pair], pieces: Sequence[LinkPiece], travel: Matrix
+) -> tuple[Pair, ...]:
+    """The pairs with clearances that are larger by what the machine's tracking error can take; see `tracking_room`."""
+    if robot.tube is None:
+        return tuple(pairs)
+    room = tracking_room(robot, [pieces[pair.piece] for pair in pairs], travel)
+    return tuple(
+        replace(pair, clearance=pair.clearance + more, tracking=more) if more else pair
+        for pair, more in zip(pairs, room.tolist(), strict=True)
+    )
+
+
+@lru_cache(maxsize=16)
+def travel_within(robot: Robot, run_out: tuple[float, ...]) -> Matrix:
+    """(K, n) `travel_bounds` of the K pieces of `self_pieces`, while slides are run out no further than `run_out` (n).
+
+    Infinity for a hinge stands for any angle.
+    """
+    found = travel_bounds(robot, np.array(run_out), pieces=self_pieces(robot))
+    found.setflags(write=False)
+    return found

@@ -1,0 +1,64 @@
+"""How much the distances of pairs can change on straight motions of the joints.
+
+On the motion q + s delta, 0 <= s <= 1, no point of a link's piece moves further than sum_j |delta_j| r_j
+(`travel_bounds`), whatever the posture is. From the posture halfway more is known. There a piece moves with
+a velocity v of its balls' centres c and an angular velocity omega, in the one direction that all joints
+together give it, and no point of it faster than |v| + |omega| R. Elsewhere on the motion its velocity is
+another by at most half of the greatest |x''| (`bend_weights`):
+
+    |x'| <= max over the balls (|v| + |omega| R) + 1/2 sum_j r_j b_j
+
+The lesser of the two is taken. It bounds the speed over s, so on a part of the motion that part of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from backhoe_planner.arrays import Flags, Indices, Matrix, Vector
+from backhoe_planner.machine import Robot, bend_weights
+from backhoe_planner.site.pairs.ball_bounds import TOGETHER, balls_of
+
+_ROUNDING = 1e-12  # m: chosen above what sums of a few products are off
+_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+def link_ways(robot: Robot, travel: Matrix, first: Indices, around: Flags, q: Matrix) -> Iterator[Vector]:
+    """(P,) how far any point of each pair's link moves against the other body [m], on each motion of `q` (N + 1, n).
+
+    Parameters
+    ----------
+    travel: (P, n) r of every pair.
+    first: (P,) the number of each link's piece.
+    around: (P,) which pairs are with something that stands; of the others the first bound alone is taken.
+    """
+    for start in range(0, len(q) - 1, TOGETHER):
+        yield from _ways(robot, travel, first, around, q[start : start + TOGETHER + 1])
+
+
+def _ways(robot: Robot, travel: Matrix, first: Indices, around: Flags, q: Matrix) -> Matrix:
+    kinematics, balls = balls_of(robot)
+    delta = np.diff(q, axis=0)
+    at = kinematics.at(q[:-1] + 0.5 * delta)
+    hinges = ~robot.prismatic
+    moments = np.where(hinges[:, None], _cross(at.origins, at.axes), at.axes)
+    # of each joint's body: its velocity at the world's origin, and its angular velocity; those of the base are 0
+    motion = np.zeros((2, len(delta), robot.n + 1, 3))
+    np.cumsum(delta[:, :, None] * moments, axis=1, out=motion[0, :, 1:])
+    np.cumsum((delta * hinges)[:, :, None] * at.axes, axis=1, out=motion[1, :, 1:])
+    (level,) = balls.levels
+    shift, turn = motion[:, :, level.joints]
+    passing = shift + _cross(turn, level.centres(balls.poses_of(at)).transpose(1, 2, 0))
+    speed = np.sqrt(np.vecdot(passing, passing)) + np.sqrt(np.vecdot(turn, turn)) * level.radii
+    of_pieces = np.maximum.reduceat(speed, level.first, axis=1)
+    found: Matrix = np.abs(delta) @ travel.T
+    bend = bend_weights(delta, hinges.astype(float)) @ travel.T
+    local = of_pieces[:, first] + 0.5 * bend + _ROUNDING
+    return np.minimum(found, local, out=found, where=around)
+
+
+def _cross(a: Matrix, b: Matrix) -> Matrix:
+    """(..., 3) the cross products of vectors (..., 3)."""
+    return np.asarray(a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT])
