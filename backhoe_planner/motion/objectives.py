@@ -146,6 +146,7 @@ class Objective(ABC, Generic[Parts]):
     name, unit: of its value.
     needs_hydraulics: whether it is defined only for a machine with a hydraulic description.
     is_time: whether it is the duration itself.
+    is_positive_power: whether its rate is the sum of the joints' powers, of each of which only what is positive counts.
     is_quadratic: whether it grows with the squared rates, and so holds every motion back.
     time_share: for one that is not quadratic, the price of a lost second, as a part of the
         usual load at the usual rate.
@@ -155,6 +156,7 @@ class Objective(ABC, Generic[Parts]):
     unit: ClassVar[str]
     needs_hydraulics: ClassVar[bool] = False
     is_time: ClassVar[bool] = False
+    is_positive_power: ClassVar[bool] = False
     is_quadratic: ClassVar[bool] = False
     time_share: ClassVar[float] = 0.1
 
@@ -187,15 +189,6 @@ class Objective(ABC, Generic[Parts]):
         ----------
         v: (T, n) velocities of the joints there [rad/s or m/s].
         """
-
-    def driving(self, v: Array, torque: Array) -> Array | None:
-        """(T, n) what `rate` is the sum of, where only what is positive counts of each; None where that is not so.
-
-        Parameters
-        ----------
-        torque: (T, n) of the joints [N m or N].
-        """
-        return None
 
     def duration(self, dt: Array, a: Parts, b: Parts, machine: LoadedMachine) -> Array:
         """(...) duration of the steps from a to b [s], of which tip and joints need `dt` (...) [s]."""
@@ -270,7 +263,7 @@ class Effort(_OfTorques):
 class Work(_OfTorques):
     """sum_i max(tau_i dq_i, 0): the integral of the power that joints deliver; none is recovered."""
 
-    name, unit = "work", "J"
+    name, unit, is_positive_power = "work", "J", True
 
     def per_radian(self, usual: Usual) -> float:
         return usual.load
@@ -283,9 +276,6 @@ class Work(_OfTorques):
 
     def rate(self, v: Array, energy: MotionEnergy) -> Array:
         return np.asarray(energy.power)
-
-    def driving(self, v: Array, torque: Array) -> Array:
-        return np.asarray(torque * v)
 
 
 class Hydraulic(Objective[_Forces]):

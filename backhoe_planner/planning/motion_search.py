@@ -17,7 +17,7 @@ from backhoe_planner.arrays import Vector
 from backhoe_planner.motion import Goal, Problem, Trajectory, drive_of, motion_cost, time_way
 from backhoe_planner.planning.descent.alike import KnownCurves
 from backhoe_planner.planning.descent.curve import JointCurve
-from backhoe_planner.planning.descent.descent import Descent, Timed
+from backhoe_planner.planning.descent.descent import MISSED_WORTH, Descent, Timed
 from backhoe_planner.planning.descent.looks import KEPT_PART
 from backhoe_planner.planning.goal_postures import GoalPostures, find_goal_postures
 from backhoe_planner.planning.outcome import Outcome
@@ -40,6 +40,9 @@ _MORE_ROUNDS = 80  # the same for another cost than the time, which falls for lo
 _ROUNDS_IN_ONE = 2  # rounds of another cost that count as one for the time: no curve is timed in them; measured
 _FEW_ROUNDS = 4  # of one that goes on
 _FINE_ROUNDS = 6
+_REFINEMENTS = 3  # at the end at most; chosen, one is mostly enough
+_MUCH_GAIN = 0.05  # part of the cost, for which one more is made; chosen
+_FINER = 4  # times more of these for another cost than the time; chosen
 _FIRST_BOX = 0.25  # rad or m of the fastest joint that the first step may move a control point; chosen
 _SMALL_BOX = 0.1  # the same of a descent that goes on
 _PLACES = 25  # at a straight line, where one alone is tried; chosen, about every 2 to 10 cm of the tip
@@ -47,6 +50,7 @@ _SOONEST = 4  # postures of which one is then chosen
 _MOST_BLOCKED = 0.3  # part of the line that may then not be clear; chosen
 _TRIED = 4  # rounds after which a descent is judged
 _LOOKS = (0, 4, 8)  # rounds after which it is looked whether a descent goes where another one has ended; chosen
+_LATER_LOOKS = (8, 16)  # the same for another cost than the time; chosen
 _FAR_OFF = 0.06  # m by which a clearance is then missed: hopeless where another motion is known; chosen
 _FURTHER_OFF = 0.1  # m: the same where none is; chosen
 _NEARLY = 0.02  # m that a curve may miss at the end of a descent, which then goes on
@@ -62,12 +66,21 @@ _PATIENCE = ((1.4, 4), (1.1, 2))
 _MORE_POSTURES = 4  # times the usual starting points for postures, where the best is that far above the bound; chosen
 _VAIN = 2  # searches that gained nothing, as which one counts that found no way at all; chosen
 _ELSEWHERE = 0.3  # s of joint time between two ends that count as different; chosen
+_LINES_FOR_ONE = (
+    3  # straight lines that are tried for each of `Effort.ways_at_once`, for another cost than the time; chosen
+)
+_START_APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
+_END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
+_WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
+_FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
+_SLOWER_THAN_BOUND = 2.0  # times the bound, that it may take too: which way was found fastest then matters less; chosen
 _SLOWER = 1.5  # times the fastest motion known, that one for another cost than the time may take; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
 _FEWER_BOXES = 4  # times fewer for the bound of the search than for that of the plan; chosen
 _LONGEST = 120.0  # s up to which least times are looked at; chosen, above all motions between two postures
 _END_GAIN = 0.15  # part of the least time to a posture that may be won where the end moves on the goal; chosen
 _LEAST_GAIN = 0.02  # part of the least time to a posture: it is not worth a try to come nearer to it
+_STRAIGHT = "straight for the joints"
 _SEEDS_APART = 1_000_003  # a prime, so that plans with neighbouring seeds draw different ways
 
 
@@ -85,6 +98,16 @@ class FoundMotion:
 
     motion: Trajectory
     cost: float
+    goal: Goal
+    way: str
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """A curve from which a descent may begin, about how long it takes [s], where it ends, and how it was found."""
+
+    curve: JointCurve
+    duration: float
     goal: Goal
     way: str
 
@@ -125,6 +148,7 @@ class MotionSearch:
         )
         self._bound = 0.0  # no motion is shorter [s]
         self._fastest = np.inf  # s of the fastest motion known, where the cost is not the time
+        self._longest = np.inf  # s that a motion may then take
         work = world.work
         more = {name: _LOOKS_FOR_ONE * getattr(work.effort, name) for name in ("motions", "motions_per_search")}
         self._sampling = Work(replace(work.effort, **more), work.brake)
@@ -148,14 +172,21 @@ class MotionSearch:
         try:
             if not self._problem.objective.is_time:
                 self._go_fast()
-            self._go_straight(self._order if self._goes_on() else self._least_blocked())
+            if not np.isfinite(self._longest):
+                self._go_straight(self._order if self._goes_on() else self._least_blocked())
             if self._goes_on() and self._is_far():
                 self._look_for_postures()
-            self._go_round()
+            if self.best is None or not self._goes_straight(self.best):
+                self._go_round()
             self._refine()
         except OutOfTime as ended:
             return str(ended)
         return ""
+
+    def bound(self) -> float:
+        """What no motion is shorter than [s], as far as it is looked for here; 0 where there is no motion."""
+        self._is_optimal()
+        return self._bound
 
     # --- first ways -------------------------------------------------------------------
 
@@ -172,14 +203,86 @@ class MotionSearch:
         if search.best is not None:
             self._fastest = search.best.motion.duration
             self._offer(ended[-1])
-        self._reserved = self._world.work.descent_rounds // 2
-        for one in sorted(ended, key=lambda one: one.cost)[: self._world.work.effort.ways_at_once]:
-            self._descend(
-                JointCurve.fitted(one.motion, self._world.work.effort.pieces, self._problem.limits),
-                one.motion.duration,
-                one.goal,
-                one.way,
+        self._take(GoalPostures(tuple(search._postures), tuple(search._goals)))
+        self._longest = max(_SLOWER * self._fastest, _SLOWER_THAN_BOUND * search.bound())
+        self._reserved = self._world.work.descent_rounds // 3
+        known = [self._fitted(one) for one in ended]
+        ways = self._world.work.effort.ways_at_once
+        lines = self._straight_starts() if self._goes_on() else []
+        self._descend_cheapest((known, ways), (lines, _LINES_FOR_ONE * ways))
+
+    def _fitted(self, found: FoundMotion) -> _Start:
+        curve = JointCurve.fitted(found.motion, self._world.work.effort.pieces, self._problem.limits)
+        return _Start(curve, found.motion.duration, found.goal, found.way)
+
+    def _goes_straight(self, found: FoundMotion) -> bool:
+        """Whether a straight line has become this motion, where the cost is not the time: nothing is gone round."""
+        return not self._problem.objective.is_time and found.way == _STRAIGHT
+
+    def _straight_starts(self) -> list[_Start]:
+        """Straight lines to postures that can be reached in the longest time, the soonest of those near each other."""
+        pieces, rate = self._world.work.effort.pieces, self._problem.limits.velocity
+        ends: list[int] = []
+        for index in self._order:
+            if self._least[index] > self._longest:
+                break
+            q = self._postures[index]
+            apart = [float(np.max(np.abs(self._postures[other] - q) / rate)) for other in ends]
+            if min(apart, default=np.inf) > _END_APART * self._longest:
+                ends.append(index)
+        return [
+            _Start(
+                JointCurve.straight(self._start, self._postures[index], pieces),
+                self._least[index],
+                self._goals[index],
+                _STRAIGHT,
             )
+            for index in ends
+        ]
+
+    def _descend_cheapest(self, *groups: tuple[Sequence[_Start], int]) -> None:
+        """A few rounds of descents from the cheapest starts, so many of each group, then all rounds of the best."""
+        work = self._world.work
+        chosen = [start for group, count in groups for start in self._cheapest(group, count)]
+        if len(chosen) == 1:
+            start = chosen[0]
+            self._descend(start.curve, max(start.duration, self._longest), start.goal, start.way)
+            return
+        tried: list[tuple[float, _Start]] = []
+        for start in chosen:
+            found = self._bend(
+                start.curve, max(start.duration, self._longest), start.goal, _FIRST_ROUNDS,
+                spare=_SPARE, density=1, box=_FIRST_BOX, is_hopeless=lambda here, rounds: False,
+            )  # fmt: skip
+            if found is not None:
+                on = replace(start, curve=found.curve, duration=found.duration)
+                tried.append((found.cost * (1.0 + MISSED_WORTH * found.missed), on))
+        tried.sort(key=lambda one: one[0])
+        for cost, start in tried[: work.effort.ways_at_once]:
+            if cost > _WORTH_ROUNDS * (tried[0][0] if self.best is None else min(tried[0][0], self.best.cost)):
+                break
+            self._descend(start.curve, start.duration, start.goal, start.way)
+
+    def _cheapest(self, starts: Sequence[_Start], count: int) -> list[_Start]:
+        """At most `count` of them: what costs least, and less is blocked, first; of those near each other one."""
+        longest = self._longest
+        screen = ClearanceScreen(self._world.proximity, time=self._time)
+        part = np.linspace(0.0, 1.0, _PLACES)
+        cost = [
+            self._descent.estimate(start.curve, max(start.duration, longest), longest=longest)
+            * (2.0 - float(np.mean(screen.keeps(start.curve(part)))))
+            for start in starts
+        ]
+        chosen: list[_Start] = []
+        rate = self._problem.limits.velocity
+        for index in np.argsort(cost, kind="stable"):
+            start = starts[index]
+            apart = [float(np.max(np.abs(start.curve.control - one.curve.control) / rate)) for one in chosen]
+            if min(apart, default=np.inf) > _START_APART * longest:
+                chosen.append(start)
+            if len(chosen) == count:
+                break
+        return chosen
 
     def _goes_on(self) -> bool:
         """Whether the search goes on where it has found a motion."""
@@ -234,7 +337,7 @@ class MotionSearch:
             if not self._is_open(index):
                 continue
             line = JointCurve.straight(self._start, self._postures[index], work.effort.pieces)
-            if not self._descend(line, self._least[index], self._goals[index], "straight for the joints"):
+            if not self._descend(line, self._least[index], self._goals[index], _STRAIGHT):
                 return
 
     def _go_round(self) -> None:
@@ -248,7 +351,9 @@ class MotionSearch:
             before = np.inf if self.best is None else self.best.cost
             ways = self._sample_several(number)
             number += work.effort.ways_at_once
-            for way in ways:
+            if np.isfinite(self._longest):
+                self._descend_cheapest(([self._fitted(way) for way in ways], len(ways)))
+            for way in ways if not np.isfinite(self._longest) else ():
                 if way.cost <= _WORTH * ways[0].cost and not self._is_optimal():
                     curve = JointCurve.fitted(way.motion, work.effort.pieces, self._problem.limits)
                     self._descend(curve, way.motion.duration, way.goal, "sampled")
@@ -404,18 +509,22 @@ class MotionSearch:
         return (1.0 + _LEAST_GAIN) * float(self._least_times.to_boxes(end, end)[0])
 
     def _refine(self) -> None:
-        """The best motion once more, on a curve of more pieces."""
-        best = self.best
+        """The best motion again, on a curve of more pieces; for another cost than the time while that gains much."""
         self._reserved = 0
-        if best is None or self._world.work.descent_rounds < _FINE_ROUNDS:
-            return
-        curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
-        found = self._bend(
-            curve, best.motion.duration, best.goal, _FINE_ROUNDS * self._rounds_in_one,
-            spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
-        )  # fmt: skip
-        if found is not None and found.missed <= KEPT_PART * _SPARE:
-            self._offer(replace(best, motion=found.motion, cost=found.cost))
+        is_time = self._problem.objective.is_time
+        for _ in range(1 if is_time else _REFINEMENTS):
+            best = self.best
+            if best is None or self._rounds_left() < _FINE_ROUNDS:
+                return
+            curve = JointCurve.fitted(best.motion, _FINE_PIECES, self._problem.limits)
+            found = self._bend(
+                curve, best.motion.duration, best.goal, _FINE_ROUNDS * (1 if is_time else _FINER),
+                spare=_SPARE, density=2, box=_SMALL_BOX, is_hopeless=lambda here, rounds: False,
+            )  # fmt: skip
+            if found is not None and found.missed <= KEPT_PART * _SPARE:
+                self._offer(replace(best, motion=found.motion, cost=found.cost))
+            if self.best is None or self.best.cost > (1.0 - _MUCH_GAIN) * best.cost:
+                return
 
     def _bend(
         self, curve: JointCurve, duration: float, goal: Goal, rounds: int, *,
@@ -427,7 +536,7 @@ class MotionSearch:
         found = descent.run(
             curve, duration, goal,
             most_rounds=rounds, spare=spare, density=density, box=box, is_hopeless=is_hopeless,
-            longest=_SLOWER * (self._fastest if np.isfinite(self._fastest) else duration),
+            longest=self._longest if np.isfinite(self._longest) else _SLOWER * duration,
         )  # fmt: skip
         work.descent_rounds -= -(-(descent.rounds - before) // self._rounds_in_one)
         return found
@@ -436,7 +545,9 @@ class MotionSearch:
         return (self._world.work.descent_rounds - self._reserved) * self._rounds_in_one
 
     def _is_hopeless(self, here: Timed, rounds: int) -> bool:
-        if rounds in _LOOKS and self._goes_where_another_ended(here):
+        if rounds in (_LOOKS if self._problem.objective.is_time else _LATER_LOOKS) and self._goes_where_another_ended(
+            here
+        ):
             return True
         if rounds < _TRIED or self.best is None:
             return rounds >= _TRIED and here.missed > _FURTHER_OFF

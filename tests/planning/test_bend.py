@@ -10,6 +10,7 @@ import pytest
 
 import backhoe_planner as bp
 from backhoe_planner.arrays import Vector
+from backhoe_planner.law import solve_program
 from backhoe_planner.machine import Dynamics
 from backhoe_planner.motion import (
     OBJECTIVES,
@@ -20,7 +21,9 @@ from backhoe_planner.motion import (
     time_evenly,
 )
 from backhoe_planner.planning.descent.bend import Bend
-from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.kinks import Kinks
+from backhoe_planner.planning.descent.linear_model import LinearModel
 from backhoe_planner.planning.descent.own_time import OwnTime
 
 PIECES, DURATION = 8, 3.0
@@ -63,26 +66,42 @@ def test_the_slope_of_a_cost_is_that_of_differences(planar4: bp.Robot, objective
     np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=1e-3 * np.max(np.abs(expected)))
 
 
-def test_what_is_known_of_the_curvature_is_that_of_rounded_kinks(planar4: bp.Robot) -> None:
-    """With all powers on the rounded part: p^2 / (2 w), whose slope changes by p' p' / w, and by p p'' / w beside.
+def test_the_slope_of_kinks_turns_as_that_of_their_rounded_sum() -> None:
+    """In one direction, against differences of sum share phi(value + G x), with phi written out here."""
+    rng = np.random.default_rng(3)
+    kinks = Kinks(rng.normal(size=(40, 5)), rng.normal(size=40), rng.uniform(0.1, 1.0, 40), 0.5)
 
-    The second part changes its sign with the power, and the width does not matter to either.
+    def cost(x: Vector) -> float:
+        y = kinks.value + kinks.G @ x
+        return float(np.sum(kinks.share * np.where(y < 0.0, 0.0, np.where(y < 0.5, y * y, y - 0.25))))
+
+    def slope(x: Vector) -> Vector:
+        return np.array([(cost(x + 1e-6 * one) - cost(x - 1e-6 * one)) / 2e-6 for one in np.eye(5)])
+
+    step = 0.3 * rng.normal(size=5)
+    np.testing.assert_allclose(kinks.turned(step), slope(step) - slope(np.zeros(5)), atol=1e-6)
+
+
+@pytest.mark.parametrize(("value", "expected"), [(-0.2, -0.05), (0.2, 0.05), (-8.0, -1.0)])
+def test_a_step_goes_as_far_as_a_kink_and_not_through_it(planar4: bp.Robot, value: float, expected: float) -> None:
+    """One control point would go to -1 rad, the edge of the box; a part that costs above 0 rises by 4 a rad.
+
+    value - 4 x is 0 at value / 4: from below x goes down to there, or to the edge; from above it goes up to there.
     """
-    problem, curve = problem_of(planar4, "work"), bent_curve(planar4)
-    own, width = OwnTime(problem, drive_of(problem)), 1e6
-    found = own.slope(curve, DURATION, slice(1, -1), width=width)
-    assert np.linalg.eigvalsh(found.curvature).min() > -1e-9 * np.linalg.norm(found.curvature)
-    rng = np.random.default_rng(2)
-    step = 1e-4 * rng.normal(size=curve.control[1:-1].shape)
-    q, v, a = (basis(PIECES, 3 * PIECES + 1, k) @ curve.control / DURATION**k for k in range(3))
-    turn = (basis(PIECES, 3 * PIECES + 1, k)[:, 1:-1] @ step / DURATION**k for k in range(3))
-    before = own.parts(q, v, a)[0]
-    after = own.parts(*(one + by for one, by in zip((q, v, a), turn, strict=True)))[0]
-    share = np.full(len(q), DURATION / (len(q) - 1))
-    share[[0, -1]] *= 0.5
-    expected = np.sum(share[:, None] * np.where(before > 0.0, after - before, 0.0) ** 2) / width
-    x = np.append(step.ravel(), 0.0)
-    assert x @ found.curvature @ x == pytest.approx(expected, rel=1e-2)
+    problem = problem_of(planar4, "work")
+    curve = JointCurve.straight(planar4.middle, planar4.middle, PIECES)
+    model = LinearModel(problem, curve, 1.0, end_moves=False, box=np.full(planar4.n, 1.0))
+    m = planar4.n * (PIECES - 1) + 1
+    slope, G = np.zeros(m), np.zeros((1, m))
+    slope[0], G[0, 0] = 1e-2, -4.0
+    kinks = Kinks(G, np.array([value]), np.array([1.0]), 1e-3)
+    if value > 0.0:  # above the width: its slope is part of the whole
+        slope[0] -= 4.0
+    bend = Bend(slope, 1e-6 * np.eye(m), np.zeros((m, m)), kinks)
+    solution = solve_program(model.program(1.0, bend=bend))
+    assert solution is not None
+    control, _ = model.step(solution.x)
+    assert control[1, 0] - planar4.middle[0] == pytest.approx(expected, abs=2e-3)
 
 
 def test_the_work_of_a_lift_is_what_it_lifts(planar4: bp.Robot) -> None:
@@ -108,10 +127,10 @@ def test_a_step_through_a_quadratic_cost_teaches_its_curvature_along_it() -> Non
     rng = np.random.default_rng(0)
     root, other = rng.normal(size=(2, 11, 11))
     rest, known = root @ root.T + np.eye(11), other @ other.T  # cost = x.(rest + known).x / 2 + f.x
-    bend = Bend.smooth(rng.normal(size=11), known, 6, np.array([1.0, 0.5]), 0.25, 2.0)
+    bend = Bend.smooth(rng.normal(size=11), known, Kinks.none(11), 6, np.array([1.0, 0.5]), 0.25, 2.0)
     for _ in range(3):
         step = rng.normal(size=11)
-        bend = bend.after(step, bend.slope + (rest + known) @ step, known)
+        bend = bend.after(step, bend.slope + (rest + known) @ step, known, Kinks.none(11))
         if step @ rest @ step >= 0.2 * step @ bend.curvature @ step:
             np.testing.assert_allclose(bend.curvature @ step, rest @ step, rtol=1e-8, atol=1e-8)
         assert np.linalg.eigvalsh(bend.curvature).min() > 0.0
@@ -120,8 +139,8 @@ def test_a_step_through_a_quadratic_cost_teaches_its_curvature_along_it() -> Non
 def test_the_curvature_stays_positive_where_the_cost_bends_down() -> None:
     rng = np.random.default_rng(1)
     nothing = np.zeros((11, 11))
-    bend = Bend.smooth(rng.normal(size=11), nothing, 6, np.array([1.0, 0.5]), 0.25, 2.0)
+    bend = Bend.smooth(rng.normal(size=11), nothing, Kinks.none(11), 6, np.array([1.0, 0.5]), 0.25, 2.0)
     for _ in range(20):
         step = rng.normal(size=11)
-        bend = bend.after(step, bend.slope - 3.0 * step, nothing)
+        bend = bend.after(step, bend.slope - 3.0 * step, nothing, Kinks.none(11))
     assert np.linalg.eigvalsh(bend.curvature).min() > 0.0

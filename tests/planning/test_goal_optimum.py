@@ -121,15 +121,18 @@ def test_least_work_is_not_above_that_of_the_fastest_motion(backhoe: bp.Robot) -
     assert cheap.metrics.energy["work"] <= fast.metrics.energy["work"] * 1.001
 
 
-def test_with_half_as_much_time_again_the_least_of_the_squared_rate_is_a_lower_trapezium(planar4: bp.Robot) -> None:
-    """1 rad at 1 rad/s and 2 rad/s^2 takes 1.5 s; in 2.25 s, v (T - v / 2) = 1 gives v = 0.5 rad/s, over 0.25 s each.
+def test_in_twice_the_least_time_the_least_of_the_squared_rate_is_a_lower_trapezium(planar4: bp.Robot) -> None:
+    """1 rad at 1 rad/s and 2 rad/s^2 takes 1.5 s, of which the bound proves 97 to 100 %.
 
-    So the integral of v^2 is 0.25 (1.75 + 2 * 0.25 / 3) = 0.479; a spline of cubics is not quite a trapezium.
+    In T the speed between is the v of v (T - v / 2) = 1, reached in v / 2 s, so the integral of v^2 is
+    v^2 (T - v + v / 3); a spline of cubics is not quite a trapezium.
     """
     plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], objective="velocity_norm"))
     assert plan.verified, plan.message
-    assert plan.trajectory.duration <= 1.5 * 1.5 * 1.02
-    assert 0.479 * 0.97 <= plan.metrics.energy["velocity_norm"] <= 0.479 * 1.03
+    T = plan.trajectory.duration
+    assert 0.97 * 3.0 <= T <= 1.02 * 3.0
+    v = T - np.sqrt(T * T - 2.0)
+    assert plan.metrics.energy["velocity_norm"] == pytest.approx(v * v * (T - v + v / 3.0), rel=0.03)
 
 
 def test_less_work_is_done_where_work_is_asked_for(backhoe: bp.Robot) -> None:
@@ -293,3 +296,25 @@ def test_whoever_watches_sees_the_best_get_better(backhoe: bp.Robot) -> None:
     )  # fmt: skip
     assert seen == sorted(seen, reverse=True)
     assert seen[-1] == pytest.approx(plan.trajectory.duration, rel=1e-3)
+
+
+def test_least_work_takes_twice_the_least_time_and_no_more_than_that_of_an_even_turn(planar4: bp.Robot) -> None:
+    """Level, so that only speeding up costs: joint 1 turns the stretched arm by 1 rad, with 2 rad/s^2 at the ends.
+
+    Its speed between is the v of v (T - v / 2) = 1, its work M v^2 / 2. The fastest such turn takes 1.5 s. Where the
+    arm may be drawn in on the way, it costs less.
+    """
+    plan = bp.plan(planar4, planar([1.0, 0.0, 0.0, 0.0], objective="work"))
+    assert plan.verified, plan.message
+    T = 2.0 * 1.5
+    assert 0.5 * T < plan.trajectory.duration < 1.03 * T
+    v = T - np.sqrt(T * T - 2.0)
+    M = float(Dynamics(planar4).mass_matrices(np.zeros((1, 4)))[0, 0, 0])
+    assert 0.0 < plan.metrics.energy["work"] < 1.05 * 0.5 * M * v * v
+
+
+def test_the_work_of_a_plan_hardly_depends_on_its_seed(backhoe: bp.Robot) -> None:
+    """Past a wall, with three seeds: what one finds no other misses by a tenth."""
+    scene = digger({"position": [3.5, 3.5, 0.2]}, WALL, objective="work")
+    costs = [bp.plan(backhoe, scene, seed=seed).metrics.energy["work"] for seed in range(3)]
+    assert max(costs) < 1.1 * min(costs)

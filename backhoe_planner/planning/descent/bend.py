@@ -13,6 +13,7 @@ import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.planning.descent.curve import basis
+from backhoe_planner.planning.descent.kinks import Kinks
 
 _PLACES_PER_PIECE = 3  # at which the second derivative is squared; it is linear on a piece
 _EVEN = 0.02  # curvature of a shift of all control points, as a part of that of the sharpest bend; chosen
@@ -29,14 +30,18 @@ class Bend:
     slope: (m,) of the steps of the control points, one after the other [1 per rad or m], and of T [1 per s].
     curvature: (m, m) symmetric, positive definite: what is learnt.
     known: (m, m) the same that is known beside, positive semidefinite; it changes with the curve.
+    kinks: of the cost, which are beside both.
     """
 
     slope: Vector
     curvature: Matrix
     known: Matrix
+    kinks: Kinks
 
     @classmethod
-    def smooth(cls, slope: Vector, known: Matrix, pieces: int, unit: Vector, box: float, duration: float) -> Bend:
+    def smooth(
+        cls, slope: Vector, known: Matrix, kinks: Kinks, pieces: int, unit: Vector, box: float, duration: float
+    ) -> Bend:
         """The first of a descent.
 
         Parameters
@@ -54,18 +59,18 @@ class Bend:
         curvature[:-1, :-1] = np.kron(each, np.diag(1.0 / unit**2))
         curvature[-1, -1] = _EVEN * moving / duration**2
         length = float(np.sqrt(slope @ np.linalg.solve(curvature, slope)))
-        return cls(slope, np.asarray(curvature * (max(length, 1e-9) / (_BOLD * box))), known)
+        return cls(slope, np.asarray(curvature * (max(length, 1e-9) / (_BOLD * box))), known, kinks)
 
-    def after(self, step: Vector, slope: Vector, known: Matrix) -> Bend:
-        """What is known after a step (m,), where the slope is `slope` (m,) and the curvature `known` (m, m)."""
-        along, turned = self.curvature @ step, slope - self.slope - known @ step
+    def after(self, step: Vector, slope: Vector, known: Matrix, kinks: Kinks) -> Bend:
+        """What is known after a step (m,), where the slope is `slope` (m,), and curvature and kinks are as given."""
+        along, turned = self.curvature @ step, slope - self.slope - known @ step - self.kinks.turned(step)
         expected, seen = float(step @ along), float(step @ turned)
         if not expected > 0.0:
-            return replace(self, slope=slope, known=known)
+            return replace(self, slope=slope, known=known, kinks=kinks)
         part = 1.0 if seen >= _LEAST_CURVED * expected else (1.0 - _LEAST_CURVED) * expected / (expected - seen)
         change = part * turned + (1.0 - part) * along
         curvature = self.curvature - np.outer(along, along) / expected + np.outer(change, change) / float(step @ change)
-        return Bend(slope, np.asarray(0.5 * (curvature + curvature.T)), known)
+        return Bend(slope, np.asarray(0.5 * (curvature + curvature.T)), known, kinks)
 
     def stiffer(self, factor: float) -> Bend:
         """After a step that was in vain: shorter ones by a factor."""

@@ -33,6 +33,7 @@ from backhoe_planner.motion import (
 )
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve
+from backhoe_planner.planning.descent.kinks import Kinks
 from backhoe_planner.planning.descent.linear_model import PLACES_PER_PIECE, LinearModel, Margin
 from backhoe_planner.planning.descent.looks import KEPT_PART, Looks
 from backhoe_planner.planning.descent.own_time import OwnTime
@@ -41,9 +42,10 @@ from backhoe_planner.site import ClearanceScreen, Proximity
 
 _GRID_PER_PIECE = 6  # intervals on which a curve is timed; chosen, limits between them are corrected
 _MISSED_PRICE = 20.0  # of a metre missed in the quadratic program, as a part of the cost: well above what it can gain
-_MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
+MISSED_WORTH = 6.0  # the same where two curves are compared; chosen among 3 to 20: the next step takes a miss back
 _LARGEST_BOX, _SMALLEST_BOX = 0.6, 0.02  # rad or m of the fastest joint that a step may move a control point; chosen
 _SMALLEST_BENT = 0.004  # the same for another cost than the time, whose steps shrink by their curvature too; chosen
+_AROUND = 3.0  # times the last step: the box of the next one at most, for another cost than the time; chosen
 _NO_COST = 1e-9  # in the objective's unit: what costs less counts as this
 _GROW, _SHRINK = 1.5, 0.4
 _SHORTENINGS = 2  # of a step that costs more, where the cost is not the time; chosen, a look takes half of a round
@@ -152,7 +154,7 @@ class Descent:
         here = self._timed(curve, max(duration, SAMPLE_PERIOD), looks)
         if here is None:
             return None
-        price = _MISSED_WORTH * here.cost
+        price = MISSED_WORTH * here.cost
         unit = max(here.cost, _NO_COST)
         bend = None
         if self._own_time is not None:
@@ -171,8 +173,8 @@ class Descent:
             if bend is not None and self._width > _SOFTEST * self._soft(here):
                 here = self._rounded_off(here)
                 clear = here if clear.missed > looks.allowed or here.missed <= looks.allowed else self._priced(clear)
-                slope, curvature = self._slope(here, free, unit)
-                bend = replace(bend, slope=slope, known=curvature)
+                slope, curvature, kinks = self._slope(here, free, unit)
+                bend = replace(bend, slope=slope, known=curvature, kinks=kinks)
             steps, self.rounds = steps + 1, self.rounds + 1
             worst, known = here.cost + price * here.missed, looks.known
             tried = there = self._step(here, free, looks, box, bend, below=worst)
@@ -198,13 +200,27 @@ class Descent:
                 there = self._in_its_own_time(there, price, looks)
             else:
                 bend = bend.after(self._moved(here, there, free), *self._slope(there, free, unit))
-            here, box, failed = there, min(_GROW * part * box, _LARGEST_BOX), 0
+            box = min(_GROW * part * box, _LARGEST_BOX)
+            if bend is not None:  # what may change far beyond the steps that are taken makes the program large
+                box = min(box, max(_AROUND * self._length(here, there), _SMALLEST_BOX))
+            here, failed = there, 0
             if here.missed <= looks.allowed:
                 clear, box_then, bend_then = here, box, bend
             slow = slow + 1 if gain < self._enough(bend) * here.cost else 0
             if slow >= (1 if bend is None else _SLOW) and here.missed <= _KEPT:
                 break
         return self._as_sampled(clear if here.missed > looks.allowed >= clear.missed else here)
+
+    def estimate(self, curve: JointCurve, duration: float, *, longest: float) -> float:
+        """What a curve costs in its own time, `duration` [s] or longer where the limits ask for it; not for the time.
+
+        Parameters
+        ----------
+        longest: that its motion may take [s].
+        """
+        assert self._own_time is not None
+        self._longest, self._width = longest, _LEAST_WIDTH
+        return self._own_cost(curve, self._own_time.least_duration(curve, duration))
 
     def _soft(self, here: Timed) -> float:
         return max(_SOFT * here.cost / here.duration / len(self._unit), _LEAST_WIDTH)
@@ -271,17 +287,26 @@ class Descent:
         least, margins = looks.find_margins(here.curve)
         return replace(here, missed=max(-least, 0.0), margins=margins)
 
-    def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix]:
-        """How the cost over `unit` changes with the control points that may move, and T: slope and known curvature."""
+    def _slope(self, here: Timed, goal: Goal | None, unit: float) -> tuple[Vector, Matrix, Kinks]:
+        """How the cost over `unit` changes with the control points that may move, and T.
+
+        The slope, the curvature that is known, and the kinks.
+        """
         assert self._own_time is not None
         moving = slice(1, here.curve.pieces + (goal is not None))
         found = self._own_time.slope(here.curve, here.duration, moving, width=self._width)
-        return found.slope / unit, found.curvature / unit
+        if here.duration > self._longest:
+            found.slope[-1] += _LATE * here.cost / self._longest
+        return found.slope / unit, found.curvature / unit, found.kinks.over(unit)
 
     def _moved(self, here: Timed, there: Timed, goal: Goal | None) -> Vector:
         """The step from one curve to another, as for `_slope`."""
         moved = (there.curve.control - here.curve.control)[1 : here.curve.pieces + (goal is not None)]
         return np.append(moved.ravel(), there.duration - here.duration)
+
+    def _length(self, here: Timed, there: Timed) -> float:
+        """How far the step from one curve to another moves a control point at most [rad or m of the fastest joint]."""
+        return float(np.max(np.abs(there.curve.control - here.curve.control) / self._unit))
 
     def _in_its_own_time(self, here: Timed, price: float, looks: Looks) -> Timed:
         """The same curve over the time of its fastest motion, where that is much shorter than T and costs no more."""

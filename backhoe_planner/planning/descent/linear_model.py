@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.law import Kind, QuadraticProgram, Rows
+from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Keep, Problem
 from backhoe_planner.planning.descent.bend import Bend
@@ -25,6 +25,7 @@ PLACES_PER_PIECE = 3  # at which limits are linearised; chosen, accelerations ar
 _NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step and is left out; chosen
 _CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
 _KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
+_OFTEN = 0.1  # of the way that a step may at most change what has a kink, as it mostly does not go all of it; chosen
 _SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for what is to be kept [rad or m]; chosen
 
 
@@ -173,22 +174,43 @@ class LinearModel:
         f[-2], f[-1] = 1.0 / T, slack_price
         price = np.concatenate((_KEEP_STILL / (self._box**2 * len(self._moving)), [_KEEP_STILL / T**2, 1e-2]))
         H = np.diag(price)
-        if bend is not None:
-            f[:-1] = bend.slope
-            H[:-1, :-1] += bend.curvature + bend.known
         limits, now = self._problem.limits, self._curve.control[self._moving].ravel()
         lower, upper = (np.tile(bound, len(self._moving)) - now for bound in (limits.lower, limits.upper))
         low = np.concatenate((np.minimum(np.maximum(-self._box, lower), 0.0), [-0.5 * T, 0.0]))
         high = np.concatenate(
             (np.maximum(np.minimum(self._box, upper), 0.0), [min(2.0 * T, max(longest - T, 0.0)), 1.0])
         )
-        return QuadraticProgram(np.asarray(H), f, low, high, tuple(self._rows))
+        plain = QuadraticProgram(np.asarray(H), f, low, high, tuple(self._rows))
+        return plain if bend is None else self._bent(plain, bend)
+
+    def _bent(self, plain: QuadraticProgram, bend: Bend) -> QuadraticProgram:
+        """The program for another cost than the duration; a variable more for each kink that a step may get to."""
+        rises, falls = bend.kinks.near(np.append(_OFTEN * self._box, 0.0))
+        count = len(plain.f)
+        kinks = len(rises.value) + len(falls.value)
+        f, low, high = (
+            np.concatenate((part, np.full(kinks, at)))
+            for part, at in zip((plain.f, plain.low, plain.high), (0.0, 0.0, UNBOUNDED), strict=True)
+        )
+        f[: count - 1] = bend.slope - (rises.share * rises.rising()) @ rises.G
+        H = np.zeros((len(f), len(f)))
+        H[:count, :count] = plain.H
+        H[: count - 1, : count - 1] += bend.curvature + bend.known
+        more = np.arange(count, len(f))
+        H[more, more] = np.concatenate((rises.share, falls.share)) / bend.kinks.width
+        rows = [row._replace(G=np.hstack((row.G, np.zeros((len(row.h), kinks))))) for row in plain.rows]
+        if kinks:
+            G = np.zeros((kinks, len(f)))
+            G[:, : count - 1] = np.vstack((rises.G, falls.G))
+            G[np.arange(kinks), more] = -1.0
+            rows.append(Rows("kinks", G, -np.concatenate((rises.value, falls.value)), Kind.HARD))
+        return QuadraticProgram(H, f, low, high, tuple(rows))
 
     def step(self, x: Vector) -> tuple[Matrix, float]:
         """The curve's control points (L + 1, n) and duration after the step `x`."""
         control = self._curve.control.copy()
         control[self._moving] += x[: self._steps].reshape(-1, self._n)
-        return control, self._T + float(x[-2])
+        return control, self._T + float(x[self._steps])
 
     # --- how it depends on the variables --------------------------------------------------
 

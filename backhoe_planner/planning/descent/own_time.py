@@ -11,9 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import Drive, Problem, cost_rate
 from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.kinks import Kinks, rounded
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 
 _PLACES_PER_PIECE = 3  # of the sum; chosen
@@ -23,16 +24,18 @@ _WITHIN = 1e-3  # part of a limit that may be exceeded at the places; the sample
 
 @dataclass(frozen=True, eq=False)
 class Slope:
-    """How the cost changes with the control points p, one after the other, and T: by slope.x + x.curvature.x / 2.
+    """How the cost changes with the control points p, one after the other, and T.
 
     Attributes
     ----------
-    slope: (m,) [cost per rad or m, and per s].
-    curvature: (m, m) that of the rounded kinks alone; positive semidefinite.
+    slope: (m,) of the whole cost [cost per rad or m, and per s].
+    curvature: (m, m) what is known of it beside the kinks; positive semidefinite.
+    kinks: of the cost.
     """
 
     slope: Vector
     curvature: Matrix
+    kinks: Kinks
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,50 +56,41 @@ class OwnTime:
     def cost(self, curve: JointCurve, duration: float, *, width: float) -> float:
         """What the motion costs, in the objective's unit, with kinks rounded off by `width` of it per second."""
         parts, kinked = self.parts(*_moments(curve, duration))
-        rate = np.sum(_rounded(parts, width) if kinked else parts, axis=1)
+        rate = np.sum(rounded(parts, width) if kinked else parts, axis=1)
         return float(_weights(len(rate)) @ rate) * duration
 
     def slope(self, curve: JointCurve, duration: float, moving: slice, *, width: float) -> Slope:
         """How the cost changes with the control points `moving` and T."""
-        T, (q, v, a) = duration, _moments(curve, duration)
-        n, places = q.shape[1], len(q)
-        kinked = False
+        moments = _moments(curve, duration)
+        change = _Change(curve, duration, moving, moments)
+        share = duration * _weights(len(moments[0]))
+        if not self.problem.objective.is_positive_power:
+            rate, slopes = moment_slopes(lambda *at: self.parts(*at)[0], *moments)
+            slope = share @ change.of(slopes[:, 0])
+            slope[-1] += share @ rate[:, 0] / duration
+            return Slope(slope, np.zeros((len(slope), len(slope))), Kinks.none(len(slope)))
+        torque, slopes = moment_slopes(self._torques, *moments)
+        v, n = moments[1], curve.control.shape[1]
+        of_torque = change.of(slopes.reshape(-1, 3 * n), each=n)
+        of_v = change.of_velocities()
+        value = (torque * v).ravel()
+        kinks = Kinks(
+            torque.ravel()[:, None] * of_v + v.ravel()[:, None] * of_torque, value, np.repeat(share, n), width
+        )
+        slope = kinks.share * kinks.rising() @ kinks.G
+        slope[-1] += kinks.share @ rounded(value, width) / duration
+        # (torque v)'' = torque' v' + v' torque' + v torque'', the last of which is left out
+        crossed = of_v.T @ ((kinks.share * kinks.rising())[:, None] * of_torque)
+        return Slope(slope, _convex(crossed + crossed.T), kinks)
 
-        def parts_at(*moments: Matrix) -> Matrix:
-            nonlocal kinked
-            parts, kinked = self.parts(*moments)
-            return parts
-
-        parts, slopes = moment_slopes(parts_at, q, v, a)
-        by_part = np.clip(parts / width, 0.0, 1.0) if kinked else np.ones_like(parts)
-        share = T * _weights(places)[:, None]
-        rate = np.sum(_rounded(parts, width) if kinked else parts, axis=1)
-        weights = [basis(curve.pieces, places, k)[:, moving] / T**k for k in range(3)]
-
-        def by_variables(place: Indices, of: Matrix) -> Matrix:
-            """(R, m) of slopes (R, 3 n) at `place` (R,)."""
-            steps = sum(
-                (weights[k][place][:, :, None] * of[:, None, k * n : (k + 1) * n] for k in range(3)),
-                np.zeros((len(place), weights[0].shape[1], n)),
-            ).reshape(len(place), n * weights[0].shape[1])
-            of_T = np.sum(of[:, n : 2 * n] * v[place], axis=1) + 2.0 * np.sum(of[:, 2 * n :] * a[place], axis=1)
-            return np.column_stack((steps, -of_T / T))
-
-        each = by_variables(np.arange(places), np.einsum("ku,kum->km", share * by_part, slopes))
-        slope = np.sum(each, axis=0)
-        slope[-1] += float(_weights(places) @ rate)
-        curvature = np.zeros((len(slope), len(slope)))
-        if kinked:
-            place, part = np.nonzero((parts > 0.0) & (parts < width))
-            G = by_variables(place, slopes[place, part])
-            curvature = G.T @ (G * (share[place] / width))
-        return Slope(slope, np.asarray(curvature))
+    def _torques(self, q: Matrix, v: Matrix, a: Matrix) -> Matrix:
+        return np.asarray(self.drive.rigid_torques(q, v, a) + self.drive.soil_torques(q, v))
 
     def parts(self, q: Matrix, v: Matrix, a: Matrix) -> tuple[Matrix, bool]:
         """(K, U) what moments at q, v, a (K, n) cost a second; and whether only what is positive counts of each."""
-        torque = self.drive.rigid_torques(q, v, a) + self.drive.soil_torques(q, v)
-        driving = self.problem.objective.driving(v, torque)
-        return (cost_rate(self.problem, q, v, a)[:, None], False) if driving is None else (driving, True)
+        if self.problem.objective.is_positive_power:
+            return self._torques(q, v, a) * v, True
+        return cost_rate(self.problem, q, v, a)[:, None], False
 
     def least_duration(self, curve: JointCurve, duration: float) -> float:
         """The least T, not below `duration` [s], that keeps all limits at the places, but for loads at rest."""
@@ -122,6 +116,42 @@ class OwnTime:
         return T
 
 
+class _Change:
+    """How the moments of a curve over time t = T s change with its control points `moving`, and with T.
+
+    Parameters
+    ----------
+    moments: q, v, a (K, n) of the curve.
+    """
+
+    def __init__(
+        self, curve: JointCurve, duration: float, moving: slice, moments: tuple[Matrix, Matrix, Matrix]
+    ) -> None:
+        self._T, self._v, self._a = duration, moments[1], moments[2]
+        self._weights = [basis(curve.pieces, len(self._v), k)[:, moving] / duration**k for k in range(3)]
+
+    def of(self, slopes: Matrix, each: int = 1) -> Matrix:
+        """(K each, m) of values with derivatives `slopes` (K each, 3 n) by q, v, a; `each` of them at each moment."""
+        place, n = np.repeat(np.arange(len(self._v)), each), self._v.shape[1]
+        steps = sum(
+            (self._weights[k][place][:, :, None] * slopes[:, None, k * n : (k + 1) * n] for k in range(3)),
+            np.zeros((len(place), self._weights[0].shape[1], n)),
+        )
+        of_T = np.sum(slopes[:, n : 2 * n] * self._v[place] + 2.0 * slopes[:, 2 * n :] * self._a[place], axis=1)
+        return np.column_stack((steps.reshape(len(place), -1), -of_T / self._T))
+
+    def of_velocities(self) -> Matrix:
+        """(K n, m) of all velocities."""
+        steps = np.kron(self._weights[1], np.eye(self._v.shape[1]))
+        return np.column_stack((steps, -self._v.ravel() / self._T))
+
+
+def _convex(H: Matrix) -> Matrix:
+    """(m, m) a symmetric matrix H without what bends down."""
+    bends, along = np.linalg.eigh(H)
+    return np.asarray((along * np.maximum(bends, 0.0)) @ along.T)
+
+
 def _moments(curve: JointCurve, duration: float) -> tuple[Matrix, Matrix, Matrix]:
     places = _PLACES_PER_PIECE * curve.pieces + 1
     q, v, a = (basis(curve.pieces, places, k) @ curve.control / duration**k for k in range(3))
@@ -132,9 +162,3 @@ def _weights(places: int) -> Vector:
     found = np.full(places, 1.0 / (places - 1))
     found[[0, -1]] *= 0.5
     return found
-
-
-def _rounded(parts: Matrix, width: float) -> Matrix:
-    """(K, U) what counts of `parts` (K, U) with kinks rounded off."""
-    positive = np.maximum(parts, 0.0)
-    return np.asarray(np.where(positive < width, positive * positive / (2.0 * width), positive - 0.5 * width))
