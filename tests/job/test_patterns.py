@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from small_jobs import small_job
 
-from backhoe_planner.job import BladeSweep, build_worksite, swept
+from backhoe_planner.job import BladeSweep, Worksite, build_worksite, swept
+from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
 from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, allowed_heights, lanes_of
 
@@ -32,3 +33,56 @@ def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: 
     # the section less the wedges at its ends, as wide as the blade
     wedges = 0.5 * 0.8**2 * (1.0 / np.tan(ENTRY) + 1.0 / np.tan(LEAVE))
     assert bank == pytest.approx((1.8 * 0.8 - wedges) * site.bucket.width, rel=0.05)
+
+
+def across_a_pipe(x: float) -> Worksite:
+    """A trench of 3 m, 1.2 m deep, across a pipe; the machine stands at `x` [m], in line with it."""
+    pipe = {"name": "pipe", "shape": "capsule", "from": [4.1, -4, -0.95], "to": [4.1, 4, -0.95], "radius": 0.08}
+    return build_worksite(
+        small_job(
+            site={
+                "base": {"position": [x, 0.0], "heading": 0.0},
+                "clearance": 0.1,
+                "obstacles": [pipe | {"clearance": 0.3}],
+            },
+            ground={"low": [0.0, -1.5], "high": [7.0, 1.5]},
+            dig={"trench": {"from": [4.9, 0.0], "to": [1.9, 0.0], "width": 0.6, "depth": 1.2}},
+            dump={"heap": {"at": [2.2, -1.4]}},
+        )
+    )
+
+
+@pytest.mark.parametrize(("x", "depth"), [(0.3, 0.55), (0.3, 0.4), (0.0, 0.2)])
+def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
+    """Nothing is left beside the steep ground that stays above the pipe, and the bucket comes down to every cut."""
+    site = across_a_pipe(x)
+    lanes = lanes_of(site)
+    allowed, _ = allowed_heights(site, lanes, site.design_heights())
+    now, cuts = site.ground, 0
+    while isinstance(found := next_cut(site, lanes, Pattern("face", depth), now), NextCut):
+        path = cut_path(site, found.cut, now)
+        assert isinstance(path, CutPath), path
+        now = swept(now, BladeSweep(found.cut.position, found.cut.across, found.cut.bucket.width)).terrain
+        cuts += 1
+        assert cuts < 20
+    assert found is None
+    assert np.max((now.surface - allowed)[site.share > 1.0 - 1e-9]) <= 0.05
+
+
+@pytest.mark.parametrize("x", [0.3, 0.0])
+def test_the_bucket_has_room_behind_the_teeth_wherever_the_lowest_line_leads_them(x: float) -> None:
+    """At the best of many pitches, against the ground that is left there; a cut keeps 3 cm."""
+    site = across_a_pipe(x)
+    (lane,) = lanes_of(site)
+    back_x, back_y = site.bucket.back.T  # from the teeth
+    pitches = np.arange(-3.0, -0.3, 0.01)
+    dug = np.flatnonzero(np.isfinite(lane.design) & (lane.line < -0.3))
+    assert len(dug) > 60
+    for index in dug.tolist():
+        r, z = float(lane.r[index]), float(lane.line[index])
+        q = site.plane.joints(lane.swing, np.full(len(pitches), r), np.full(len(pitches), z), pitches)
+        pitch = pitches[np.isfinite(q[:, 0])][:, None]
+        at_r = r + back_x * np.cos(pitch) - back_y * np.sin(pitch)
+        at_z = z + back_x * np.sin(pitch) + back_y * np.cos(pitch)
+        room = np.where(at_r > r, at_z - np.interp(at_r, lane.r, lane.line), np.inf)
+        assert float(room.min(axis=1).max()) > 0.03, (r, z)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from backhoe_planner.arrays import Matrix, Vector
+from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.job.cuts.attitude import back_heights
 from backhoe_planner.job.cuts.cut import Cut, CutGround
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.ground.terrain import Terrain
@@ -15,7 +16,7 @@ from backhoe_planner.job.worksite.worksite import Worksite
 from backhoe_planner.motion import Problem, Trajectory, time_along
 
 _STEP = 0.05  # m between places of the edge above the ground; chosen
-_PITCHES = 40  # that are tried for a place above the ground; chosen
+_PITCHES = 200  # that are tried for a place above the ground, 0.9 degrees apart; chosen
 _BEHIND = 0.6  # m by which the level bucket reaches below its teeth, at most; measured on models/backhoe.urdf, 0.46
 _SPARE = 0.06  # m beyond the clearance at both ends of a cut; chosen
 _AROUND = 0.5  # m to each side and beyond the bucket in which the ground counts at both ends; chosen
@@ -116,11 +117,7 @@ def _down(site: Worksite, cut: Cut, top: float) -> Matrix | None:
     heights = np.linspace(top, z, int(np.ceil((top - z) / _STEP)) + 1)
     found = site.plane.joints(cut.swing, np.full(len(heights), r), heights, np.full(len(heights), pitch))
     if np.isnan(found).any():
-        upper = _nearest_pitch(site, cut.swing, r, top, pitch)
-        if upper is None:
-            return None
-        part = (heights - z) / (top - z)
-        found = site.plane.joints(cut.swing, np.full(len(heights), r), heights, pitch + part * (upper - pitch))
+        found = site.plane.joints(cut.swing, np.full(len(heights), r), heights, _nearest_pitches(site, cut, r, heights))
     return None if np.isnan(found).any() else np.asarray(found[:-1])
 
 
@@ -152,25 +149,48 @@ def _clears(site: Worksite, cut: Cut, q: Matrix) -> bool:
     """Whether teeth and back stay above the ground as it was, at q (M, n)."""
     r, z, pitch = site.plane.place(q)
     profile = cut.ground.profile
-    x, y = np.vstack((cut.bucket.back, [cut.bucket.length, 0.0])).T
-    pin_r, pin_z = r - cut.bucket.length * np.cos(pitch), z - cut.bucket.length * np.sin(pitch)
-    at_r = pin_r[:, None] + x * np.cos(pitch)[:, None] - y * np.sin(pitch)[:, None]
-    at_z = pin_z[:, None] + x * np.sin(pitch)[:, None] + y * np.cos(pitch)[:, None]
-    # where the cut has just been there is no ground any more
-    there = np.where(at_r > cut.r[cut.begin[3]] + 1e-9, cut_bottom(cut, at_r), profile.height(at_r))
-    return bool(np.all(at_z >= np.minimum(there, profile.height(at_r)) - 1e-2))
+
+    def below(at: Array, teeth: Array) -> Array:
+        # where the cut has just been there is no ground any more
+        dug = at > cut.r[cut.begin[3]] + 1e-9
+        return np.where(dug, np.minimum(cut_bottom(cut, at), profile.height(at)), profile.height(at))
+
+    back = back_heights(cut.bucket, r, z, pitch, below)
+    return bool(np.all(np.minimum(back, z - below(r, r)) >= -1e-2))
 
 
-def cut_bottom(cut: Cut, r: Matrix) -> Matrix:
+def cut_bottom(cut: Cut, r: Array) -> Array:
     """(...) height of the ground after the cut at radii (...) that it has passed [m]."""
     inside = slice(0, cut.begin[3] + 1)
     order = np.argsort(cut.r[inside], kind="stable")
     return np.asarray(np.interp(r, cut.r[inside][order], cut.z[inside][order]))
 
 
-def _nearest_pitch(site: Worksite, swing: float, r: float, z: float, pitch: float) -> float | None:
-    """The pitch nearest to `pitch` [rad] at which the teeth can be at r, z [m]; None where there is none."""
+def _nearest_pitches(site: Worksite, cut: Cut, r: float, heights: Vector) -> Vector:
+    """(M,) pitches with which the teeth come down at radius r [m] through `heights` (M,) [m] to where a cut begins.
+
+    From there up each is the one within the limits that is nearest to that below it; nan where there is none.
+    """
     tried: Vector = np.linspace(-np.pi, 0.0, _PITCHES)
-    q = site.plane.joints(swing, np.full(_PITCHES, r), np.full(_PITCHES, z), tried)
-    fine = tried[~np.isnan(q[:, 0])]
-    return float(fine[np.argmin(np.abs(fine - pitch))]) if len(fine) else None
+    at_z, at_pitch = (a.ravel() for a in np.meshgrid(heights, tried, indexing="ij"))
+    q = site.plane.joints(cut.swing, np.full(len(at_z), r), at_z, at_pitch)
+    reached = ~np.isnan(q[:, 0]).reshape(len(heights), -1)
+    found = np.full(len(heights), np.nan)
+    found[-1] = pitch = float(cut.pitch[0])
+    for index in range(len(heights) - 2, -1, -1):
+        own = tried[reached[index]]
+        if not len(own):
+            break
+        # between two pitches of the grid that are reached nothing changes
+        pitch = float(np.clip(pitch, own[0], own[-1])) if _is_run(reached[index]) else _nearest(own, pitch)
+        found[index] = pitch
+    return found
+
+
+def _is_run(reached: Flags) -> bool:
+    """Whether all that is reached lies side by side."""
+    return bool(np.count_nonzero(np.diff(reached.astype(int), prepend=0, append=0)) == 2)
+
+
+def _nearest(values: Vector, to: float) -> float:
+    return float(values[np.argmin(np.abs(values - to))])

@@ -33,7 +33,7 @@ _INWARD = 0.3  # m of radius between places from which a cut is tried; chosen
 _EVERY = 3  # places of a cut from one at which the arm is held against the ground to the next: 9 cm
 _MOST_LAYERS = 1000
 _AHEAD = 3  # layers that are tried at a time, where nothing more of the first can be cut; chosen
-_SHALLOWER = (1.0, 0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
+_SHALLOWER = (0.7, 0.5, 0.35)  # of the depth, tried in turn where a cut fills less than it might; chosen
 _FULL, _WORTH = 0.8, 0.01  # of the wanted volume: nothing better is looked for; and less is no cut; chosen
 _CLOSE = 0.97  # of the wanted volume: near enough
 _MOST_MORE = 1.25  # times the wanted volume that is asked of a profile; chosen, above what was seen
@@ -166,14 +166,17 @@ def _best(tries: _Tries, lane: Lane, left: Vector, pattern: Pattern) -> Cut | No
     """
     profile, floor = tries.profile, tries.floor
     depth = pattern.depth if pattern.kind == "face" else float(np.max(profile.mean)) - float(np.min(floor)) + 1.0
-    entries, parts = (_ENTRIES[:1], _SHALLOWER[:1]) if tries.drawn_in else (_ENTRIES, _SHALLOWER)
+    # parts of what there is to cut, which may be less than a cut of the pattern
+    high = min(depth, float(np.max(profile.height(left) - np.interp(left, lane.r, floor))))
+    shallower = () if tries.drawn_in else tuple(part * high for part in _SHALLOWER)
+    entries = _ENTRIES[:1] if tries.drawn_in else _ENTRIES
     places = left[::-1][:: max(int(_INWARD / (left[1] - left[0])), 1)] if len(left) > 1 else left
-    for entry, place, part in itertools.product(entries, places.tolist(), parts):
+    for entry, place, most in itertools.product(entries, places.tolist(), (depth, *shallower)):
         if entry is not None and tries.best is not None and tries.best.fill >= _WORTH:
             break
         for run_in in _RUN_INS:
             start = min(max(place + run_in, lane.end + _SHORTEST), lane.start)
-            found = tries.find(start, part * depth, entry)
+            found = tries.find(start, most, entry)
             if found is not None and (
                 found.fill > _FULL or (found.r[-1] < left[0] and place == left[-1] and found.fill >= _WORTH)
             ):

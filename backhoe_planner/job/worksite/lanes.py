@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.job.cuts.attitude import back_heights
 from backhoe_planner.job.cuts.edge_path import Descent, Underground
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.job.worksite.worksite import Worksite
@@ -28,8 +29,9 @@ _PITCHES = np.linspace(-2.7, -0.6, 12)  # rad at which teeth may dig: from nearl
 _DOWN = 0.05  # m by which a place is looked for deeper; chosen, a cell
 _SPARE = 0.01  # m beyond every clearance, for what lies between the places looked at; chosen
 _SAME = 1e-9  # m
-_BACK = 0.1  # m from the bucket's back to the ground that is left; chosen: cuts keep 3 cm, and turn only slowly
+_BACK = 0.05  # m from the bucket's back to the ground that is left; chosen: cuts keep 3 cm, and turn only slowly
 _ARM = 0.05  # m that boom and stick keep from it beyond the clearance; chosen, for the same reason
+_AGAIN = 3  # times that is looked at, as what is left beside a place is raised too; chosen
 _FAN = 0.04  # rad between lanes of a wide design: 20 cm at 5 m; chosen, a third of a bucket's width
 
 
@@ -116,20 +118,26 @@ def _lane(site: Worksite, swing: float, screen: ClearanceScreen) -> Lane | None:
     places = _Places(site, swing, r, screen)
     first = np.where(inside, deepest, np.nan)
     floor, cause, causes = places.reachable(first, ground, None)
-    line = _line(profile, r, floor, ground, inside)
-    if line is not None:
-        # again beside the ground that is left there
+    line, reached = _line(profile, r, floor, ground, inside), floor
+    for _ in range(_AGAIN):
+        if line is None:
+            break
+        # beside the ground that is left there; what is raised is left there too
         left = np.where(inside, line[0], ground)
         again = places.reachable(np.where(inside, np.maximum(floor, first), np.nan), ground, left)
-        raised = again[0] > floor + _SAME
+        reached, raised = again[0], again[0] > left + _SAME
+        if not raised.any():
+            break
         shift = len(causes) - 1
         cause = np.where(raised, np.where(again[1] > 0, again[1] + shift, 0), cause)
-        floor, causes = np.maximum(again[0], floor), (*causes, *again[2][1:])
+        # only what holds the line up counts for it: each time the line keeps off its floor by a step
+        floor, causes = np.where(raised, reached, floor), (*causes, *again[2][1:])
         line = _line(profile, r, floor, ground, inside)
     if line is None:
         return Lane(swing, r, deepest, ground, ground, cause, causes, float(r[-1]), float(r[0]))
     lowest, start, end = line
-    return Lane(swing, r, deepest, floor, np.where(inside, lowest, ground), cause, causes, start, end)
+    reached = np.maximum(floor, reached)
+    return Lane(swing, r, deepest, reached, np.where(inside, lowest, ground), cause, causes, start, end)
 
 
 def _line(
@@ -173,6 +181,7 @@ class _Places:
         design: (K,) no deeper than this; nan where nothing is dug.
         ground: (K,) before the first cut.
         final: (K,) the ground when all is dug, which arm and the bucket's back must not touch; None to leave it out.
+            Where it is reached there is no cause.
         """
         self._final = final
         if final is not None:
@@ -183,15 +192,23 @@ class _Places:
         floor, cause = ground.copy(), np.zeros(len(self._r), dtype=np.int64)
         causes: list[tuple[str, str]] = [("", "")]
         for index in np.flatnonzero(np.isfinite(design)).tolist():
-            depths = np.arange(ground[index], design[index], -_DOWN)
-            for height in [*depths[1:].tolist(), float(design[index])]:
-                stopped = self._stopped(float(self._r[index]), height)
-                if stopped is not None:
+            r, deepest = float(self._r[index]), float(design[index])
+            begin = float(ground[index])
+            held_up = True
+            if final is not None and self._stopped(r, float(final[index])) is None:
+                # the line itself is reached: below it nothing is dug, and what stops the teeth there is no cause
+                begin = floor[index] = float(final[index])
+                held_up = False
+            for height in [*np.arange(begin, deepest, -_DOWN)[1:].tolist(), deepest]:
+                stopped = self._stopped(r, height)
+                if stopped is None:
+                    floor[index] = height
+                    continue
+                if held_up:
                     if stopped not in causes:
                         causes.append(stopped)
                     cause[index] = causes.index(stopped)
-                    break
-                floor[index] = height
+                break
         return floor, cause, tuple(causes)
 
     def _stopped(self, r: float, z: float) -> tuple[str, str] | None:
@@ -220,13 +237,13 @@ class _Places:
 
     def _back(self, r: float, z: float, pitch: Vector) -> Vector:
         """(P,) how far the bucket's back is above the ground that is left behind the teeth, at each pitch [m]."""
-        assert self._final is not None
-        x, y = self._site.bucket.back.T
-        x = x - self._site.bucket.length
-        cosine, sine = np.cos(pitch)[:, None], np.sin(pitch)[:, None]
-        at_r, at_z = r + x * cosine - y * sine, z + x * sine + y * cosine
-        over = np.interp(at_r, self._r, self._final)
-        return np.asarray(np.min(np.where(at_r > r, at_z - over, np.inf), axis=1))
+        final = self._final
+        assert final is not None
+
+        def below(at: Array, teeth: Array) -> Array:
+            return np.where(at > teeth, np.interp(at, self._r, final), -np.inf)
+
+        return np.asarray(back_heights(self._site.bucket, np.full_like(pitch, r), np.full_like(pitch, z), pitch, below))
 
 
 def allowed_heights(site: Worksite, lanes: tuple[Lane, ...], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:
