@@ -38,10 +38,10 @@ from backhoe_planner.machine import (
 from backhoe_planner.site.cluster_distances import EXACT_WITHIN, ClusterDistances
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.obstruction import Obstruction
+from backhoe_planner.site.pair_listing import list_pairs, travel_within, with_tracking_room
 from backhoe_planner.site.pairs.approach import ApproachBounds, Lead
 from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
-from backhoe_planner.site.pairs.listing import list_pairs, travel_within, with_tracking_room
 from backhoe_planner.site.pairs.nearby import Nearby
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
 from backhoe_planner.site.pairs.reachable import distances_from_ball
