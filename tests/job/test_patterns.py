@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from small_jobs import small_job
@@ -9,7 +11,7 @@ from small_jobs import small_job
 from backhoe_planner.job import BladeSweep, Worksite, build_worksite, swept
 from backhoe_planner.job.cycles.cut_leg import CutPath, cut_path
 from backhoe_planner.job.cycles.patterns import NextCut, Pattern, next_cut
-from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, allowed_heights, lanes_of
+from backhoe_planner.job.worksite.lanes import ENTRY, LEAVE, Lane, allowed_heights, lanes_of
 
 
 @pytest.mark.parametrize(("cell", "off"), [(0.025, 0.009), (0.05, 0.031)])
@@ -35,10 +37,11 @@ def test_a_trench_is_dug_to_its_design_whatever_the_columns_of_the_ground(cell: 
     assert bank == pytest.approx((1.8 * 0.8 - wedges) * site.bucket.width, rel=0.05)
 
 
-def across_a_pipe(x: float) -> Worksite:
-    """A trench of 3 m, 1.2 m deep, across a pipe; the machine stands at `x` [m], in line with it."""
+@cache
+def across_a_pipe(x: float) -> tuple[Worksite, tuple[Lane, ...]]:
+    """A trench of 3 m, 1.2 m deep, across a pipe, and its lanes; the machine stands at `x` [m], in line with it."""
     pipe = {"name": "pipe", "shape": "capsule", "from": [4.1, -4, -0.95], "to": [4.1, 4, -0.95], "radius": 0.08}
-    return build_worksite(
+    site = build_worksite(
         small_job(
             site={
                 "base": {"position": [x, 0.0], "heading": 0.0},
@@ -50,13 +53,13 @@ def across_a_pipe(x: float) -> Worksite:
             dump={"heap": {"at": [2.2, -1.4]}},
         )
     )
+    return site, lanes_of(site)
 
 
 @pytest.mark.parametrize(("x", "depth"), [(0.3, 0.55), (0.3, 0.4), (0.0, 0.2)])
 def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
     """Nothing is left beside the steep ground that stays above the pipe, and the bucket comes down to every cut."""
-    site = across_a_pipe(x)
-    lanes = lanes_of(site)
+    site, lanes = across_a_pipe(x)
     allowed, _ = allowed_heights(site, lanes, site.design_heights())
     now, cuts = site.ground, 0
     while isinstance(found := next_cut(site, lanes, Pattern("face", depth), now), NextCut):
@@ -72,8 +75,7 @@ def test_what_may_be_dug_beside_a_pipe_is_dug(x: float, depth: float) -> None:
 @pytest.mark.parametrize("x", [0.3, 0.0])
 def test_the_bucket_has_room_behind_the_teeth_wherever_the_lowest_line_leads_them(x: float) -> None:
     """At the best of many pitches, against the ground that is left there; a cut keeps 3 cm."""
-    site = across_a_pipe(x)
-    (lane,) = lanes_of(site)
+    site, (lane,) = across_a_pipe(x)
     back_x, back_y = site.bucket.back.T  # from the teeth
     pitches = np.arange(-3.0, -0.3, 0.01)
     dug = np.flatnonzero(np.isfinite(lane.design) & (lane.line < -0.3))

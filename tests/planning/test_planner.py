@@ -52,24 +52,28 @@ def tips(plan: bp.Plan) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize(
-    ("name", "urdf", "refine"),
+    ("name", "machine", "refine"),
     [
-        ("levelling", "example:backhoe", 0),
-        ("level_bucket", "example:backhoe", 0),
-        ("loaded_swing", "example:backhoe", 0),
-        ("paper_planar", "example:planar4", 10),
-        ("pole", "example:backhoe", 1),
-        ("trench", "example:backhoe", 0),
-        ("trench_cut", "example:backhoe", 0),
-        ("truck", "example:backhoe", 0),
-        ("wall", "example:backhoe", 1),
-        ("worker", "example:backhoe", 1),
+        ("levelling", "backhoe", 0),
+        ("level_bucket", "backhoe", 0),
+        ("loaded_swing", "backhoe", 0),
+        ("paper_planar", "planar4", 10),
+        ("pole", "backhoe", 1),
+        ("trench", "backhoe", 0),
+        ("trench_cut", "backhoe", 0),
+        ("truck", "backhoe", 0),
+        ("wall", "backhoe", 1),
+        ("worker", "backhoe", 1),
     ],
 )
-def test_every_scene_of_the_project_is_solved(name: str, urdf: str, refine: int) -> None:
+def test_every_scene_of_the_project_is_solved(
+    name: str, machine: str, refine: int, request: pytest.FixtureRequest
+) -> None:
     """And a check of distances that shares no code with the planner finds nothing against it."""
     scene = bp.load_scene(SCENES / f"{name}.yaml")
-    plan = bp.plan(bp.load_robot(urdf, tip=scene.tip), scene, method="auto")
+    assert scene.tip is None
+    robot: bp.Robot = request.getfixturevalue(machine)
+    plan = bp.plan(robot, scene, method="auto")
     assert plan.verified, plan.message
     assert plan.reason == plan.message == ""
     assert plan.certificate.verified
@@ -222,7 +226,7 @@ def test_a_goal_behind_walls_is_blocked(planar4: bp.Robot) -> None:
         {"name": f"wall {side}", "shape": "box", "size": [0.1, 7.0, 0.5], "position": [0.0, side * 4.2, 0.0]}
         for side in (-1.0, 1.0)
     ]
-    plan = bp.plan(planar4, site(goal(-3.0, 1.0), obstacles=walls))
+    plan = bp.plan(planar4, site(goal(-3.0, 1.0), obstacles=walls), effort="quick")
     assert (plan.verdict, plan.reason) == ("failed", "blocked")
     assert obstruction(plan).obstacle.startswith("wall")
     assert "attempts" in plan.message
