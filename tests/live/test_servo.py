@@ -280,8 +280,8 @@ def test_where_asked_for_it_goes_round(backhoe: Robot) -> None:
     ball = {"name": "ball", "shape": "sphere", "radius": 0.4, "position": [4.5, 0.7, -0.6]}
     after = {}
     for circulate in (False, True):
-        servo = Servo(backhoe, site(backhoe, [ball], q=[-0.2, 0.3, -0.9, -0.5]), circulate=circulate)
-        states = pushed(servo, {"tip_velocity": [0.0, 0.4, 0.0]}, 6000)
+        servo = Servo(backhoe, site(backhoe, [ball], q=[-0.2, 0.3, -0.9, -0.5]), 0.004, circulate=circulate)
+        states = pushed(servo, {"tip_velocity": [0.0, 0.4, 0.0]}, 1500)
         after[circulate] = states[-1].tip_position[1]
         assert least_margin(backhoe, site(backhoe, [ball]), states[-1].q) >= -1e-6
     assert after[True] > 1.0
@@ -320,15 +320,15 @@ def test_what_appears_in_the_way_is_not_touched(backhoe: Robot) -> None:
 def test_it_evades_what_comes_nearer_with_no_wish_at_all(backhoe: Robot) -> None:
     """A ball comes at the stick from the side at 0.15 m/s for 8 s: the arm swings away before it."""
     ball = {"name": "ball", "shape": "sphere", "radius": 0.2, "position": [3.2, -1.2, 0.6], "velocity": [0, 0.15, 0]}
-    servo = Servo(backhoe, site(backhoe, [ball]))
+    servo = Servo(backhoe, site(backhoe, [ball]), 0.004)
     evading = 0
     robot_alone = Proximity(backhoe, build_obstacles(site(backhoe, [ball]), backhoe))
-    for _ in range(8000):
+    for step in range(2000):
         state = servo.step()
         evading += state.status is Status.EVADING
-        if _ % 20 == 0:
+        if step % 5 == 0:
             assert np.min(robot_alone.distances(state.q, time=servo.time) - robot_alone.clearance) > -1e-3
-    assert evading > 100
+    assert evading > 25  # 0.1 s
     final = robot_alone.distances(np.array(STANDING), time=servo.time) - robot_alone.clearance
     assert np.min(final) < -0.05  # had it stayed where it was
     np.testing.assert_allclose(servo.shift_of("ball"), [0.0, 1.2, 0.0], atol=1e-9)
