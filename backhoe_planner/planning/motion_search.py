@@ -71,9 +71,8 @@ _LINES_FOR_ONE = (
 )
 _START_APART = 0.15  # part of the longest time: joint time between two starts that count as different; chosen
 _END_APART = 0.03  # the same of two postures to which lines are drawn at all; chosen
-# heats of starts: the rounds of each, the times `Effort.ways_at_once` of them that go on, and the times the least
-# cost that one may then still cost; chosen: after 3 rounds most is gained, but which will be the best is not yet seen
-_HEATS = ((3, 2, 4.0), (6, 1, 1.5))
+_WORTH_ROUNDS = 1.5  # times the least cost after some rounds, up to which more are made; chosen
+_FIRST_ROUNDS = 3  # of each of them; measured, most of what the cost falls is gained in them
 _SLOWER_THAN_BOUND = 2.0  # times the bound, that it may take too: which way was found fastest then matters less; chosen
 _SLOWER = 1.5  # times the fastest motion known, that one for another cost than the time may take; chosen
 _GAIN = 0.005  # part of the cost that counts as a gain
@@ -242,31 +241,27 @@ class MotionSearch:
         ]
 
     def _descend_cheapest(self, *groups: tuple[Sequence[_Start], int]) -> None:
-        """Descents from the cheapest starts, so many of each group, in heats of some rounds, and then of all rounds."""
+        """A few rounds of descents from the cheapest starts, so many of each group, then all rounds of the best."""
         work = self._world.work
         chosen = [start for group, count in groups for start in self._cheapest(group, count)]
         if len(chosen) == 1:
             start = chosen[0]
             self._descend(start.curve, max(start.duration, self._longest), start.goal, start.way)
             return
-        for rounds, share, worth in _HEATS:
-            chosen = self._best_after(rounds, chosen, worth)[: share * work.effort.ways_at_once]
-        for start in chosen:
-            self._descend(start.curve, start.duration, start.goal, start.way)
-
-    def _best_after(self, rounds: int, starts: Sequence[_Start], worth: float) -> list[_Start]:
-        """The starts after some rounds, the cheapest first; without those beyond `worth` times the least cost."""
         tried: list[tuple[float, _Start]] = []
-        for start in starts:
+        for start in chosen:
             found = self._bend(
-                start.curve, max(start.duration, self._longest), start.goal, rounds,
+                start.curve, max(start.duration, self._longest), start.goal, _FIRST_ROUNDS,
                 spare=_SPARE, density=1, box=_FIRST_BOX, is_hopeless=lambda here, rounds: False,
             )  # fmt: skip
             if found is not None:
                 on = replace(start, curve=found.curve, duration=found.duration)
                 tried.append((found.cost * (1.0 + MISSED_WORTH * found.missed), on))
-        least = min([cost for cost, _ in tried] + ([] if self.best is None else [self.best.cost]), default=np.inf)
-        return [start for cost, start in sorted(tried, key=lambda one: one[0]) if cost <= worth * least]
+        tried.sort(key=lambda one: one[0])
+        for cost, start in tried[: work.effort.ways_at_once]:
+            if cost > _WORTH_ROUNDS * (tried[0][0] if self.best is None else min(tried[0][0], self.best.cost)):
+                break
+            self._descend(start.curve, start.duration, start.goal, start.way)
 
     def _cheapest(self, starts: Sequence[_Start], count: int) -> list[_Start]:
         """At most `count` of them: what costs least, and less is blocked, first; of those near each other one."""
