@@ -34,7 +34,7 @@ def plan(robot: bp.Robot, task: Data, *obstacles: Data) -> bp.Plan:
     """A plan that, where it is verified, the independent check does not refute."""
     found = bp.plan(robot, site(task, *obstacles), effort="quick")
     if found.verified:
-        assert refutations(found, refine=4) == []
+        assert refutations(found) == []
     return found
 
 
