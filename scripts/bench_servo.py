@@ -2,7 +2,7 @@
 """How long one step of the servo takes on the backhoe with 20 obstacles, 5 of them moving.
 
 What counts is the time on the processor, which other processes of the machine do not
-lengthen; the time on the clock stands beside it. In the same run, on the same
+lengthen; the time on the clock stands beside it. In turn with the steps, on the same
 configurations, the Pinocchio and coal calls alone (see validation/step_times.py). The
 histogram is saved as JSON; memory is read before and after. The results are in
 docs/measurements.md.
@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import backhoe_planner as bp
-from validation.step_times import obstacle_course, percentiles, time_libraries, time_servo
+from validation.step_times import ServoDrive, obstacle_course, percentiles, time_in_turn
 
 
 def resident() -> float:
@@ -44,14 +44,14 @@ def main() -> None:
     robot = bp.load_robot("example:backhoe")
     problem = obstacle_course(robot, options.obstacles, rng)
     servo = bp.Servo(robot, problem.scene)
-    time_servo(servo, 2000, options.moving, np.random.default_rng(1))  # warm up
+    drive = ServoDrive(servo, options.moving, rng)
+    drive.take(2000)  # warm up
     gc.collect()
     gc.freeze()
     before = resident()
-    timed = time_servo(servo, options.steps, options.moving, rng)
+    timed = time_in_turn(problem, drive, options.steps)
     after = resident()
-    processor, clock = timed.times["processor"], timed.times["clock"]
-    alone = time_libraries(problem, timed.configurations[:2000])
+    processor, clock = timed.steps.whole, timed.steps.times["clock"]
     edges = np.concatenate((np.arange(0.0, 1000.0, 10.0), [np.inf]))
     result = {
         "steps": options.steps,
@@ -59,8 +59,8 @@ def main() -> None:
         "moving": options.moving,
         "step, processor [us]": {**percentiles(processor), "max": float(processor.max())},
         "step, clock [us]": {**percentiles(clock), "max": float(clock.max())},
-        "Pinocchio and coal alone, all pairs [us]": percentiles(alone),
-        "ratio of medians": float(np.median(processor) / np.median(alone)),
+        "Pinocchio and coal alone, all pairs [us]": percentiles(timed.calls),
+        "ratio of medians": timed.ratio,
         "memory before [MB]": before,
         "memory after [MB]": after,
     }

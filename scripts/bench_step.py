@@ -1,10 +1,13 @@
 #!/usr/bin/env python
-"""How long one reactive step takes on the backhoe with ten obstacles.
+"""How long one reactive step and one step of the servo take on the backhoe among obstacles.
 
-The machine drives its tip from one random goal to the next among seeded obstacles.
-Timed are the parts of a step and the whole; in the same run the Pinocchio and coal calls
-alone, and Pink where it is installed (see validation/step_times.py). The results are in
-docs/measurements.md.
+The machine drives its tip from one random goal to the next among seeded obstacles that stand
+still; where no step is clear, its motion ends and it begins again at the start. Timed are the
+parts of a reactive step and the whole, and the servo's step. After every hundred steps the
+Pinocchio and coal calls alone are timed on the same configurations, and Pink where it is
+installed (see validation/step_times.py), so that what else the computer does slows all of
+them. With each ratio stands between which the middle half of the blocks lies. The results
+are in docs/measurements.md.
 
     python scripts/bench_step.py [--steps 5000] [--obstacles 10] [--save FILE] [--against FILE]
 """
@@ -12,14 +15,25 @@ docs/measurements.md.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 from pathlib import Path
 
 import numpy as np
 
 import backhoe_planner as bp
-from validation.step_times import obstacle_course, percentiles, time_law, time_libraries, time_pink
-from validation.tables import markdown
+from validation.step_times import (
+    Drive,
+    LawDrive,
+    ServoDrive,
+    TimesInTurn,
+    obstacle_course,
+    percentiles,
+    time_in_turn,
+)
+from validation.tables import Row, markdown
+
+_WARM_UP = 300  # steps
 
 
 def main() -> None:
@@ -31,22 +45,45 @@ def main() -> None:
     parser.add_argument("--against", type=Path, help="figures saved before, to compare with")
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    problem = obstacle_course(bp.load_robot("example:backhoe"), options.obstacles, rng)
-    time_law(problem, 200, np.random.default_rng(1))  # warm up
-    timed = time_law(problem, options.steps, rng)
-    results = {name: percentiles(times) for name, times in timed.times.items()}
-    alone = results["Pinocchio and coal alone"] = percentiles(time_libraries(problem, timed.configurations))
-    pink = time_pink(problem, timed.configurations[:1000], max(1, round(timed.rows)))
-    if pink is not None:
-        results["Pink with barrier"] = percentiles(pink)
+    robot = bp.load_robot("example:backhoe")
+    problem = obstacle_course(robot, options.obstacles, rng)
+    law = LawDrive(problem, rng)
+    drives: dict[str, Drive] = {
+        "reactive step": law,
+        "servo step": ServoDrive(bp.Servo(robot, problem.scene), 0, rng),
+    }
+    timed: dict[str, TimesInTurn] = {}
+    for name, drive in drives.items():
+        drive.take(_WARM_UP)
+        gc.collect()
+        gc.freeze()  # as a program that keeps a clock does
+        timed[name] = time_in_turn(problem, drive, options.steps, pink=name == "reactive step")
+    reactive = timed["reactive step"]
+    results = {name: percentiles(times) for name, times in reactive.steps.times.items()}
+    results["Pinocchio and coal alone"] = percentiles(reactive.calls)
+    if len(reactive.pink):
+        results["Pink with barrier"] = percentiles(reactive.pink)
+    results["servo step"] = percentiles(timed["servo step"].steps.whole)
     before = json.loads(options.against.read_text()) if options.against else {}
-    pairs = len(bp.Proximity(problem.robot, problem.obstacles).pairs)
-    print(f"{options.obstacles} obstacles, {pairs} pairs, {timed.rows:.1f} rows per step, {options.steps} steps\n")
-    then = {name: {"median before": before.get(name, {}).get("median", np.nan)} if before else {} for name in results}
-    print(markdown([{"[us]": name, **figures, **then[name]} for name, figures in results.items()]))
-    if pink is None:
+    pairs = len(bp.Proximity(robot, problem.obstacles).pairs)
+    print(f"{options.obstacles} obstacles, {pairs} pairs, {options.steps} steps")
+    print(f"{reactive.steps.rows:.1f} rows in a reactive step; the motion ended {law.ended} times\n")
+    columns = [dict(figures) for figures in results.values()]
+    if before:
+        columns = [
+            {**figures, "median before": before.get(name, {}).get("median", np.nan)}
+            for name, figures in zip(results, columns, strict=True)
+        ]
+    rows: list[Row] = [{"[us]": name, **figures} for name, figures in zip(results, columns, strict=True)]
+    print(markdown(rows))
+    print()
+    for name, one in timed.items():
+        tail = np.percentile(one.steps.whole, 99) / np.median(one.steps.whole)
+        print(f"{name}: {one.spread()} times the library calls alone; p99 {tail:.1f} times its median")
+    if len(reactive.pink):
+        print(f"Pink takes {np.median(reactive.pink) / np.median(reactive.steps.whole):.1f} times a reactive step")
+    else:
         print("Pink is not installed: no comparison with it")
-    print(f"a whole step costs {results['whole step']['median'] / alone['median']:.2f} times the library calls alone")
     if options.save:
         options.save.write_text(json.dumps(results, indent=2) + "\n")
 

@@ -18,7 +18,7 @@ from validation.bench_figures import Figure
 from validation.certificate_attack import attack_seeds, summarise
 from validation.sites import KINDS
 from validation.startup_times import startup_figures
-from validation.step_times import obstacle_course, time_law, time_libraries, time_servo
+from validation.step_times import LawDrive, ServoDrive, obstacle_course, time_in_turn
 from validation.walking_people import walk_through
 
 _TIME_NOISE = 0.2  # of the ratio of a time to its reference, as they were measured together on a shared machine
@@ -96,21 +96,21 @@ def _poses(long: bool) -> list[Figure]:
 def _step(long: bool) -> list[Figure]:
     rng = np.random.default_rng(0)
     problem = obstacle_course(bp.load_robot("example:backhoe"), 10, rng)
-    time_law(problem, 100, np.random.default_rng(1))  # warm up
-    timed = time_law(problem, 20_000 if long else 3000, rng)
-    alone = float(np.median(time_libraries(problem, timed.configurations)))
-    return [_median_time(f"step: {name}", times, alone) for name, times in timed.times.items()]
+    drive = LawDrive(problem, rng)
+    drive.take(100)  # warm up
+    timed = time_in_turn(problem, drive, 20_000 if long else 3000)
+    alone = float(np.median(timed.calls))
+    return [_median_time(f"step: {name}", times, alone) for name, times in timed.steps.times.items()]
 
 
 def _servo(long: bool) -> list[Figure]:
     rng = np.random.default_rng(0)
     robot = bp.load_robot("example:backhoe")
     problem = obstacle_course(robot, 20, rng)
-    servo = bp.Servo(robot, problem.scene)
-    time_servo(servo, 500, 5, np.random.default_rng(1))  # warm up
-    timed = time_servo(servo, 20_000 if long else 4000, 5, rng)
-    alone = float(np.median(time_libraries(problem, timed.configurations[:2000])))
-    processor = timed.times["processor"]
+    drive = ServoDrive(bp.Servo(robot, problem.scene), 5, rng)
+    drive.take(500)  # warm up
+    timed = time_in_turn(problem, drive, 20_000 if long else 4000)
+    alone, processor = float(np.median(timed.calls)), timed.steps.whole
     return [
         _median_time("servo: a step", processor, alone),
         Figure(

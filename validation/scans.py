@@ -25,7 +25,7 @@ from backhoe_planner.arrays import Matrix, Vector
 from backhoe_planner.motion import build_problem
 from backhoe_planner.planning import plan_problem
 from backhoe_planner.show import plan_page
-from validation.step_times import time_servo
+from validation.step_times import ServoDrive
 
 GROUND = -0.45  # m: mean height of the ground around the machine
 FOLDS = 0.06  # m: amplitude of its waves
@@ -202,7 +202,7 @@ def measure(robot: bp.Robot, survey: Survey, kinds: Sequence[str], *, goal: Vect
     servo = bp.Servo(robot, scene)
     gc.collect()
     gc.freeze()  # as a program that keeps a clock does: else Python looks through all that is loaded now and then
-    taken = time_servo(servo, steps, 0, np.random.default_rng(seed)).times["processor"]
+    taken = ServoDrive(servo, 0, np.random.default_rng(seed)).take(steps).whole
     gc.unfreeze()
     return Cost(intake, taken, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, page)
 

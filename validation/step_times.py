@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -26,6 +27,7 @@ from validation.scenes import scene_of
 Times = NDArray[np.float64]
 
 START = np.array([0.0, 0.4, -1.6, -0.9])
+WHOLE = "whole step"
 SPARE = 0.05  # m beyond every clearance that the start keeps
 
 
@@ -41,117 +43,234 @@ def obstacle_course(robot: bp.Robot, count: int, rng: np.random.Generator) -> Pr
 
 @dataclass(frozen=True)
 class StepTimes:
-    """The times of many steps.
+    """The times of some steps.
 
     Attributes
     ----------
-    times: (steps,) of every part and of the whole step.
-    configurations: (n,) each, on the way.
+    times: (steps,) of every part and of the whole step, which is the last.
+    configurations: (n,) some of those on the way.
     rows: nearby pairs in a step, in the mean.
     """
 
     times: dict[str, Times]
     configurations: list[Vector]
-    rows: float
+    rows: float = float("nan")
+
+    @property
+    def whole(self) -> Times:
+        """(steps,) of the whole step on the processor."""
+        return self.times[WHOLE]
 
 
-def time_law(problem: Problem, steps: int, rng: np.random.Generator) -> StepTimes:
-    """Time the parts of the law's steps, on the way from one random goal of the tip to the next."""
-    robot = problem.robot
-    assert problem.start_q is not None
-    proximity, kinematics = bp.Proximity(robot, problem.obstacles), bp.Kinematics(robot)
-    stepper = Stepper(problem, problem.start_q, proximity=proximity, kinematics=kinematics)
-    law = CompletedLaw(robot, influence=problem.scene.influence)
-    times, configurations, rows = np.empty((steps, 4)), [], 0
-    goal = kinematics.at(robot.random_q(rng)).tip_position
-    for count in range(steps):
-        if count % 200 == 0:
-            goal = kinematics.at(robot.random_q(rng)).tip_position
-        begun = time.thread_time()
-        at, nearby = stepper.look()
-        looked = time.thread_time()
-        error = goal - at.tip_position
-        size = float(np.linalg.norm(error))
-        J = at.jacobian[:3]
-        primary, null = law.terms_unchecked(at, J, error * min(1.0, 0.6 / max(size, 1e-9)), nearby)
-        wished = time.thread_time()
-        stepper.advance(primary + null, nearby, J)
-        done = time.thread_time()
-        times[count] = looked - begun, wished - looked, done - wished, done - begun
-        configurations.append(stepper.q)
-        rows += len(nearby)
-    names = ("proximity and kinematics", "law", "shield and proof of the step", "whole step")
-    return StepTimes(dict(zip(names, 1e6 * times.T, strict=True)), configurations, rows / steps)
+class LawDrive:
+    """The law's steps on the way from one random goal of the tip to the next.
+
+    Where no step is clear, not even braking, a motion ends: the next one begins at the problem's start.
+
+    Attributes
+    ----------
+    ended: how often a motion has ended so.
+    """
+
+    def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
+        self._proximity, self._kinematics = bp.Proximity(problem.robot, problem.obstacles), bp.Kinematics(problem.robot)
+        self._law = CompletedLaw(problem.robot, influence=problem.scene.influence)
+        self._problem, self._rng, self._count, self._goal = problem, rng, 0, np.zeros(3)
+        self._stepper = self._begin()
+        self.ended = 0
+
+    def _begin(self) -> Stepper:
+        assert self._problem.start_q is not None
+        return Stepper(self._problem, self._problem.start_q, proximity=self._proximity, kinematics=self._kinematics)
+
+    def take(self, steps: int) -> StepTimes:
+        """Go on for some steps, and time their parts."""
+        times, configurations, rows = np.empty((steps, 4)), [], 0
+        for taken in times:
+            stepper = self._stepper
+            if self._count % 200 == 0:
+                self._goal = self._kinematics.at(self._problem.robot.random_q(self._rng)).tip_position
+            self._count += 1
+            begun = time.thread_time()
+            at, nearby = stepper.look()
+            looked = time.thread_time()
+            error = self._goal - at.tip_position
+            size = float(np.linalg.norm(error))
+            J = at.jacobian[:3]
+            primary, null = self._law.terms_unchecked(at, J, error * min(1.0, 0.6 / max(size, 1e-9)), nearby)
+            wished = time.thread_time()
+            moved = stepper.advance(primary + null, nearby, J)
+            done = time.thread_time()
+            taken[:] = looked - begun, wished - looked, done - wished, done - begun
+            configurations.append(stepper.q)
+            rows += len(nearby)
+            if not moved:
+                self._stepper = self._begin()
+                self.ended += 1
+        names = ("proximity and kinematics", "law", "shield and proof of the step", WHOLE)
+        return StepTimes(dict(zip(names, 1e6 * times.T, strict=True)), configurations, rows / steps)
 
 
-def time_servo(servo: bp.Servo, steps: int, moving: int, rng: np.random.Generator) -> StepTimes:
-    """Time the servo's steps on the processor and on the clock; every 20th configuration is kept.
+class ServoDrive:
+    """The servo's steps, on the processor and on the clock; every 10th configuration is kept.
 
     The wish changes every 300 steps between tip and joint velocities. The first `moving`
     obstacles go to and fro.
     """
-    times, configurations = np.empty((steps, 2)), []
-    wish: dict[str, Vector] = {}
-    for count in range(steps):
-        if count % 300 == 0:
+
+    def __init__(self, servo: bp.Servo, moving: int, rng: np.random.Generator) -> None:
+        self._servo, self._moving, self._rng, self._count = servo, moving, rng, 0
+        self._wish: dict[str, Vector] = {}
+
+    def take(self, steps: int) -> StepTimes:
+        """Go on for some steps, and time them."""
+        times, configurations, servo = np.empty((steps, 2)), [], self._servo
+        for taken in times:
+            self._choose_motions()
+            begun, begun_on_processor = time.perf_counter(), time.thread_time()
+            state = servo.step(**self._wish)
+            taken[:] = time.perf_counter() - begun, time.thread_time() - begun_on_processor
+            if self._count % 10 == 0:
+                configurations.append(state.q)
+            self._count += 1
+        return StepTimes(dict(zip(("clock", WHOLE), 1e6 * times.T, strict=True)), configurations)
+
+    def _choose_motions(self) -> None:
+        servo, rng = self._servo, self._rng
+        if self._count % 300 == 0:
             if rng.integers(3):
                 tip = rng.normal(size=3)
-                wish = {"tip_velocity": tip * rng.uniform(0.2, 1.0) / np.linalg.norm(tip)}
+                self._wish = {"tip_velocity": tip * rng.uniform(0.2, 1.0) / np.linalg.norm(tip)}
             else:
-                wish = {"joint_velocity": rng.uniform(-1.0, 1.0, servo.robot.n) * servo.limits.velocity}
-        if count % 4000 == 0:
-            for name in servo.obstacles[:moving]:
+                self._wish = {"joint_velocity": rng.uniform(-1.0, 1.0, servo.robot.n) * servo.limits.velocity}
+        if self._count % 4000 == 0:
+            for name in servo.obstacles[: self._moving]:
                 way = servo.shift_of(name)
                 direction = rng.normal(size=3) if not way.any() else -way
                 servo.set_velocity(name, 0.05 * direction / np.linalg.norm(direction))
-        begun, begun_on_processor = time.perf_counter(), time.thread_time()
-        state = servo.step(**wish)
-        times[count] = time.thread_time() - begun_on_processor, time.perf_counter() - begun
-        if count % 20 == 0:
-            configurations.append(state.q)
-    return StepTimes(dict(zip(("processor", "clock"), 1e6 * times.T, strict=True)), configurations, float("nan"))
 
 
-def time_libraries(problem: Problem, configurations: list[Vector]) -> Times:
-    """Time the Pinocchio and coal calls alone, all pairs measured."""
-    model, data = problem.robot.model, problem.robot.model.createData()
-    geometry_model, geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
-    found = []
-    for q in configurations:
-        begun = time.thread_time()
-        pin.computeJointJacobians(model, data, q)
-        pin.updateGeometryPlacements(model, data, geometry_model, geometry)
-        pin.computeDistances(geometry_model, geometry)
-        found.append(1e6 * (time.thread_time() - begun))
-    return np.array(found)
+class LibraryCalls:
+    """The Pinocchio and coal calls alone, all pairs measured."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._model, self._data = problem.robot.model, problem.robot.model.createData()
+        self._geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
+
+    def take(self, configurations: list[Vector]) -> Times:
+        """Time them at each configuration (n,)."""
+        model, data = self._model, self._data
+        geometry_model, geometry = self._geometry
+        found = []
+        for q in configurations:
+            begun = time.thread_time()
+            pin.computeJointJacobians(model, data, q)
+            pin.updateGeometryPlacements(model, data, geometry_model, geometry)
+            pin.computeDistances(geometry_model, geometry)
+            found.append(1e6 * (time.thread_time() - begun))
+        return np.array(found)
 
 
-def time_pink(problem: Problem, configurations: list[Vector], pairs: int) -> Times | None:
-    """Time Pink's step with a frame task and its collision barrier; None without Pink."""
-    try:
+class PinkSteps:
+    """Pink's step with a frame task and its collision barrier for some pairs, on the same model.
+
+    Raises
+    ------
+    ImportError: Pink is not installed.
+    """
+
+    def __init__(self, problem: Problem, q: Vector, pairs: int) -> None:
         import pink
         from pink.barriers import SelfCollisionBarrier
         from pink.tasks import FrameTask
-    except ImportError:
-        return None
-    model, tip = problem.robot.model, problem.robot.tip
-    geometry_model, geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
-    configuration = pink.Configuration(
-        model, model.createData(), configurations[0], collision_model=geometry_model, collision_data=geometry
-    )
-    task = FrameTask(tip, position_cost=1.0, orientation_cost=0.0)
-    barrier = SelfCollisionBarrier(n_collision_pairs=pairs, gain=20.0, safe_displacement_gain=1.0, d_min=0.05)
-    task.set_target(configuration.get_transform_frame_to_world(tip))
-    found = []
-    for q in configurations:
-        begun = time.thread_time()
-        configuration.update(q)
-        try:
-            pink.solve_ik(configuration, [task], 0.02, solver="daqp", barriers=[barrier])
-        except Exception:  # noqa: BLE001  Pink raises where its problem has no solution
-            continue
-        found.append(1e6 * (time.thread_time() - begun))
-    return np.array(found)
+
+        model, tip = problem.robot.model, problem.robot.tip
+        geometry_model, geometry = bp.Proximity(problem.robot, problem.obstacles).geometry
+        self._solve = pink.solve_ik
+        self._configuration = pink.Configuration(
+            model, model.createData(), q, collision_model=geometry_model, collision_data=geometry
+        )
+        self._task = FrameTask(tip, position_cost=1.0, orientation_cost=0.0)
+        self._barrier = SelfCollisionBarrier(n_collision_pairs=pairs, gain=20.0, safe_displacement_gain=1.0, d_min=0.05)
+        self._task.set_target(self._configuration.get_transform_frame_to_world(tip))
+
+    def take(self, configurations: list[Vector]) -> Times:
+        """Time it at each configuration (n,) at which its problem has a solution."""
+        found = []
+        for q in configurations:
+            begun = time.thread_time()
+            self._configuration.update(q)
+            try:
+                self._solve(self._configuration, [self._task], 0.02, solver="daqp", barriers=[self._barrier])
+            except Exception:  # noqa: BLE001  Pink raises where its problem has no solution
+                continue
+            found.append(1e6 * (time.thread_time() - begun))
+        return np.array(found)
+
+
+class Drive(Protocol):
+    """What goes on for some steps and times them."""
+
+    def take(self, steps: int, /) -> StepTimes:
+        """The times of the next steps."""
+        ...
+
+
+@dataclass(frozen=True)
+class TimesInTurn:
+    """Steps and the library calls alone, in turn, a block of each.
+
+    Attributes
+    ----------
+    steps: all of them.
+    calls: (C,) of the library calls at the steps' configurations.
+    ratios: (B,) of each block, the median step over the median of the calls.
+    pink: (K,) of Pink's step at the configurations; none where it is not installed.
+    """
+
+    steps: StepTimes
+    calls: Times
+    ratios: Times
+    pink: Times
+
+    @property
+    def ratio(self) -> float:
+        """The median step over the median of the calls, of all blocks together."""
+        return float(np.median(self.steps.whole) / np.median(self.calls))
+
+    def spread(self) -> str:
+        """The ratio, and between which the middle half of the blocks' ratios is, as text."""
+        low, high = np.percentile(self.ratios, [25, 75])
+        return f"{self.ratio:.2f} ({low:.2f} to {high:.2f})"
+
+
+def time_in_turn(problem: Problem, drive: Drive, steps: int, *, block: int = 100, pink: bool = False) -> TimesInTurn:
+    """Time steps in turn with the library calls alone, so that what else the computer does slows both.
+
+    Parameters
+    ----------
+    block: steps, after which the calls are timed at configurations of these.
+    pink: whether Pink's step is timed at some of them, too.
+    """
+    libraries = LibraryCalls(problem)
+    taken, calls, of_pink = [], [], [np.zeros(0)]
+    pink_steps = None
+    for _ in range(max(steps // block, 1)):
+        part = drive.take(block)
+        taken.append(part)
+        calls.append(libraries.take(part.configurations))
+        if pink and pink_steps is None:
+            try:
+                pink_steps = PinkSteps(problem, part.configurations[0], max(1, round(part.rows)))
+            except ImportError:
+                pink = False
+        if pink_steps is not None:
+            of_pink.append(pink_steps.take(part.configurations[::10]))
+    times = {name: np.concatenate([part.times[name] for part in taken]) for name in taken[0].times}
+    configurations = [q for part in taken for q in part.configurations]
+    whole = StepTimes(times, configurations, float(np.mean([part.rows for part in taken])))
+    ratios = [np.median(part.whole) / np.median(alone) for part, alone in zip(taken, calls, strict=True)]
+    return TimesInTurn(whole, np.concatenate(calls), np.array(ratios), np.concatenate(of_pink))
 
 
 def percentiles(times: Times) -> dict[str, float]:
