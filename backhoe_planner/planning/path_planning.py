@@ -31,7 +31,7 @@ from backhoe_planner.planning.outcome import (
     out_of_reach,
     rest_at_start,
 )
-from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch
+from backhoe_planner.planning.paths.corners import SHARP, round_corners, time_stretch, with_halfways
 from backhoe_planner.planning.paths.dynamic_programming import cheapen_stretch
 from backhoe_planner.planning.paths.path_layers import redundancy_of
 from backhoe_planner.planning.paths.path_resolution import Bypass, PathResolver, Resolution
@@ -54,6 +54,7 @@ _ROOM = 5e-4  # m of margin below which the samples lie closer; chosen: about wh
 _FINE_PERIOD = SAMPLE_PERIOD / 5.0  # s between them then: chords are 25 times nearer to the curve
 _GRID = np.radians(2.5)  # of the free parameter, where there is one: half the usual step, which one can afford
 _LAYER = 0.1  # m of path between layers there: twice the usual, so that a route can turn slowly
+_MOST_DENSER = 3  # times that samples are put between those of a stretch; chosen: a curve then swings out an eighth
 _STEP_SPARE = 1e-3  # part of what a joint may move from waypoint to waypoint; chosen: for chords and round corners
 _ON_PATH = 1e-4  # m and rad: chosen, where the tip counts as being on the path
 _SHORT = 0.3  # m: chosen, on a shorter path inertia may decide
@@ -424,10 +425,26 @@ class _Along:
                 rounded, stops = round_corners(problem, self._path, piece, proximity=world.proximity, time=stepper.time)
                 if not self._keeps_steps([rounded]):
                     rounded, stops = piece, self._path.corners(SHARP)
-                period = _FINE_PERIOD if self._is_tight(rounded.q, stepper.time) else SAMPLE_PERIOD
-                brake = world.work.brake
-                for motion in time_stretch(problem, self._path, rounded, period=period, stops=stops, brake=brake):
+                for motion in self._timed(rounded, stops, stepper.time):
                     stepper.play(motion)
+
+    def _timed(self, stretch: Stretch, stops: Vector, time: float) -> list[Trajectory]:
+        """The motions along a stretch, each from rest to rest.
+
+        Where the joints turn sharply, as where a turn on the spot ends, the smooth curve through the samples swings
+        out. Where that is too near to something, samples are put between them, which halves it.
+        """
+        world, brake = self._world, self._world.work.brake
+        screen = ClearanceScreen(world.proximity, time=time, spare=-TOUCH)
+        for denser in range(_MOST_DENSER + 1):
+            period = _FINE_PERIOD if self._is_tight(stretch.q, time) else SAMPLE_PERIOD
+            motions = time_stretch(world.problem, self._path, stretch, period=period, stops=stops, brake=brake)
+            if denser == _MOST_DENSER or brake.is_used_up():
+                break
+            if all(screen.keeps_all_unchecked(motion.q) for motion in motions):
+                break
+            stretch = with_halfways(world.problem, self._path, stretch)
+        return motions
 
     def _is_tight(self, q: Matrix, time: float) -> bool:
         """Whether anything is so near that the chords between the usual samples might touch it."""

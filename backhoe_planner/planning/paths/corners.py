@@ -154,6 +154,22 @@ def _dense_enough(kinematics: BatchKinematics, path: TipPath, stretch: Stretch, 
     return Stretch(stations, q)
 
 
+def with_halfways(problem: Problem, path: TipPath, stretch: Stretch) -> Stretch:
+    """A stretch with a sample more between each two that are on the path, where the joints move between them."""
+    kinematics, stations, q = BatchKinematics(problem.robot), stretch.stations, stretch.q
+    tips = kinematics.at(q).tip_position
+    on = np.linalg.norm(tips - targets_along(path, stations).position, axis=1) < _ON_PATH
+    moving = np.max(np.abs(np.diff(q, axis=0)), axis=1, initial=0.0) > _STILL
+    rows = np.flatnonzero(on[:-1] & on[1:] & moving)
+    if not len(rows):
+        return stretch
+    halfway, guesses = 0.5 * (stations[1:] + stations[:-1])[rows], 0.5 * (q[1:] + q[:-1])[rows]
+    between, reached = solve_batch(kinematics, targets_along(path, halfway), guesses, iterations=12)
+    reached &= np.max(np.abs(between - guesses), axis=1) < _NEAR
+    rows, halfway, between = rows[reached], halfway[reached], between[reached]
+    return Stretch(np.insert(stations, rows + 1, halfway), np.insert(q, rows + 1, between, axis=0), stretch.obstruction)
+
+
 def _off_chords(kinematics: BatchKinematics, q: Matrix) -> float:
     """How far the tip is off the straight lines between its positions at q (T, n), halfway between two of them [m]."""
     if len(q) < 2:
