@@ -1,6 +1,7 @@
 """Where to stand: the answer of `stand` against the place that each job is given.
 
     python scripts/bench_stand.py                                # the jobs that one place can dig
+    python scripts/bench_stand.py scenes/jobs/drain_with_a_fall.yaml --objective time
     python scripts/bench_stand.py scenes/jobs/long_trench.yaml --effort quick
 
 Both are planned in full. A table of the places that were compared is printed for each job.
@@ -21,12 +22,15 @@ NAMES = ("trench_beside_gas_pipe", "trench_across_water_pipe", "truck_under_powe
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("jobs", nargs="*", type=Path, default=[JOBS / f"{name}.yaml" for name in NAMES])
+    parser.add_argument("--objective", choices=("time", "work"), help="instead of the one that each job asks for")
     parser.add_argument("--effort", default="quick")
     parser.add_argument("--count", type=int, default=2)
     parser.add_argument("--output", type=Path, help="where the answers go, one file for each job")
     given = parser.parse_args()
     for file in given.jobs:
         job = bp.load_job(file)
+        if given.objective is not None:
+            job = bp.job_from_dict(job.to_dict() | {"objective": given.objective}, folder=file.parent)
         plan = bp.stand(job, count=given.count, effort=given.effort)
         if given.output is not None:
             plan.save(given.output / f"{file.stem}.json")
