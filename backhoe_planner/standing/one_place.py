@@ -16,6 +16,7 @@ from backhoe_planner.standing.result import RankedPlace
 from backhoe_planner.standing.site_map import SAME_SHARE, SiteMap, Spot, SpotFinder
 
 _APART = 0.35  # m between places that are estimated; chosen, so that these are not all next to each other
+_SAME_PLACE = 1e-6  # m and rad: chosen far above rounding
 _SAME_BANK = 0.01  # of the soil: what an answer may dig less than the given place
 _NOTED = 0.005  # m^3 of what stays undug: less is not worth a word
 _FEW = 0.98  # of the most soil by the estimates: places that dig less are planned last
@@ -50,16 +51,18 @@ def rank(
 
     Parameters
     ----------
-    spots: to be estimated.
+    spots: to be estimated, but for one that is the given place.
     count: how many of them are planned in full, beside the given place.
     told: called with what is done, how much of it is, and of how much.
     """
     own = finder.at(finder.site.plane.axis)
     here = job.site_scene.base
     given = Base(here.position, here.heading)
-    jobs = [job, *(job_at(job, spot, finder) for spot in spots)]
-    rough = [own.cost, *(spot.cost for spot in spots)]
-    bases = [given, *(spot.base for spot in spots)]
+    others = [(job_at(job, spot, finder), spot) for spot in spots]
+    others = [(one, spot) for one, spot in others if not _is_alike(one, job)]
+    jobs = [job, *(one for one, _ in others)]
+    rough = [own.cost, *(spot.cost for _, spot in others)]
+    bases = [given, *(spot.base for _, spot in others)]
     ranked = []
     for number, (one, cost, base) in enumerate(zip(jobs, rough, bases, strict=True)):
         told("estimating places", number, len(jobs))
@@ -75,6 +78,16 @@ def rank(
         ranked[number] = _planned(jobs[number], ranked[number], finder, effort=effort, seed=seed)
     told("planning in full", len(wanted), len(wanted))
     return _in_order(ranked)
+
+
+def _is_alike(one: Job, other: Job) -> bool:
+    """Whether the machine stands at the same place in two forms of one job, and the same heaps are used."""
+    first, second = one.site_scene.base, other.site_scene.base
+    if math.dist(first.position, second.position) > _SAME_PLACE or abs(first.heading - second.heading) > _SAME_PLACE:
+        return False
+    if one.dump.heap is None or other.dump.heap is None:
+        return one.dump.heap is other.dump.heap
+    return np.array_equal(np.atleast_2d(one.dump.heap.at), np.atleast_2d(other.dump.heap.at))
 
 
 def _in_order(ranked: list[RankedPlace]) -> list[RankedPlace]:

@@ -49,6 +49,7 @@ def answer() -> bp.StandPlan:
     job = _job(
         ground={"cell": 0.1, "low": [0.5, -4.5], "high": [6.0, 1.5]}, dump={"heap": {"at": [2.5, -3.0]}},
         dig={"trench": {"from": [4.4, 0.0], "to": [3.7, 0.0], **TRENCH}},
+        site={"base": {"position": [-0.25, 0.0], "heading": 0.0}},  # a place of the map
     )  # fmt: skip
     return bp.stand(job, count=1)
 
@@ -176,6 +177,13 @@ def test_the_answer_costs_no_more_than_the_given_place(answer: bp.StandPlan) -> 
     assert sum(one.plan is not None for one in answer.ranking) == 2
     with pytest.raises(dataclasses.FrozenInstanceError):
         answer.note = ""  # type: ignore[misc]
+
+
+def test_the_given_place_is_planned_once(answer: bp.StandPlan) -> None:
+    spots = itertools.chain.from_iterable(answer.map.spots)
+    assert min(math.dist(spot.base.position, (-0.25, 0.0)) for spot in spots) < 1e-6
+    near = [one for one in answer.ranking if math.dist(one.base.position, (-0.25, 0.0)) < 1e-6]
+    assert [one.given for one in near] == [True]
 
 
 def test_an_answer_is_written_with_jobs_and_plans_that_are_taken_again(answer: bp.StandPlan, tmp_path: Path) -> None:
