@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from small_jobs import small_job
 
@@ -88,3 +89,36 @@ def test_the_bucket_has_room_behind_the_teeth_wherever_the_lowest_line_leads_the
         at_z = z + back_x * np.sin(pitch) + back_y * np.cos(pitch)
         room = np.where(at_r > r, at_z - np.interp(at_r, lane.r, lane.line), np.inf)
         assert float(room.min(axis=1).max()) > 0.03, (r, z)
+
+
+def test_the_arm_clears_level_ground_up_to_the_lowest_corner_of_boom_and_stick() -> None:
+    site, _ = across_a_pipe(0.3)
+    robot = site.robot
+    q = np.array([robot.random_q(np.random.default_rng(seed)) for seed in range(20)])
+    data, lowest = robot.model.createData(), np.full(len(q), np.inf)
+    for k, row in enumerate(q):
+        pin.forwardKinematics(robot.model, data, row)
+        for one in robot.pieces:
+            if 2 <= one.joint < robot.n:
+                heights = [data.oMi[one.joint].act(corner)[2] for corner in np.asarray(one.piece.hull)]
+                lowest[k] = min(lowest[k], min(heights) - float(one.piece.radius))
+    r = np.array([-10.0, 10.0])
+    for k, row in enumerate(q):
+        for off, clear in ((-1e-3, True), (1e-3, False)):
+            level = np.full(2, lowest[k] + off)
+            assert site.arm.clears(row[None], (r, level)).tolist() == [clear]
+            np.testing.assert_array_equal(site.arm.clears(q, (r, level))[k], clear)
+
+
+def test_rows_of_places_have_the_joints_that_each_row_has_alone() -> None:
+    """And all of them put the teeth where they are asked to be."""
+    site, (lane,) = across_a_pipe(0.3)
+    r, z = np.meshgrid(np.linspace(1.0, 5.5, 10), np.linspace(-2.0, 3.0, 7), indexing="ij")
+    pitch = np.linspace(-2.5, 0.5, 7)
+    q = site.plane.joints(lane.swing, r, z, pitch)
+    for row, at_r, at_z in zip(q, r, z, strict=True):
+        np.testing.assert_array_equal(row, site.plane.joints(lane.swing, at_r, at_z, pitch))
+    found = ~np.isnan(q[..., 0])
+    assert 10 < np.count_nonzero(found) < found.size
+    wanted = np.stack([r, z, np.broadcast_to(pitch, r.shape)])[:, found]
+    np.testing.assert_allclose(site.plane.place(q[found]), wanted, atol=1e-9)

@@ -108,19 +108,24 @@ class ArmPlane:
         return off[:, 1] * across[:, 0] - off[:, 0] * across[:, 1], at.tip_position[:, 2], at.pitch()
 
     def joints(self, swing: float, r: Array, z: Array, pitch: Array) -> Array:
-        """(K, n) joints with the teeth at r, z [m] and at `pitch` [rad], all (K,); nan where the limits allow none."""
-        if self._hinges is None:
-            return self._searched(swing, r, z, pitch)
+        """(..., K, n) joints with the teeth at r, z [m] and at `pitch` [rad], all (..., K); nan where none are allowed.
+
+        Each row of K places is one arm: all of it has its elbow on the side that serves the most places.
+        """
         r, z, pitch = (np.asarray(values, dtype=float) for values in np.broadcast_arrays(r, z, pitch))
-        found = [self._by_elbow(side, r, z, pitch) for side in (-1.0, 1.0)]
-        kept = [np.count_nonzero(~np.isnan(one[:, 0])) for one in found]
-        q = np.empty((len(r), self.robot.n))
-        q[:, -3:] = found[int(np.argmax(kept))]
+        if self._hinges is None:
+            if r.ndim == 1:
+                return self._searched(swing, r, z, pitch)
+            return np.stack([self.joints(swing, *row) for row in zip(r, z, pitch, strict=True)])
+        one, other = (self._by_elbow(side, r, z, pitch) for side in (-1.0, 1.0))
+        kept, kept_by_other = (np.count_nonzero(~np.isnan(found[..., 0]), axis=-1) for found in (one, other))
+        q = np.empty((*r.shape, self.robot.n))
+        q[..., -3:] = np.where((kept_by_other > kept)[..., None, None], other, one)
         if self.swings:
-            q[:, 0] = swing
+            q[..., 0] = swing
             if not self.limits.lower[0] - _ROUNDING <= swing <= self.limits.upper[0] + _ROUNDING:
                 q[:] = np.nan
-        q[np.isnan(q[:, -1])] = np.nan
+        q[np.isnan(q[..., -1])] = np.nan
         return q
 
     def reaches(self, swing: float, r: Array, z: Array, pitch: Array) -> Flags:
@@ -143,7 +148,7 @@ class ArmPlane:
         return guess
 
     def _by_elbow(self, side: float, r: Array, z: Array, pitch: Array) -> Array:
-        """(K, 3) the hinges, with the elbow on one side; nan where there are none within the limits."""
+        """(..., 3) the hinges, with the elbow on one side; nan where there are none within the limits."""
         assert self._hinges is not None
         (first, second, third), hinges = self._hinges.lengths, self._hinges
         x = r - third * np.cos(pitch) - hinges.foot[0]
@@ -153,18 +158,16 @@ class ArmPlane:
         with np.errstate(invalid="ignore"):
             elbow = side * np.arccos(np.where(np.abs(cosine) <= 1.0 + _ROUNDING, np.clip(cosine, -1.0, 1.0), np.nan))
         one = np.arctan2(y, x) - np.arctan2(second * np.sin(elbow), first + second * np.cos(elbow))
-        absolute = np.column_stack((one, one + elbow, pitch))
-        absolute[:, 2] += np.where(np.isnan(one), np.nan, 0.0)
-        turned = np.diff(absolute - hinges.angles, axis=1, prepend=0.0) * hinges.senses
+        absolute = np.stack((one, one + elbow, pitch + np.where(np.isnan(one), np.nan, 0.0)), axis=-1)
+        turned = np.diff(absolute - hinges.angles, axis=-1, prepend=0.0) * hinges.senses
         lower, upper = self.limits.lower[-3:], self.limits.upper[-3:]
         middle = np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * (lower + upper), 0.0)
         q = middle + wrap_angle(turned - middle)
-        outside = np.any((q < lower - _ROUNDING) | (q > upper + _ROUNDING), axis=1)
+        outside = np.any((q < lower - _ROUNDING) | (q > upper + _ROUNDING), axis=-1)
         q[outside] = np.nan
         return np.clip(q, lower, upper)
 
     def _searched(self, swing: float, r: Array, z: Array, pitch: Array) -> Array:
-        r, z, pitch = np.broadcast_arrays(r, z, pitch)
         places = self.world(swing, r, z)
         targets = [TipTarget(place, pitch=(float(p), float(p))) for place, p in zip(places, pitch, strict=True)]
         q, fine = np.full((len(r), self.robot.n), np.nan), np.zeros(len(r), dtype=bool)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from backhoe_planner.arrays import Array, Flags, Matrix, Vector
+from backhoe_planner.arrays import Flags, Matrix, Vector
 from backhoe_planner.job.cuts.arm_plane import ArmPlane
 from backhoe_planner.job.cuts.profile import Profile
 from backhoe_planner.machine import Robot
@@ -68,18 +68,21 @@ class ArmOutline:
 
     def clears(self, q: Matrix, raised: tuple[Vector, Vector]) -> Flags:
         """(M,) whether the arm is above the ground at q (M, n)."""
-        found = np.ones(len(q), dtype=bool)
-        for index, row in enumerate(q):
+        turns = [self._plane.heading(swing) for swing in q[:, 0].tolist()]
+        # rows of rotation and translation along the arm and upward, of each link
+        frames = np.empty((len(q), len(self._points), 2, 4))
+        for turn, row, into in zip(turns, q, frames, strict=True):
             pin.forwardKinematics(self._robot.model, self._data, row)
-            heading = self._plane.heading(float(row[0]) if self._plane.swings else 0.0)
-            out = np.array([np.cos(heading), np.sin(heading)])
-            for joint, points, radius in self._points:
+            out = np.array([np.cos(turn), np.sin(turn)])
+            for (joint, _, _), frame in zip(self._points, into, strict=True):
                 placement = self._data.oMi[joint]
-                world: Array = points @ placement.rotation.T + placement.translation
-                at_r = (world[:, :2] - self._plane.axis) @ out
-                if np.any(world[:, 2] - radius < np.interp(at_r, *raised)):
-                    found[index] = False
-                    break
+                rotation, translation = placement.rotation, placement.translation
+                frame[0, :3], frame[0, 3] = out.dot(rotation[:2]), out.dot(translation[:2] - self._plane.axis)
+                frame[1, :3], frame[1, 3] = rotation[2], translation[2]
+        found = np.ones(len(q), dtype=bool)
+        for (_, points, radius), frame in zip(self._points, np.moveaxis(frames, 1, 0), strict=True):
+            at_r, z = (frame[found, axis, :3] @ points.T + frame[found, axis, 3:] for axis in (0, 1))
+            found[found] = np.all(z - radius >= np.interp(at_r, *raised), axis=1)
         return found
 
 

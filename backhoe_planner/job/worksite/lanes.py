@@ -189,61 +189,74 @@ class _Places:
             wide = Profile.of_terrain(site.ground, site.plane, self._swing, width=site.arm.span)
             beside = np.fmin(np.interp(self._r, wide.r, np.max(wide.surface, axis=1)), final)
             self._raised = (self._r, site.arm.raise_by_clearance(beside) + _ARM)
-        floor, cause = ground.copy(), np.zeros(len(self._r), dtype=np.int64)
+        dug = np.flatnonzero(np.isfinite(design))
+        begin, held_up = ground.copy(), np.isfinite(design)
+        if final is not None:
+            # where the line itself is reached nothing is dug below it, and what stops the teeth there is no cause
+            reached = dug[self._free(self._r[dug], final[dug])]
+            begin[reached], held_up[reached] = final[reached], False
+        floor, cause = begin.copy(), np.zeros(len(self._r), dtype=np.int64)
+        down = [np.array([*np.arange(begin[k], design[k], -_DOWN)[1:].tolist(), design[k]]) for k in dug.tolist()]
+        blocked: dict[int, float] = {}
+        going, depth = np.arange(len(dug)), 0
+        while len(going):
+            at = np.array([down[k][depth] for k in going.tolist()])
+            free = self._free(self._r[dug[going]], at)
+            floor[dug[going[free]]] = at[free]
+            blocked.update(zip(dug[going[~free]].tolist(), at[~free].tolist(), strict=True))
+            depth += 1
+            going = np.array([k for k in going[free].tolist() if depth < len(down[k])], dtype=np.int64)
         causes: list[tuple[str, str]] = [("", "")]
-        for index in np.flatnonzero(np.isfinite(design)).tolist():
-            r, deepest = float(self._r[index]), float(design[index])
-            begin = float(ground[index])
-            held_up = True
-            if final is not None and self._stopped(r, float(final[index])) is None:
-                # the line itself is reached: below it nothing is dug, and what stops the teeth there is no cause
-                begin = floor[index] = float(final[index])
-                held_up = False
-            for height in [*np.arange(begin, deepest, -_DOWN)[1:].tolist(), deepest]:
-                stopped = self._stopped(r, height)
-                if stopped is None:
-                    floor[index] = height
-                    continue
-                if held_up:
-                    if stopped not in causes:
-                        causes.append(stopped)
-                    cause[index] = causes.index(stopped)
-                break
+        for index in sorted(blocked):
+            if held_up[index]:
+                stopped = self._stop(float(self._r[index]), blocked[index])
+                if stopped not in causes:
+                    causes.append(stopped)
+                cause[index] = causes.index(stopped)
         return floor, cause, tuple(causes)
 
-    def _stopped(self, r: float, z: float) -> tuple[str, str] | None:
-        """What keeps the teeth from a radius and a height at every pitch, as kind and name; None where nothing does."""
-        count = len(_PITCHES)
-        q = self._site.plane.joints(self._swing, np.full(count, r), np.full(count, z), _PITCHES)
-        reached = ~np.isnan(q[:, 0])
-        q, pitch = q[reached], _PITCHES[reached]
-        if not len(q):
+    def _free(self, r: Vector, z: Vector) -> Flags:
+        """(K,) whether the teeth can be at radii and heights (K,) [m], at some pitch."""
+        q, _, above = self._postures(r, z)
+        return np.array(
+            [any(map(self._screen.keeps_unchecked, rows[free])) for rows, free in zip(q, above, strict=True)],
+            dtype=bool,
+        )
+
+    def _stop(self, r: float, z: float) -> tuple[str, str]:
+        """What keeps the teeth from a radius and a height [m] at which they are not free, as kind and name."""
+        (q,), (reached,), (above,) = self._postures(np.array([r]), np.array([z]))
+        if not reached.any():
             return "out_of_reach", ""
-        if self._final is not None and self._raised is not None:
-            free = self._back(r, z, pitch) >= _BACK
-            free[free] = self._site.arm.clears(q[free], self._raised)
-            q = q[free]
-            if not len(q):
-                return "out_of_reach", "boom, stick or the bucket's back would touch the ground beside it"
-        for row in q:
-            if self._screen.keeps_unchecked(row):
-                return None
-        tightest = [self._proximity.tightest(row) for row in q]
-        named = [one for one in tightest if one is not None]
-        if not named:
-            return None
+        if not above.any():
+            return "out_of_reach", "boom, stick or the bucket's back would touch the ground beside it"
+        named = [one for row in q[above] if (one := self._proximity.tightest(row)) is not None]
         best = max(named, key=lambda one: one.margin)
         return ("protected" if best.kind == "obstacle" else "out_of_reach"), best.name
 
-    def _back(self, r: float, z: float, pitch: Vector) -> Vector:
-        """(P,) how far the bucket's back is above the ground that is left behind the teeth, at each pitch [m]."""
+    def _postures(self, r: Vector, z: Vector) -> tuple[Array, Flags, Flags]:
+        """(K, P, n) joints with the teeth at r, z (K,) [m] at every pitch; (K, P) whether they are within the limits.
+
+        And (K, P) whether they are, with the back of the bucket, boom and stick above the ground that is left.
+        """
+        q = self._site.plane.joints(self._swing, r[:, None], z[:, None], _PITCHES)
+        reached = ~np.isnan(q[..., 0])
+        if self._final is None or self._raised is None:
+            return q, reached, reached
+        above = reached & (self._back(r, z) >= _BACK)
+        above[above] = self._site.arm.clears(q[above], self._raised)
+        return q, reached, above
+
+    def _back(self, r: Vector, z: Vector) -> Matrix:
+        """(K, P) how far the bucket's back is above the ground that is left behind the teeth, at each pitch [m]."""
         final = self._final
         assert final is not None
 
         def below(at: Array, teeth: Array) -> Array:
             return np.where(at > teeth, np.interp(at, self._r, final), -np.inf)
 
-        return np.asarray(back_heights(self._site.bucket, np.full_like(pitch, r), np.full_like(pitch, z), pitch, below))
+        at_r, at_z, pitch = np.broadcast_arrays(r[:, None], z[:, None], _PITCHES)
+        return back_heights(self._site.bucket, at_r, at_z, pitch, below)
 
 
 def allowed_heights(site: Worksite, lanes: tuple[Lane, ...], design: Matrix) -> tuple[Matrix, NDArray[np.int64]]:
