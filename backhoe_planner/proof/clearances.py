@@ -204,16 +204,27 @@ def segment_is_clear(
     way: (P,) how much the distances can change on the segment, obstacles' own motions apart, see
         `Proximity.ways_unchecked`; by default it is bounded anew.
     """
-    if way is None:
-        proximity.cover_unchecked(np.array([q_a, q_b]))
-        way = proximity.travel.dot(np.abs(q_b - q_a))
-    way = way + dt * proximity.speed
-    if not proximity.is_at_unchecked(q_a, time=time):
-        proximity.lower_bounds(q_a, time=time, floor=proximity.clearance + spare + way, known=known)
-    pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare, way=way)
-    if not len(pairs):
-        return True
-    way = way[pairs]
+    if way is None and proximity.is_at_unchecked(q_a, time=time):
+        # one step of many: all but a few pairs are mostly far away
+        proximity.cover_unchecked(q_a)
+        pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare)
+        if len(pairs):
+            least = proximity.clearance.take(pairs) + spare
+            pairs = pairs[~proximity.stay_apart_unchecked(pairs, least, q_b, time=time + dt)]
+        if not len(pairs):
+            return True
+        way = proximity.travel[pairs].dot(np.abs(q_b - q_a)) + dt * proximity.speed[pairs]
+    else:
+        if way is None:
+            proximity.cover_unchecked(np.array([q_a, q_b]))
+            way = proximity.travel.dot(np.abs(q_b - q_a))
+        way = way + dt * proximity.speed
+        if not proximity.is_at_unchecked(q_a, time=time):
+            proximity.lower_bounds(q_a, time=time, floor=proximity.clearance + spare + way, known=known)
+        pairs = proximity.unproven_unchecked(q_b, time=time + dt, spare=spare, way=way)
+        if not len(pairs):
+            return True
+        way = way[pairs]
     floor = proximity.clearance[pairs] + spare + way
     d_a, d_b = (
         proximity.distances_below_unchecked(pairs, floor, q, time=moment)

@@ -32,6 +32,7 @@ from backhoe_planner.machine import (
     Reading,
     ResultTable,
     Robot,
+    bend_weights,
     reach_ball,
     self_pieces,
 )
@@ -44,6 +45,7 @@ from backhoe_planner.site.pairs.ball_bounds import BallBounds
 from backhoe_planner.site.pairs.known_bounds import KnownBounds, PairSelection, age
 from backhoe_planner.site.pairs.nearby import Nearby
 from backhoe_planner.site.pairs.pair_geometry import PairGeometry
+from backhoe_planner.site.pairs.planes import SeparatingPlanes
 from backhoe_planner.site.pairs.reachable import distances_from_ball
 from backhoe_planner.site.pairs.ways import link_ways
 
@@ -111,6 +113,7 @@ class Proximity:
         # +1 for joints that move the other body alone, -1 for those that move the link alone
         self._sense = robot.support[self._other_joint] - robot.support[joint_of[first]]
         self._first, self._slides = first, bool(robot.prismatic.any())
+        self._turning = (~robot.prismatic).astype(float)
         # how far slides were run out at most; hinges do not count
         limits = robot.limits
         self._run_out = np.where(robot.prismatic, np.maximum(np.abs(limits.lower), np.abs(limits.upper)), np.inf)
@@ -135,6 +138,7 @@ class Proximity:
             self.clearance, self.speed, self.appears_at,
             travel=self.travel, floor=self.floor, always=len(self.clusters),
         )  # fmt: skip
+        self._near: tuple[Indices, Matrix] | None = None  # what was found of which pairs by the last measurement
         self.measured = 0
 
     def cover(self, q: Matrix) -> None:
@@ -172,6 +176,14 @@ class Proximity:
     @cached_property
     def _approach(self) -> ApproachBounds:
         return ApproachBounds(self._pieces, self._bodies)
+
+    @cached_property
+    def _planes(self) -> SeparatingPlanes:
+        plain = slice(self.plain)
+        return SeparatingPlanes(
+            self._pieces, self._bodies, self._data, first=self._first[plain], second=self._body[plain],
+            velocity=self._velocity, appears_at=self.appears_at,
+        )  # fmt: skip
 
     @cached_property
     def _balls(self) -> BallBounds:
@@ -302,9 +314,10 @@ class Proximity:
         is_near[unread] = False
         if self._some_appear:
             is_near &= self.appears_at[near] <= time
-        if np.count_nonzero(is_near) == len(near):
-            return near, found
-        return near[is_near], found[is_near]
+        if np.count_nonzero(is_near) < len(near):
+            near, found = near[is_near], found[is_near]
+        self._near = near, found
+        return near, found
 
     def _measure(self, pairs: Indices, reach: Vector, lower: Vector | None) -> tuple[Matrix, list[int]]:
         """(K, 10) distances, normals and nearest points of `pairs` (K,) at the present placements.
@@ -351,10 +364,6 @@ class Proximity:
         False says nothing. The way ends at `time` [s].
         """
         q, time = self._checked(q, time)
-        return self.stays_clear_unchecked(q, time=time)
-
-    def stays_clear_unchecked(self, q: Vector, *, time: float = 0.0) -> bool:
-        """The same for callers in a loop, whose arguments are right as they are made."""
         return not len(self.unproven_unchecked(q, time=time))
 
     def unproven_unchecked(self, q: Vector, *, time: float, spare: float = 0.0, way: Vector | None = None) -> Indices:
@@ -365,6 +374,26 @@ class Proximity:
         """
         self.cover_unchecked(q)
         return self._known.unproven(q, time, spare, way)
+
+    def stay_apart_unchecked(self, pairs: Indices, least: Vector, q: Vector, *, time: float) -> Flags:
+        """(K,) whether a plane proves that the distances of `pairs` (K,) are `least` (K,) or more on a motion [m].
+
+        That is the straight one from the last measurement to `q` (n,), which ends at `time` [s]. Of pairs that `at`
+        did not find near, and of the machine with itself or with a cluster, nothing is known. See `SeparatingPlanes`.
+        """
+        found = np.zeros(len(pairs), dtype=bool)
+        if self._near is None:
+            return found
+        (near, rows), (q_a, time_a) = self._near, self._known.place
+        if self._time != time_a or np.count_nonzero(self._q != q_a):
+            self._place(q_a, time_a)
+        sag = self.travel.take(pairs, axis=0).dot(bend_weights(q - q_a, self._turning)) / 8.0
+        planes = self._planes.between(pairs, least + sag, near, rows[:, 1:4], time_a, time)
+        if planes:
+            self._place(q, time)
+        for plane in planes:
+            found[plane.row] = self._planes.end_of_link(plane.pair, plane.normal) <= plane.most
+        return found
 
     def _lower_with(self, known: Vector | None, q: Vector, time: float) -> Vector:
         """(P,) lower bounds of all distances from the last measurement [m]; some may be `known` (P,) to be more."""
@@ -429,6 +458,7 @@ class Proximity:
         lower[pairs] = found[:, 0]
         needed[pairs[unread]] = False
         self._known.keep(every, lower, q, time)
+        self._near = None
         return lower.copy(), needed
 
     def distance_of(self, pair: int, q: Vector, *, time: float = 0.0) -> float:
@@ -482,10 +512,6 @@ class Proximity:
         q, time = self._checked(q, time)
         pairs = self._checked_pairs(pairs)
         least = as_array(least, len(pairs), key="least", finite=False)
-        return self.all_at_least_unchecked(pairs, least, q, time=time)
-
-    def all_at_least_unchecked(self, pairs: Indices, least: Vector, q: Vector, *, time: float = 0.0) -> bool:
-        """The same for callers in a loop, whose arguments are right as they are made."""
         if not len(pairs):
             return True
         self._place(q, time)

@@ -103,6 +103,11 @@ class KnownBounds:
         # how far beyond their clearance those are at least that are not among the ones measured last, for their place
         self._others = np.inf
 
+    @property
+    def place(self) -> tuple[Vector, float]:
+        """(n,) and [s] where and when the last measurement was made."""
+        return self._q, self._time
+
     def is_at(self, q: Vector, time: float) -> bool:
         """Whether what is known was measured at q (n,) and `time`."""
         return self._time == time and not np.count_nonzero(self._q != q)

@@ -1,0 +1,100 @@
+"""Proof by a plane that two pieces stay apart on a short motion.
+
+All of an obstacle's piece lies behind a plane with the normal n, which points to it, at b = min n . y. A link's piece
+reaches as far as t = max n . x towards it, over its corners x. They are at least b - t apart, at the normal
+of their nearest points exactly as far as they are. While the joints move straight by dq, no corner is further than
+r . bend(dq) / 8 from the chord of its way (`bend_weights`), and an obstacle moves evenly. So on the whole motion they
+are at least as far apart as at the nearer of its ends, less that. What slides along an obstacle is proven at once,
+for which bounds by how far the link travels have to halve the motion again and again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from backhoe_planner.arrays import Indices, Matrix, Vector
+from backhoe_planner.machine import LinkPiece
+from backhoe_planner.machine.shape import shapes
+
+
+class Plane(NamedTuple):
+    """A plane behind which an obstacle is at the end of a motion.
+
+    Attributes
+    ----------
+    row, pair: which of the pairs that were asked for it is, and its number.
+    normal: (3,) towards the obstacle.
+    most: what the link may reach along the normal [m].
+    """
+
+    row: int
+    pair: int
+    normal: Vector
+    most: float
+
+
+class SeparatingPlanes:
+    """Planes between the links' and the obstacles' convex pieces of P pairs.
+
+    Parameters
+    ----------
+    links: the machine's pieces.
+    bodies: the convex pieces around, where they stand at first.
+    data: of the robot; a link reaches as far as it does where its joints are.
+    first, second: (P,) of each pair the number of the link's piece, and of the other one, counted after `links`.
+    velocity, appears_at: (P, 3), (P,) of the obstacles [m/s, s].
+    """
+
+    def __init__(
+        self, links: Sequence[LinkPiece], bodies: Sequence[shapes.Piece], data: pin.Data,
+        *, first: Indices, second: Indices, velocity: Matrix, appears_at: Vector,
+    ) -> None:  # fmt: skip
+        # views of Pinocchio's own memory: they show where the joints are now
+        poses = [(pose.rotation, pose.translation) for pose in data.oMi]
+        self._links = [(link.piece.hull, link.piece.radius, *poses[link.joint]) for link in links]
+        self._bodies, self._first, self._second = bodies, first, second - len(links)
+        self._velocity, self._appears_at = velocity, appears_at
+
+    def end_of_link(self, pair: int, normal: Vector) -> float:
+        """The most that normal . x is over the link's piece [m], where the joints are."""
+        hull, radius, R, t = self._links[self._first[pair]]
+        most: float = hull.dot(normal.dot(R)).max() + radius + normal.dot(t)
+        return most
+
+    def between(
+        self, pairs: Indices, least: Vector, near: Indices, normals: Matrix, begun: float, ended: float
+    ) -> list[Plane]:
+        """The planes of those of `pairs` (K,) whose link is `least` (K,) or more from its plane, where the joints are.
+
+        Parameters
+        ----------
+        near, normals: (N,) pairs, ascending, and (N, 3) the normals at their nearest points.
+        begun, ended: when the motion does [s]; it begins where the joints are.
+        """
+        found, rows = [], np.searchsorted(near, pairs).tolist()
+        for index, (pair, row, needed) in enumerate(zip(pairs.tolist(), rows, least.tolist(), strict=True)):
+            if row == len(near) or near[row] != pair or self._appears_at[pair] > begun or not self._is_around(pair):
+                continue
+            normal, face = self._face(self._bodies[self._second[pair]], normals[row])
+            speed, since = float(normal.dot(self._velocity[pair])), max(self._appears_at[pair], 0.0)
+            if face + speed * (begun - since) - self.end_of_link(pair, normal) >= needed:
+                found.append(Plane(index, pair, normal, face + speed * (ended - since) - needed))
+        return found
+
+    def _is_around(self, pair: int) -> bool:
+        return pair < len(self._second) and bool(0 <= self._second[pair] < len(self._bodies))
+
+    @staticmethod
+    def _face(piece: shapes.Piece, normal: Vector) -> tuple[Vector, float]:
+        """A normal (3,) and the least that normal . y is over an obstacle's piece [m], where it stands at first.
+
+        The normal is the given one, unless the piece is a half-space: behind any but its own face it has no end.
+        """
+        if len(piece.hull):
+            return normal, float(piece.hull.dot(normal).min()) - piece.radius
+        out: Vector = piece.placement.rotation.dot(piece.shape.n)
+        return -out, -float(out.dot(piece.placement.translation)) - float(piece.shape.d)

@@ -1,0 +1,68 @@
+"""Planes that prove that pairs stay apart on a motion, against distances along it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from backhoe_planner.machine import Robot
+from backhoe_planner.proof import segment_is_clear
+from backhoe_planner.site import Proximity, build_obstacles, scene_from_dict
+from tests.site.test_approach import crowd, lead_at
+
+SAMPLES = 15
+
+
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("name", ["planar4", "backhoe", "panda"])
+def test_what_a_plane_proves_holds_all_along_a_motion(name: str, moving: bool, request: pytest.FixtureRequest) -> None:
+    """Of random motions; and it proves most of what holds with the bend of the way to spare."""
+    robot: Robot = request.getfixturevalue(name)
+    proximity, oracle = crowd(robot, 30, 21, moving=moving), crowd(robot, 30, 21, moving=moving)
+    rng = np.random.default_rng(22)
+    proven = holds = 0
+    for _ in range(60):
+        q, time = robot.random_q(rng), float(rng.uniform(0.0, 2.0)) if moving else 0.0
+        lead = lead_at(robot, np.zeros(robot.n))
+        near = proximity.at_unchecked(q, time=time, margin=0.3, **lead)
+        if not len(near):
+            continue
+        dq, dt = rng.choice([0.003, 0.03, 0.3]) * rng.uniform(-1.0, 1.0, robot.n), 0.02 if moving else 0.0
+        parts = np.linspace(0.0, 1.0, SAMPLES)
+        there = np.array([oracle.distances_of(near.pair, q + s * dq, time=time + s * dt) for s in parts])
+        least = there.min(axis=0) + rng.normal(0.0, 0.01, len(near))
+        said = proximity.stay_apart_unchecked(near.pair, least, q + dq, time=time + dt)
+        assert (there[:, said] >= least[said] - 1e-9).all()
+        to_spare = (there.min(axis=0) > least + 0.003) & (oracle.owner[near.pair] >= 0) & (np.abs(dq).max() < 0.01)
+        to_spare &= oracle.appears_at[near.pair] <= time
+        proven, holds = proven + int((said & to_spare).sum()), holds + int(to_spare.sum())
+    assert holds > 20
+    assert proven > 0.7 * holds
+
+
+def test_sliding_along_a_wall_is_proven_where_the_way_alone_says_nothing(planar4: Robot) -> None:
+    """By hand: the arm turns about its base beside a floor below it, which it does not come nearer to."""
+    floor = {"name": "floor", "shape": "halfspace", "point": [0, 0, -0.2], "normal": [0, 0, 1], "clearance": 0.0}
+    box = {"name": "box", "shape": "box", "size": [20, 20, 1], "position": [0, 0, -0.7], "clearance": 0.0}
+    entries: list[dict[str, Any]] = [floor, box]
+    scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0, 0, 0]}}, "obstacles": entries}
+    proximity = Proximity(planar4, build_obstacles(scene_from_dict(scene), planar4), self_collision=False)
+    q_a, q_b = np.zeros(4), np.array([0.1, 0.0, 0.0, 0.0])
+    near = proximity.at(q_a)
+    spare = float(near.distance.min()) - 0.02  # the far end of the arm moves 0.4 m, and its way bends by 5 mm
+    measured = proximity.measured
+    assert segment_is_clear(proximity, q_a, q_b, depth=0, spare=spare)
+    assert proximity.measured == measured
+    assert not segment_is_clear(proximity, q_a, q_b, spare=spare + 0.03)
+
+
+def test_no_plane_is_known_after_anything_but_what_is_near_was_measured(planar4: Robot) -> None:
+    proximity = crowd(planar4, 20, 5, moving=False)
+    q = np.zeros(4)
+    near = proximity.at(q)
+    pairs = near.pair[proximity.owner[near.pair] >= 0]
+    assert proximity.stay_apart_unchecked(pairs, np.full(len(pairs), -1e3), q, time=0.0).all()
+    proximity.lower_bounds(q + 0.1, time=0.0, floor=np.full(len(proximity.pairs), np.inf))
+    assert not proximity.stay_apart_unchecked(pairs, np.full(len(pairs), -1e3), q, time=0.0).any()
