@@ -87,6 +87,24 @@ def test_it_rises_freely_from_ground_of_coarse_cells(backhoe: Robot, tmp_path: P
     assert state.tip_position[2] > low.tip_position[2] + 0.6
 
 
+def test_on_the_way_down_to_rough_ground_nearly_every_braking_path_is_proven(backhoe: Robot, tmp_path: Path) -> None:
+    """Boxes of cells that were found far above the ground must not forbid the path that those of before allowed."""
+    x, proven, steps = np.linspace(-6.0, 6.0, 241), 0, 0
+    for seed, tip_velocity in ((20, [0.3, 0.0, -0.9]), (21, [0.0, 0.6, -0.6]), (22, [0.6, -0.4, -0.8])):
+        rough = np.random.default_rng(seed).normal(0.0, 0.005, (len(x), len(x)))
+        heights = -0.6 + 0.06 * np.sin(1.3 * x[None, :]) * np.cos(0.9 * x[:, None]) + rough
+        np.savetxt(tmp_path / "ground.csv", heights, fmt="%.4f", delimiter=",")
+        ground = {"name": "ground", "shape": "heightmap", "file": "ground.csv", "size": [12.0, 12.0]}
+        servo = Servo(backhoe, scene_from_dict({**SCENE, "obstacles": [ground]}, folder=tmp_path), dt=0.004)
+        for _ in range(500):
+            state = servo.step(tip_velocity)
+            assert servo.last_error is None
+            proven, steps = proven + state.proven, steps + 1
+        assert state.nearest is not None, "it came down to the ground"
+        assert state.nearest.margin < 0.02
+    assert proven > 0.98 * steps
+
+
 def test_a_step_builds_nothing_large_and_finds_what_stands_around_one_link(
     backhoe: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

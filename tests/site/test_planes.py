@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from crowds import crowd, lead_at
 
 from backhoe_planner.machine import Robot
 from backhoe_planner.proof import segment_is_clear
 from backhoe_planner.site import Proximity, build_obstacles, scene_from_dict
-from tests.site.test_approach import crowd, lead_at
 
 SAMPLES = 15
 

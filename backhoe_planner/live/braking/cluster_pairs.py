@@ -68,7 +68,9 @@ class ClusterPairs:
     def __post_init__(self) -> None:
         self._bounds = self.cluster.grid(*self.ball)
 
-    def find(self, pose: Matrix, shift: Vector, reach: float, *, exact: float, is_new: bool) -> tuple[Part, ...]:
+    def find(
+        self, pose: Matrix, shift: Vector, reach: float, *, exact: float, is_new: bool, tight: bool = False
+    ) -> tuple[Part, ...]:
         """The boxes around the piece where its body is at `pose` (4, 4), in coordinates of where it was built.
 
         Parameters
@@ -77,6 +79,7 @@ class ClusterPairs:
         reach: distance within which its cells count [m].
         exact: distance up to which boxes are to be as exact as cells [m].
         is_new: whether nothing is known of it from the step before.
+        tight: whether boxes are to be little nearer than the cells in them, see `Cluster.around`.
         """
         T = pin.SE3(np.array(pose[:3, :3]), pose[:3, 3] - shift)
         centres, radius = self.balls
@@ -86,11 +89,11 @@ class ClusterPairs:
             self.covered = self.nearest = away
             return ()
         ground = self.cluster.ground_under(self.own, T, reach) if is_new or self.was_inside else None
-        parts = self._parts(T, reach, exact, ground)
+        parts = self._parts(T, reach, exact, ground, tight=tight)
         if ground is None and self.nearest <= 0.0:
             ground = self.cluster.ground_under(self.own, T, reach)
             if ground is not None:
-                parts = self._parts(T, reach, exact, ground)
+                parts = self._parts(T, reach, exact, ground, tight=tight)
         if ground is not None:
             self.was_inside = True
             # its face holds wherever the piece is, so that it lasts until it is nearly out
@@ -105,11 +108,18 @@ class ClusterPairs:
                 self.nearest = inside.reading.distance
         return parts
 
-    def _parts(self, T: pin.SE3, reach: float, exact: float, ground: Part | None) -> tuple[Part, ...]:
+    def _parts(self, T: pin.SE3, reach: float, exact: float, ground: Part | None, *, tight: bool) -> tuple[Part, ...]:
         """The boxes of all cells, with `ground` before them where there is one."""
         first = () if ground is None else (ground,)
         found = self.cluster.around(
-            self.own, T, reach, ball=self.ball, most=SLOTS - _REST - len(first), exact=exact, ground=ground
+            self.own,
+            T,
+            reach,
+            ball=self.ball,
+            most=SLOTS - _REST - len(first),
+            exact=exact,
+            ground=ground,
+            tight=tight,
         )
         parts, self.covered = (*first, *found.parts), found.covered
         if found.rest is not None and found.covered < min(reach, self.clearance + _ROOM):

@@ -195,21 +195,34 @@ class PairBounds:
         path: the present braking path, which the placements hold, and of which distances that must be kept were
             proven with the boxes before. None where none were.
         """
-        separation, pairs = self._separation, one.pairs
+        pairs = one.pairs
         kept = float(self.required[pairs].min())
-        odometer = float(self._start_odometer[one.classes])
-        found = separation.find_boxes(
-            one, at, 0, reach=reach, exact=one.clearance + self._influence, odometer=odometer, is_new=path is None
-        )
-        self.set_distance(pairs, found)
-        self._renewed_at[pairs] = step
+        self._put_boxes(one, at, reach, step, is_new=path is None)
         if path is None:
             return
-        bound = separation.proven_on(pairs, path, at, path.time)
+        bound = self._separation.proven_on(pairs, path, at, path.time)
+        if bound.min() < kept - TOLERANCE:
+            # at the path's end a box is nearer than all cells are: tighter ones, where they hold as much
+            covered = one.covered
+            self._put_boxes(one, at, reach, step, tight=True)
+            if one.covered < covered:
+                self._put_boxes(one, at, reach, step)
+            bound = self._separation.proven_on(pairs, path, at, path.time)
         self.set_proven(pairs, bound)
         # boxes may hold more than the cells do: what was proven of the cells stays proven
-        self.required[pairs] = np.minimum(separation.clearance[pairs], np.maximum(bound, kept))
+        self.required[pairs] = np.minimum(self._separation.clearance[pairs], np.maximum(bound, kept))
         self.find_inside()
+
+    def _put_boxes(
+        self, one: ClusterPairs, at: Placements, reach: float, step: int, *, is_new: bool = False, tight: bool = False
+    ) -> None:
+        """Let the boxes of a cluster around a link be those that are found now, and note their distances."""
+        found = self._separation.find_boxes(
+            one, at, 0, reach=reach, exact=one.clearance + self._influence,
+            odometer=float(self._start_odometer[one.classes]), is_new=is_new, tight=tight,
+        )  # fmt: skip
+        self.set_distance(one.pairs, found)
+        self._renewed_at[one.pairs] = step
 
     def most_urgent(self, needed: Vector, time: float) -> tuple[ClusterPairs | None, float]:
         """The link whose boxes should be found anew before all others, and how urgent that is; see `ClusterPairs`.

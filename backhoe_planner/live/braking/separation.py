@@ -265,6 +265,7 @@ class Separation:
         exact: float,
         odometer: float,
         is_new: bool,
+        tight: bool = False,
     ) -> Vector:
         """Find anew the boxes that stand for a cluster around a link; the distance from each of its pairs [m].
 
@@ -274,9 +275,10 @@ class Separation:
         exact: distance up to which boxes are to be as exact as cells [m].
         odometer: of its class now [m].
         is_new: whether nothing is known of it from the step before.
+        tight: see `ClusterPairs.find`.
         """
         shift = self._shifts[one.number]
-        parts = one.find(at.T[sample, self._joint_of[one.piece]], shift, reach, exact=exact, is_new=is_new)
+        parts = one.find(at.T[sample, self._joint_of[one.piece]], shift, reach, exact=exact, is_new=is_new, tight=tight)
         one.odometer = odometer
         self.measured += len(parts)
         distance = np.full(len(one.pairs), FAR)

@@ -1,0 +1,39 @@
+"""Machines among many obstacles of several shapes, and how they move there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from backhoe_planner.arrays import Vector
+from backhoe_planner.law import Shield
+from backhoe_planner.machine import Robot
+from backhoe_planner.site import Proximity, build_obstacles, scene_from_dict
+
+DT = 0.02
+
+
+def crowd(robot: Robot, count: int, seed: int, *, moving: bool) -> Proximity:
+    """Boxes, balls and capsules within and beyond a machine's reach, and a half-space above it."""
+    rng = np.random.default_rng(seed)
+    entries: list[dict[str, Any]] = [{"name": "roof", "shape": "halfspace", "point": [0, 0, 7], "normal": [0, 0, -1]}]
+    for index in range(count):
+        place = (rng.normal(size=3) * [3.0, 3.0, 0.5] + [0.0, 0.0, 0.3]).tolist()
+        shape: dict[str, Any] = [
+            {"shape": "box", "size": rng.uniform(0.1, 1.0, 3).tolist(), "position": place, "rpy": [0.3, 0.2, 1.0]},
+            {"shape": "sphere", "radius": float(rng.uniform(0.05, 0.5)), "position": place},
+            {"shape": "capsule", "radius": 0.1, "from": place, "to": [*place[:2], place[2] + 2.0]},
+        ][index % 3]
+        if moving and index % 2:
+            shape |= {"velocity": rng.uniform(-1.0, 1.0, 3).tolist(), "appears_at": 0.5 * (index % 4)}
+        entries.append({"name": f"o{index}", **shape})
+    scene = {"version": 1, "start": {"joints": {}}, "task": {"goal": {"position": [0, 0, 0]}}, "obstacles": entries}
+    return Proximity(robot, build_obstacles(scene_from_dict(scene), robot))
+
+
+def lead_at(robot: Robot, v: Vector) -> dict[str, Any]:
+    """As a loop has it that moves at v (n,)."""
+    shield, change = Shield(robot.limits), robot.limits.acceleration * DT
+    stop, longest = shield.stopping_time(np.abs(v) + change), shield.stopping_time(robot.limits.velocity)
+    return {"v": v, "fastest": np.abs(v) + change, "stop": stop, "longest": longest}
