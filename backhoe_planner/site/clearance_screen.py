@@ -91,7 +91,7 @@ class ClearanceScreen:
         if not len(self._clusters):
             return True
         pin.forwardKinematics(self._robot, self._data, q)
-        return self._clusters.keep(self._least, self._data, self._time)
+        return self._clusters.keep(self._least, self._data, self._time, q=q)
 
     def _keeps_plain(self, q: Vector) -> bool:
         """Whether one configuration (n,) keeps its clearances from all that is no cluster."""

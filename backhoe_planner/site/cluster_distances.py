@@ -12,11 +12,13 @@ from backhoe_planner.arrays import Array, Indices, Matrix, Vector
 from backhoe_planner.machine import BatchKinematics, Distances, Reading, Robot, reach_ball
 from backhoe_planner.site.obstacles import Obstacle, offset_at
 from backhoe_planner.site.pairs.link_balls import BallLevel, LinkBalls, Poses
+from backhoe_planner.site.pairs.one_joint_bounds import OneJointBounds
 
 EXACT_WITHIN = 0.5  # m: distances from clusters beyond it are lower bounds; chosen, about how far obstacles act
 _MOST_BALLS = (4, 24)  # of a piece, on each level; chosen
 _TOGETHER = 2_000  # links that are bounded more finely at once; chosen to bound the memory
 _FIRST_REACH = 0.25  # m beyond what is known already, within which a cluster is first looked for; chosen
+_REMEMBERED = 16_000  # distances that were measured; chosen to bound the memory: some 16 MB
 
 
 class ClusterDistances:
@@ -45,8 +47,12 @@ class ClusterDistances:
         self._grids: dict[int, Distances] = {}
         # bounds of the configurations that are expected, and what was needed of them
         self._expected: dict[tuple[bytes, float], tuple[Vector, Vector]] = {}
+        # what was measured of a pair with its joint at a place, and how far it was looked for
+        self._measured: dict[tuple[int, bytes, float], tuple[Reading | None, float]] = {}
         self._kinematics = BatchKinematics(robot)
         self._data = robot.model.createData()
+        stands = np.array([index not in self._moving for index in self.owner.tolist()], dtype=bool)
+        self._one_joint = OneJointBounds(robot, self.piece, stands, self._distance_in)
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -54,7 +60,7 @@ class ClusterDistances:
     def with_own_memory(self) -> ClusterDistances:
         """The same with working memory of its own; what was built to bound distances is shared."""
         other = copy.copy(self)
-        other._data, other._expected = self._robot.model.createData(), {}
+        other._data, other._expected, other._measured = self._robot.model.createData(), {}, {}
         return other
 
     def lower(self, data: pin.Data, time: float, *, q: Vector | None = None, needed: float | Vector = np.inf) -> Vector:
@@ -62,7 +68,7 @@ class ClusterDistances:
 
         One that is at least `needed`, a number or (K,), may fall far short of the distance.
 
-        q: (n,) where that is, if it may have been expected.
+        q: (n,) where that is, if it is known; then it may have been expected.
         """
         assert self._balls is not None
         known = None if q is None else self._expected.get((q.tobytes(), time if self._moving else 0.0))
@@ -70,7 +76,8 @@ class ClusterDistances:
             bounds, enough = known
             if not ((bounds < needed) & (enough < needed)).any():
                 return bounds
-        return np.asarray(self._lower(self._balls.poses_at(data), np.array([time]), needed)[0])
+        own = None if q is None else q[None, :]
+        return np.asarray(self._lower(self._balls.poses_at(data), own, np.array([time]), needed)[0])
 
     def expect(self, q: Matrix, time: float | Vector, *, needed: Vector | Matrix) -> None:
         """Find the same for each of `q` (N, n) at once, as `lower_each`; kept for `lower` until others are expected."""
@@ -86,9 +93,9 @@ class ClusterDistances:
         assert self._balls is not None
         if not len(q):
             return np.zeros((0, len(self)))
-        return self._lower(self._balls.poses_of(self._kinematics.at(q)), np.broadcast_to(time, len(q)), needed)
+        return self._lower(self._balls.poses_of(self._kinematics.at(q)), q, np.broadcast_to(time, len(q)), needed)
 
-    def _lower(self, poses: Poses, time: Vector, needed: float | Array) -> Matrix:
+    def _lower(self, poses: Poses, q: Matrix | None, time: Vector, needed: float | Array) -> Matrix:
         assert self._balls is not None
         first, *finer = self._balls.levels
         found = np.empty((len(poses), len(self)))
@@ -99,6 +106,10 @@ class ClusterDistances:
             away = grid.lower(centres.reshape(3, -1), None if shift is None else shift.repeat(len(first), axis=1))
             bounds = first.least(away.reshape(len(poses), -1))
             found[:, pairs] = bounds.take(self._column[pairs], axis=1)
+        if q is not None:
+            self._one_joint.raise_to(needed, found, q)
+        for index, pairs in self._rows:
+            grid, shift = self._grid(index), self._shifts(index, time)
             for level in finer:
                 self._refine(level, grid, pairs, shift, poses, needed, found)
         # where a ball may touch it, nothing is known of how deep the piece is inside
@@ -126,13 +137,31 @@ class ClusterDistances:
         return cluster.measure(piece.piece, data.oMi[piece.joint], reach, shift=self._shift(index, time))
 
     def nearest(self, pair: int, data: pin.Data, time: float, *, lower: float, reach: float) -> Reading | None:
-        """The same, looked for further and further away; what it is known to be at least is `lower` [m]."""
-        within = min(max(lower, 0.0) + _FIRST_REACH, reach)
-        while True:
+        """The same, looked for further and further away; what it is known to be at least is `lower` [m].
+
+        What was measured lately is not measured again.
+        """
+        place = data.oMi[self._robot.pieces[self.piece[pair]].joint]
+        moment = time if self._moving else 0.0
+        key = pair, place.homogeneous.tobytes(), moment
+        found, within = self._measured.get(key, (None, 0.0))
+        if found is None and within < reach:
+            within = min(max(lower, within, 0.0) + _FIRST_REACH, reach)
             found = self.measure(pair, data, time, within)
-            if found is not None or within >= reach:
-                return found
-            within = min(2.0 * within, reach)
+            while found is None and within < reach:
+                within = min(2.0 * within, reach)
+                found = self.measure(pair, data, time, within)
+            if len(self._measured) >= _REMEMBERED:
+                self._measured.clear()
+            self._measured[key] = found, within
+        return found if found is not None and found.distance < reach else None
+
+    def _distance_in(self, pair: int, q: Vector) -> float:
+        """The distance of a pair with what stands in a posture (n,), or less where it is beyond `EXACT_WITHIN` [m]."""
+        data = self._robot.model.createData()  # not that of `self`: others with their own memory ask, too
+        pin.forwardKinematics(self._robot.model, data, q)
+        found = self.measure(pair, data, 0.0, EXACT_WITHIN)
+        return EXACT_WITHIN if found is None else found.distance
 
     def make_exact(self, found: Vector, pairs: Indices, data: pin.Data, time: float) -> None:
         """Replace lower bounds `found` (K,) of some pairs by distances, exact within `EXACT_WITHIN` [m]."""
@@ -141,9 +170,9 @@ class ClusterDistances:
                 reading = self.nearest(pair, data, time, lower=float(found[pair]), reach=EXACT_WITHIN)
                 found[pair] = EXACT_WITHIN if reading is None else reading.distance
 
-    def keep(self, least: Vector, data: pin.Data, time: float) -> bool:
-        """Whether all distances are at least `least` (K,) [m]."""
-        return self._keep(least, self.lower(data, time, needed=least), data, time)
+    def keep(self, least: Vector, data: pin.Data, time: float, *, q: Vector | None = None) -> bool:
+        """Whether all distances are at least `least` (K,) [m]; `q` as for `lower`."""
+        return self._keep(least, self.lower(data, time, q=q, needed=least), data, time)
 
     def keep_each(self, least: Vector, q: Matrix, time: float) -> Iterator[bool]:
         """Whether they are, at each of `q` (N, n), one after the other; the bounds of all of them are found at once."""

@@ -182,3 +182,38 @@ def test_what_is_expected_is_answered_alike(backhoe: Robot, scan: Obstacle) -> N
                     assert found[exact] == pytest.approx(true[exact], abs=1e-9)
                     assert (found <= true + 1e-9).all()
                     assert (found >= np.minimum(floor, true) - 1e-9).all()
+
+
+def test_bounds_of_what_one_joint_moves_are_tight_when_asked_again(planar4: Robot, scan: Obstacle) -> None:
+    """An interval's bound is 1 cm less than the distance in its middle, which is 1 cm off the one asked for at most."""
+    moving = replace(scan, name="moving", velocity=np.array([0.1, -0.2, 0.05]))
+    proximity = Proximity(planar4, [scan, moving], self_collision=False)
+    rng = np.random.default_rng(8)
+    swings = rng.uniform(-0.6, 1.0, 20)
+    q = np.array([[swing, *rng.uniform(-1.0, 1.0, 3)] for swing in np.tile(swings, 3)])
+    bounds = proximity.clusters.lower_each(q, 0.0)
+    true = np.array([[proximity.distance_of(k, row) for k in range(len(proximity.clusters))] for row in q])
+    assert (bounds <= np.maximum(true, 0.0) + 1e-9).all()
+    first = np.array([planar4.pieces[row].joint == 1 for row in proximity.clusters.piece.tolist()])
+    asked, near = first & (proximity.clusters.owner == 0), (true > 0.02) & (true < EXACT_WITHIN)
+    again = np.arange(len(q)) >= len(swings)
+    checked = near & asked & again[:, None]
+    assert (bounds >= true - 0.02 - 1e-9)[checked].all()
+    assert np.count_nonzero(checked) >= 10
+    assert (bounds < true - 0.02)[near & asked & ~again[:, None]].any()
+
+
+def test_what_was_measured_is_answered_alike(planar4: Robot, scan: Obstacle) -> None:
+    proximity = Proximity(planar4, [scan], self_collision=False)
+    rng = np.random.default_rng(9)
+    kept = 0
+    for _ in range(12):
+        q = planar4.random_q(rng)
+        for reach in (0.05, 1.0, 0.3, 2.0):
+            fresh = Proximity(planar4, [scan], self_collision=False)
+            found, true = (one.at(q, within=reach) for one in (proximity, fresh))
+            np.testing.assert_array_equal(found.pair, true.pair)
+            np.testing.assert_allclose(found.distance, true.distance, atol=1e-9)
+            np.testing.assert_allclose(found.gradient, true.gradient, atol=1e-6)
+            kept += len(found)
+    assert kept > 20

@@ -112,8 +112,8 @@ class Cluster:
     # --- distances -----------------------------------------------------------------------
 
     def _local(self, piece: Piece, T_world_body: pin.SE3, shift: Vector) -> Placed:
-        R = self._R.T @ T_world_body.rotation
-        return Placed.of(piece, R, (T_world_body.translation - self._t - shift) @ self._R)
+        R = self._R.T.dot(T_world_body.rotation)
+        return Placed.of(piece, R, (T_world_body.translation - self._t - shift).dot(self._R))
 
     def measure(
         self, piece: Piece, T_world_body: pin.SE3, reach: float = np.inf, *, shift: Vector | None = None

@@ -35,8 +35,8 @@ class Placed(NamedTuple):
         """A piece of a body that stands at `R_body` (3, 3), `t_body` (3,) [m] in the frame of the solid."""
         own = piece.placement
         return Placed(
-            piece.shape, R_body @ own.rotation, R_body @ own.translation + t_body,
-            piece.hull @ R_body.T + t_body, piece.radius,
+            piece.shape, R_body.dot(own.rotation), R_body.dot(own.translation) + t_body,
+            piece.hull.dot(R_body.T) + t_body, piece.radius,
         )  # fmt: skip
 
     def shifted(self, by: Vector) -> Any:
@@ -46,7 +46,7 @@ class Placed(NamedTuple):
     def box(self, reach: float) -> tuple[Vector, Vector]:
         """(3,), (3,) lowest and highest corner of the box around all that is within `reach` [m]."""
         more = self.radius + reach
-        return self.hull.min(axis=0) - more, self.hull.max(axis=0) + more
+        return np.minimum.reduce(self.hull) - more, np.maximum.reduce(self.hull) + more
 
 
 class Solid(Protocol):

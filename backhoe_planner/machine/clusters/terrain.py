@@ -10,7 +10,7 @@ its points, so that one of them tells on which.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +25,7 @@ from backhoe_planner.machine.clusters.trees import LEAST_REACH, Reading, Tree, s
 
 _TILE = 32  # cells along the edge of a tile; chosen: some 6 ms and 1.3 MB to build its tree
 _MOST_TREES = 256  # that are kept; chosen: some 330 MB
+_ASKED = 30  # times that a tile is asked about before its tree is built; chosen: a tree then saves as much as it costs
 _FEW = 40  # cells that are measured without the trees of their tiles; chosen: their own tree is built in 0.2 ms
 _LOWERED = 0.5  # of the depth by which the lowest point may come nearer to the floor before that is lowered; chosen
 _MOST_PARTS = 500_000  # into which they are divided then; chosen: 22 MB
@@ -72,6 +73,7 @@ class TerrainSolid:
             tile: (boxes_low[tile].tolist(), boxes_high[tile].tolist()) for tile in np.ndindex(*boxes_low.shape[:2])
         }
         self._trees: dict[tuple[int, int], Tree] = {}
+        self._asked: dict[tuple[int, int], int] = {}  # how often tiles without a tree were asked about
 
     def __len__(self) -> int:
         return (len(self._y) - 1) * (len(self._x) - 1)
@@ -168,10 +170,6 @@ class TerrainSolid:
         if z - top >= reach:
             return None
         is_beside = min(x - least_x, most_x - u, y - least_y, most_y - v, z - self._floor) < reach
-        if not is_beside:
-            is_found, found = self._from_few_cells(link, low, high, reach)
-            if is_found:
-                return found
         near = []
         for tile in self._tiles_in((x - reach, y - reach), (u + reach, v + reach)):
             (a, b, c), (d, e, f) = self._tile_boxes[tile]
@@ -181,6 +179,14 @@ class TerrainSolid:
                 near.append((away, tile))
         if is_beside:
             near.append((0.0, _SKIRT))
+        elif near:
+            squared, row, column = self._squared_off(low, high, reach)
+            if squared.min() >= reach * reach:
+                return None
+            if not self._are_worth_trees(near):
+                is_found, found = self._from_few_cells(link, squared, row, column, reach)
+                if is_found:
+                    return found
         best = None
         for distance, tile in sorted(near):
             if distance >= reach:
@@ -190,11 +196,20 @@ class TerrainSolid:
                 best, reach = found, max(found.distance, 0.0)
         return best
 
-    def _from_few_cells(self, link: Placed, low: Vector, high: Vector, reach: float) -> tuple[bool, Reading | None]:
-        """Whether few cells decide, and then the same: of a shape over the map in the box from `low` to `high` (3,).
+    def _are_worth_trees(self, near: Sequence[tuple[float, tuple[int, int]]]) -> bool:
+        """Whether tiles have their trees, or were asked about so often that these pay; they are counted."""
+        is_worth = True
+        for _, tile in near:
+            if tile not in self._trees:
+                self._asked[tile] = self._asked.get(tile, 0) + 1
+                is_worth &= self._asked[tile] > _ASKED
+        return is_worth
 
-        A cell is no nearer than the column under its highest corner is to that box. The cell for which that is least
-        is measured, and then those that may be nearer than it.
+    def _squared_off(self, low: Vector, high: Vector, reach: float) -> tuple[Matrix, int, int]:
+        """(r, c) squares of how far at least cells around a shape in the box from `low` to `high` (3,) are [m^2].
+
+        Also the row and the column of the first. A cell is no nearer to the box than the column under its highest
+        corner; all that are within `reach` [m] are there.
         """
         first = np.maximum((low[:2] - reach - self._low) // self._cell, 0.0).astype(int)
         last = ((high[:2] + reach - self._low) // self._cell).astype(int) + 1
@@ -209,11 +224,17 @@ class TerrainSolid:
         squared *= squared
         squared += aside * aside
         squared += (along * along)[:, None]
+        return squared, r0, c0
+
+    def _from_few_cells(
+        self, link: Placed, squared: Matrix, r0: int, c0: int, reach: float
+    ) -> tuple[bool, Reading | None]:
+        """Whether few cells decide, and then the same, of a shape that cells are off by `squared`; see `_squared_off`.
+
+        The cell that may be nearest is measured, and then those that may be nearer than it.
+        """
         nearest = int(squared.argmin())
-        least = float(squared.flat[nearest])
-        if least >= reach * reach:
-            return True, None
-        if least == 0.0:
+        if squared.flat[nearest] == 0.0:
             return False, None
         row, column = divmod(nearest, squared.shape[1])
         best = self._from_cells(link, np.array([r0 + row]), np.array([c0 + column]), reach)
