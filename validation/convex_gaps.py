@@ -8,6 +8,7 @@ gap is refuted. Where parts overlap the gap is 0 or less, and says nothing of th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,6 +28,7 @@ _ALL_PAIRS = 100  # of parts, up to which all are looked at
 _OUTLINE = 16  # points of a link that are looked at first
 _ROUND = 0.98  # of a cylinder's radius that its points reach between them
 _HOLLOW = 1.001  # times its own volume that the hull of a mesh has, from which on it closes something
+_ONE = np.array([0.0, 0.0, 0.0, 1.0])  # corners whose weights add up to 1 meet at the origin
 _SIDES = 16  # of the prism on which points of a cylinder lie
 
 
@@ -49,15 +51,15 @@ class Part:
 
     def support(self, direction: Vector) -> Vector:
         """The furthest point along `direction`, of the part without its radius."""
-        corner = self.corners[int(np.argmax(self.corners @ direction))]
+        corner = self.corners[int(self.corners.dot(direction).argmax())]
         if self.disc == 0.0:
             return np.asarray(corner)
         axis = self.corners[1] - self.corners[0]
-        across = direction - axis * (axis @ direction) / (axis @ axis)
-        length = float(np.linalg.norm(across))
+        across = direction - axis * (axis.dot(direction) / axis.dot(axis))
+        length = math.sqrt(across.dot(across))
         return np.asarray(corner if length < 1e-12 else corner + (self.disc / length) * across)
 
-    @property
+    @cached_property
     def middle(self) -> Vector:
         """A point of it."""
         return np.asarray(self.corners.mean(axis=0))
@@ -65,26 +67,27 @@ class Part:
 
 def gap(first: Part, second: Part, rotation: Matrix, translation: Vector) -> float:
     """The distance from `first`, placed in the frame of `second`, to `second` [m]; never below the true one."""
-    apart = rotation @ first.middle + translation - second.middle
+    apart = rotation.dot(first.middle) + translation - second.middle
     corners = [apart]
     radii = first.radius + second.radius
     for _ in range(_ITERATIONS):
-        length = float(np.linalg.norm(apart))
+        length = math.sqrt(apart.dot(apart))
         if length < _TOUCHING:
             break
-        nearest = rotation @ first.support(-apart @ rotation) + translation - second.support(apart)
-        if length - float(apart @ nearest) / length < _CONVERGED:
+        nearest = rotation.dot(first.support(-apart.dot(rotation))) + translation - second.support(apart)
+        if length - float(apart.dot(nearest)) / length < _CONVERGED:
             break
         corners.append(nearest)
-        system = np.vstack((np.transpose(corners), np.ones(len(corners))))
+        system = np.ones((4, len(corners)))
+        system[:3] = np.array(corners).T
         try:
-            weights, _ = nnls(system, np.array([0.0, 0.0, 0.0, 1.0]))
+            weights, _ = nnls(system, _ONE)
         except RuntimeError:  # it cycles, where corners nearly coincide
             break
-        corners = [corner for corner, weight in zip(corners, weights, strict=True) if weight > 0.0]
+        corners = [corner for corner, weight in zip(corners, weights.tolist(), strict=True) if weight > 0.0]
         weights = weights[weights > 0.0]
-        apart = np.transpose(corners) @ (weights / weights.sum())
-    length = float(np.linalg.norm(apart))
+        apart = (weights / weights.sum()).dot(corners)
+    length = math.sqrt(apart.dot(apart))
     return (0.0 if length < _TOUCHING else length) - radii
 
 

@@ -73,9 +73,9 @@ class Dynamics:
         """(B, n, n) M of every configuration in q (B, n)."""
         found = np.empty((*q.shape, q.shape[-1]))
         for row, joints in enumerate(q):
-            upper = np.triu(pin.crba(self._model, self._data, joints))
-            found[row] = upper + np.triu(upper, 1).T
-        return found
+            found[row] = pin.crba(self._model, self._data, joints)
+        # the half below the diagonal is what stood there before
+        return np.asarray(np.triu(found) + np.triu(found, 1).swapaxes(-1, -2))
 
     def bodies(self) -> tuple[Vector, Matrix]:
         """(n,) the masses that each joint carries itself [kg], and (n, 3) their centres in the joints' frames [m]."""

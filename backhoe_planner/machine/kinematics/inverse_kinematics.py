@@ -190,18 +190,19 @@ def _limited_step(J: Array, error: Array, q: Array, lower: Array, upper: Array) 
     cost = np.einsum("bi,bi->b", error, error)
     damping = np.minimum(cost, _MOST_DAMPED_ERROR) * _DAMPING + _LEAST_DAMPING
     # the searches run along the last axis, in which numpy is quick
-    J, error = np.ascontiguousarray(J.transpose(1, 2, 0)), np.ascontiguousarray(error.T)
-    step = _damped_step(J, error, damping).T
+    J, error, q = np.ascontiguousarray(J.transpose(1, 2, 0)), np.ascontiguousarray(error.T), np.ascontiguousarray(q.T)
+    step = _damped_step(J, error, damping)
+    at_lower, at_upper = q <= lower[:, None], q >= upper[:, None]
     free = np.ones(q.shape, dtype=bool)
-    for _ in range(q.shape[1] - 1):
-        hit = free & (((q <= lower) & (step < 0.0)) | ((q >= upper) & (step > 0.0)))
-        todo = np.flatnonzero(hit.any(axis=1))
+    for _ in range(len(q) - 1):
+        hit = free & ((at_lower & (step < 0.0)) | (at_upper & (step > 0.0)))
+        todo = np.flatnonzero(hit.any(axis=0))
         if not len(todo):
             break
         free &= ~hit
-        step[todo] = _damped_step(J[:, :, todo] * free[todo].T, error[:, todo], damping[todo]).T
+        step[:, todo] = _damped_step(J[:, :, todo] * free[:, todo], error[:, todo], damping[todo])
     step = np.where(free, step, 0.0)
-    return np.asarray(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
+    return np.asarray(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP).T)
 
 
 def _damped_step(J: Array, error: Array, damping: Array) -> Array:
