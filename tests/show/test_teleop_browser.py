@@ -16,11 +16,13 @@ from backhoe_planner.live import unrecorded_changes
 from backhoe_planner.machine import Robot
 from backhoe_planner.show import TeleopStation, write_page
 
+# without a graphics card every pixel costs: a quarter of them shows the same page
+COARSE = {"reduced_motion": "reduce", "device_scale_factor": 0.5}
 HOSTILE = "<img src=x onerror='window.pwned=1'> \"q\" a/b &amp;"
 
 
 def open_page(browser: Any, url: str, *, password: str = "", height: int = 420) -> tuple[Any, list[str]]:
-    page = browser.new_page(viewport={"width": 860, "height": height}, reduced_motion="reduce")
+    page = browser.new_page(viewport={"width": 860, "height": height}, **COARSE)
     page.set_default_timeout(1e3 * PATIENCE)
     complaints: list[str] = []
     page.on("console", lambda message: complaints.append(message.text))
@@ -146,7 +148,7 @@ def test_a_machine_is_driven_from_the_page(backhoe: Robot, browser: Any, tmp_pat
     assert -1e-4 <= kept["post 1"] < 0.05
     assert any("block 1 was taken away" in note for note in unrecorded_changes(plan))
     write_page(plan, tmp_path / "driven.html")
-    replay = browser.new_page(viewport={"width": 560, "height": 400}, reduced_motion="reduce")
+    replay = browser.new_page(viewport={"width": 560, "height": 400}, **COARSE)
     replay.goto((tmp_path / "driven.html").as_uri())
     replay.wait_for_function("window.backhoe !== undefined && backhoe.plan !== null")
     assert "Verified" in replay.locator("#verdict").inner_text()
