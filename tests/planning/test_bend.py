@@ -104,6 +104,34 @@ def test_a_step_goes_as_far_as_a_kink_and_not_through_it(planar4: bp.Robot, valu
     assert control[1, 0] - planar4.middle[0] == pytest.approx(expected, abs=2e-3)
 
 
+def test_kinks_that_a_step_does_not_cross_need_no_variable(planar4: bp.Robot) -> None:
+    """The best step costs what that of the program with a variable for every kink costs, though some are crossed."""
+    problem, rng = problem_of(planar4, "work"), np.random.default_rng(6)
+    curve = JointCurve.straight(planar4.middle, planar4.middle, PIECES)
+    m = planar4.n * (PIECES - 1) + 1
+    crossed = []
+    for _ in range(10):
+        model = LinearModel(problem, curve, 1.0, end_moves=False, box=np.full(planar4.n, 0.3))
+        value = np.append(rng.normal(size=40), rng.uniform(0.0, 0.1, 20))
+        kinks = Kinks(0.2 * rng.normal(size=(60, m)), value, rng.uniform(0.1, 1.0, 60), 0.1)
+        root = rng.normal(size=(m, m))
+        slope = kinks.share * kinks.rising() @ kinks.G + 0.1 * rng.normal(size=m)
+        bend = Bend(slope, root @ root.T / m, np.zeros((m, m)), kinks)
+        program = model.program(1.0, bend=bend)
+        expected = solve_program(program)
+        found = model.best_step(1.0, bend=bend, most_iterations=1000)
+        assert expected is not None
+        assert found is not None
+        count = len(program.rows[-1].h)
+        x = np.append(found[: m + 1], np.zeros(count))
+        x[m + 1 :] = np.maximum(program.rows[-1].G @ x - program.rows[-1].h, 0.0)
+        least, cost = (0.5 * x @ program.H @ x + program.f @ x for x in (expected.x, x))
+        assert least <= cost + 1e-9
+        assert cost - least <= 0.02 * abs(least)
+        crossed.append(np.sum((value < 0.0) != (value + kinks.G @ found[:m] < 0.0)))
+    assert min(crossed) > 0
+
+
 def test_the_work_of_a_lift_is_what_it_lifts(planar4: bp.Robot) -> None:
     """Infinitely slow, and one joint alone against its weight, a half of the way: the gain in potential energy."""
     problem = problem_of(planar4, "work")

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from backhoe_planner.arrays import Matrix, Vector
-from backhoe_planner.law import solve_program
 from backhoe_planner.machine import JointLimits, Kinematics, movable_rows
 from backhoe_planner.motion import (
     SAMPLE_PERIOD,
@@ -329,12 +328,10 @@ class Descent:
         model.keep_clear(here.margins, looks.places)
         if goal is not None:
             model.stay_on_goal(goal, self._kinematics.at(curve.control[-1]))
-        solution = solve_program(
-            model.program(_MISSED_PRICE, bend=bend, longest=self._longest), most_iterations=_ITERATIONS
-        )
-        if solution is None:
+        x = model.best_step(_MISSED_PRICE, bend=bend, longest=self._longest, most_iterations=_ITERATIONS)
+        if x is None:
             return None
-        return self._on_goal(*model.step(solution.x), goal, looks, below=below)
+        return self._on_goal(*model.step(x), goal, looks, below=below)
 
     def _on_goal(
         self, control: Matrix, duration: float, goal: Goal | None, looks: Looks, *, below: float

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from backhoe_planner.arrays import Array, Indices, Matrix, Vector
-from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows
+from backhoe_planner.law import UNBOUNDED, Kind, QuadraticProgram, Rows, solve_program
 from backhoe_planner.machine import Configuration, movable_rows, wrap_angle
 from backhoe_planner.motion import Drive, Goal, Keep, Problem
 from backhoe_planner.planning.descent.bend import Bend
 from backhoe_planner.planning.descent.curve import JointCurve, basis
+from backhoe_planner.planning.descent.kinks import NearKinks
 from backhoe_planner.planning.descent.moment_slopes import moment_slopes
 from backhoe_planner.site import Proximity
 
@@ -26,6 +27,7 @@ _NEAR_LIMIT = 0.8  # part of a limit below which a row cannot bind in one step a
 _CURVED = 1.5  # times what a gradient says that a step may change a margin; chosen, as distances bend
 _KEEP_STILL = 1e-3  # price of moving all control points by the whole step; chosen small beside a part of the cost
 _OFTEN = 0.1  # of the way that a step may at most change what has a kink, as it mostly does not go all of it; chosen
+_SOLUTIONS = 3  # of a program at most; measured, the third adds a fiftieth of the kinks of the second
 _SPARE_OF_KEPT = 0.1  # part of the spare [m] that counts for what is to be kept [rad or m]; chosen
 
 
@@ -160,13 +162,16 @@ class LinearModel:
 
     # --- what is to be small -----------------------------------------------------------
 
-    def program(self, slack_price: float, *, bend: Bend | None = None, longest: float = np.inf) -> QuadraticProgram:
+    def program(
+        self, slack_price: float, *, bend: Bend | None = None, kinks: NearKinks | None = None, longest: float = np.inf
+    ) -> QuadraticProgram:
         """The program whose solution is the best step.
 
         Parameters
         ----------
         slack_price: of a missed metre, as a part of the cost.
         bend: how the cost changes with the control points that may move, and with T; None where it is the duration.
+        kinks: of the bend, near this curve; by default all that a step may get to, with a variable for each.
         longest: T [s], with a bend; where it is longer, it does not grow.
         """
         T = self._T
@@ -181,29 +186,50 @@ class LinearModel:
             (np.maximum(np.minimum(self._box, upper), 0.0), [min(2.0 * T, max(longest - T, 0.0)), 1.0])
         )
         plain = QuadraticProgram(np.asarray(H), f, low, high, tuple(self._rows))
-        return plain if bend is None else self._bent(plain, bend)
+        return plain if bend is None else self._bent(plain, bend, kinks or self._near_kinks(bend).all_crossed())
 
-    def _bent(self, plain: QuadraticProgram, bend: Bend) -> QuadraticProgram:
-        """The program for another cost than the duration; a variable more for each kink that a step may get to."""
-        rises, falls = bend.kinks.near(np.append(_OFTEN * self._box, 0.0))
-        count = len(plain.f)
-        kinks = len(rises.value) + len(falls.value)
+    def best_step(
+        self, slack_price: float, *, bend: Bend | None, longest: float = np.inf, most_iterations: int
+    ) -> Vector | None:
+        """The solution of the program, or None where there is none; parameters as for `program`.
+
+        It is solved first without a variable for any kink, and again where the step crosses some.
+        """
+        kinks, x = None if bend is None else self._near_kinks(bend), None
+        for _ in range(_SOLUTIONS):
+            program = self.program(slack_price, bend=bend, kinks=kinks, longest=longest)
+            found = solve_program(program, most_iterations=most_iterations)
+            if found is None:
+                break
+            x, known = found.x, kinks
+            kinks = None if known is None else known.after(x[: self._steps + 1])
+            if kinks is known:
+                break
+        return x
+
+    def _near_kinks(self, bend: Bend) -> NearKinks:
+        """The kinks of the cost that a step within the box may get to."""
+        return bend.kinks.near(np.append(_OFTEN * self._box, 0.0))
+
+    def _bent(self, plain: QuadraticProgram, bend: Bend, kinks: NearKinks) -> QuadraticProgram:
+        """The program for another cost than the duration; a variable more for each kink that is crossed."""
+        crossed, count = kinks.variables(), len(plain.f)
         f, low, high = (
-            np.concatenate((part, np.full(kinks, at)))
+            np.concatenate((part, np.full(len(crossed.value), at)))
             for part, at in zip((plain.f, plain.low, plain.high), (0.0, 0.0, UNBOUNDED), strict=True)
         )
-        f[: count - 1] = bend.slope - (rises.share * rises.rising()) @ rises.G
+        f[: count - 1] = bend.slope - kinks.slope_of_variables()
         H = np.zeros((len(f), len(f)))
         H[:count, :count] = plain.H
-        H[: count - 1, : count - 1] += bend.curvature + bend.known
+        H[: count - 1, : count - 1] += bend.curvature + bend.known + kinks.curvature()
         more = np.arange(count, len(f))
-        H[more, more] = np.concatenate((rises.share, falls.share)) / bend.kinks.width
-        rows = [row._replace(G=np.hstack((row.G, np.zeros((len(row.h), kinks))))) for row in plain.rows]
-        if kinks:
-            G = np.zeros((kinks, len(f)))
-            G[:, : count - 1] = np.vstack((rises.G, falls.G))
-            G[np.arange(kinks), more] = -1.0
-            rows.append(Rows("kinks", G, -np.concatenate((rises.value, falls.value)), Kind.HARD))
+        H[more, more] = crossed.share / crossed.width
+        rows = [row._replace(G=np.hstack((row.G, np.zeros((len(row.h), len(more)))))) for row in plain.rows]
+        if len(more):
+            G = np.zeros((len(more), len(f)))
+            G[:, : count - 1] = crossed.G
+            G[np.arange(len(more)), more] = -1.0
+            rows.append(Rows("kinks", G, -crossed.value, Kind.HARD))
         return QuadraticProgram(H, f, low, high, tuple(rows))
 
     def step(self, x: Vector) -> tuple[Matrix, float]:
